@@ -415,8 +415,10 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
         with_error(parameter.name, parameter.unit, parameter.value, float(error), limit)
         for parameter, error in zip(fit.parameters, np.sqrt(np.diag(covariance)), strict=True)
     ]
-    # A number that the responses contradict counts with its distance.
-    changes = steps[:, :n] * values * at_end.pulls.factors[:, None]
+    # A number that the responses contradict counts with its distance, in uncertainties of both: where they
+    # say little of it, what they ask for is far off by chance.
+    pulls = at_end.pulls
+    changes = steps[:, :n] * values * np.where(pulls.far, pulls.sizes, 1.0)[:, None]
     parameters, budget = with_budget(plain, *_by_name(problem.sources, changes), dof)
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))

@@ -475,7 +475,9 @@ def view_errors(
     (comp-loop-change).
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
-    errors = [*matrix_errors(measured), *_direction_errors(measured, total)]
+    # Of the prediction: in proportion to the measurement a gain would shrink its noise with it.
+    predicted = replace(measured, matrix=receptance(view, file, measured.omega, support))
+    errors = [*matrix_errors(predicted), *_direction_errors(measured, total)]
     mass = mass_uncertainty(view.settings)
     if mass is not None:
         errors.append(

@@ -390,7 +390,10 @@ def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> floa
     for values in (course.plain[lines], 1 / course.plain[lines]):
         size = np.abs(through @ values)
         shifts.append(-float(slope @ size) / float(bend @ size))
-    return float(places[1] * abs(shifts[1] - shifts[0]))
+    # A crest that noise makes flat has its maximum anywhere: no more than to the next line.
+    ends = course.omega[[lines.start, lines.stop - 1]]
+    most = float(np.log(ends[1] / ends[0])) / (lines.stop - 1 - lines.start)
+    return float(places[1] * min(abs(shifts[1] - shifts[0]), most))
 
 
 def _modulus(near: Smooth, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:

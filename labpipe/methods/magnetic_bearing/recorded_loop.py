@@ -78,11 +78,11 @@ def recorded_loop(
         return np.asarray((along(per, measured.matrix[:, :, 0]) if own.before else per)[:, :, None])
 
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
-        if not own.before:
-            return matrix_errors(measured)
-        # Changes of the predicted signals: what is common to all of them is added then, and cancels to the
-        # last digit.
+        # Changes of the predicted signals: in proportion to measured ones a gain would shrink their noise
+        # with them. What is common to all of them is added then, and cancels to the last digit.
         uncertainties = matrix_errors(replace(measured, matrix=predict(changed, support)))
+        if not own.before:
+            return uncertainties
         per = per_added(changed)
         return [
             replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None])

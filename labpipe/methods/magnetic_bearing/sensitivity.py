@@ -34,6 +34,8 @@ from labpipe.uncertainty.settings import CompareSettings
 # the prediction.
 
 COMPLEX_PARTS = 2
+# Ratio of predicted to measured S (1 - S) up to which a change is scaled by it: beyond is noise about zero.
+MOST_SCALED = 2.0
 
 
 @dataclass(frozen=True)
@@ -85,11 +87,22 @@ class MeasuredSensitivity:
             outputs=self.response.outputs[:1],
             inputs=self.response.inputs[:1],
         )
+
+        def errors(changed: MagneticFile, _: tuple[float, float]) -> list[MatrixError]:
+            """Of the prediction: in proportion to the measurement a gain would shrink its noise with it.
+            Gains and delays of both sides change S by S (1 - S).
+            """
+            there = sensitivity(changed.levitated(), omega)
+            here = self.values * (1 - self.values)
+            factor = np.divide(there * (1 - there), here, out=np.ones_like(here), where=here != 0)
+            factor = np.where(np.abs(factor) < MOST_SCALED, factor, 1.0)[:, None, None]
+            return [replace(error, change=error.change * factor) for error in self.errors]
+
         return LoopObservation(
             measured,
             lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None],
             file,
-            errors=lambda *_: self.errors,
+            errors=errors,
         )
 
 

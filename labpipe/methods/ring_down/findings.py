@@ -76,7 +76,8 @@ def decay_findings(
         # What rings down with the decay is of the model, what does not is of something else.
         goes_on = tested.ending > GOES_ON
         cause = (
-            "it goes on to the end: a force that does not stop, such as wind, hum, or coloured noise"
+            "it goes on to the end: a force that does not stop, such as wind or hum, dry friction, or "
+            "coloured noise"
             if goes_on
             else "another mode or hum, forced motion at the start, or coloured noise"
         )
