@@ -101,7 +101,7 @@ def test_a_sensitivity_scatters_with_its_channels(tmp_path: Path) -> None:
     (place,) = (row for row in rows if row.name == "sensitivity.peak_frequency")
     assert place.held >= 0.88 and place.ratio < 1.1
     assert not [row for row in rows if row is not place and not row.is_good]
-    assert (
-        np.mean([row.by_noise for row in rows if row.name.split(".")[1] in ("gap", "delay", "bandwidth")])
-        < 0.6
-    )
+    # The loop tells its gains and delays better than they are stated: beside them noise alone is left.
+    told = [row for row in rows if row.name.split(".")[1] in ("gap", "delay", "bandwidth")]
+    assert np.mean([row.by_noise for row in told]) > 0.9
+    assert {"unknowns.gap", "unknowns.delay", "unknowns.bandwidth"} == {row.name for row in told}
