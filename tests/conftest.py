@@ -11,11 +11,9 @@ import os
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
-# Tests start many processes. Where Python is asked to keep no compiled modules beside the sources, they are
-# kept with pytest's own files instead of being compiled once for each of these processes.
-if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
-    _compiled = os.path.join(os.path.dirname(__file__), "..", ".pytest_cache", "compiled")
-    os.environ.setdefault("PYTHONPYCACHEPREFIX", os.path.abspath(_compiled))
+# Tests start many processes, each of which would compile labpipe anew where Python is asked to keep no
+# compiled modules.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 from collections.abc import Callable
 from dataclasses import dataclass
