@@ -329,7 +329,12 @@ class _HitAverage:
     def with_hits(self, parts: Parts, layout: Layout) -> Parts:
         """The parts with the FRFs of every hit alone, where there are two or more of one force, each with all
         responses.
+
+        Not under an exponential window: neighbouring lines share its noise, which the residual of a fit of
+        one hit does not show, so that errors come out several times too small.
         """
+        if self._settings.damping_window is not None:
+            return parts
         columns = list(layout.output_columns[0])
         forces = np.array([amplitude[:, self.force] for _, _, amplitude in self._alone])
         if len(self._alone) < 2 or len(layout.inputs) != 1 or min(columns) < 0 or not np.all(forces):
@@ -338,9 +343,6 @@ class _HitAverage:
             amplitude[:, columns, None] / amplitude[:, self.force, None, None]
             for _, _, amplitude in self._alone
         ]
-        if self._settings.damping_window is not None:
-            decay = self._settings.damping_window
-            matrices = [without_added_damping(parts.frequency, one, decay).matrix for one in matrices]
         numbers, peaks, _ = zip(*self._alone, strict=True)
         return dataclasses.replace(
             parts, hits=np.stack(matrices, axis=1), hit_numbers=numbers, hit_peaks=peaks

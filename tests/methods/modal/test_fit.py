@@ -331,12 +331,14 @@ def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
 @pytest.mark.parametrize("detuned", [0.002, 0.05])
 def test_points_that_load_the_structure_differently_get_no_modes_to_explain_it(detuned: float) -> None:
     """A moving sensor lowers all frequencies, at the last point by a tenth or by two and a half of the
-    half-power width: a mismatch.
+    half-power width: a mismatch, or poles that are named as one mode each.
     """
     moving = [beam(5, detuned=detuned * n / 9) for n in range(9)]
     response = replace(moving[0], matrix=np.stack([one.matrix[:, n] for n, one in enumerate(moving)], axis=1))
     fit = modal(response)
-    assert "model-mismatch" in {finding.code for finding in fit.findings}
+    codes = [finding.code for finding in fit.findings]
+    assert codes.count("moved-mode") == (0 if detuned < BEAM_DAMPING else 3)
+    assert "model-mismatch" in codes or "moved-mode" in codes
     assert not [note for note in fit.notes if "were added" in note]
     # An interval for every mode, which holds its frequency wherever the sensor is: 20 Hz down to what the
     # last point has.
@@ -347,8 +349,7 @@ def test_points_that_load_the_structure_differently_get_no_modes_to_explain_it(d
                 parameter.interval.discrepancy > parameter.interval.noise
                 and "from point to point" in parameter.reason
             )
-    if detuned < BEAM_DAMPING:
-        assert len([parameter for parameter in fit.parameters if parameter.name.startswith("f_n_")]) == 3
+    assert len([parameter for parameter in fit.parameters if parameter.name.startswith("f_n_")]) == 3
 
 
 @pytest.mark.parametrize(
