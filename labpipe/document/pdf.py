@@ -276,8 +276,10 @@ def _as_dots(figure: Figure) -> bool:
     """Whether a drawing is dots of print resolution: a heat map, or one of very many points."""
     if not isinstance(figure.graphic, Chart):
         return False
-    series = [one for panel in figure.graphic.panels for one in panel.series]
-    return any(one.kind == "cells" for one in series) or sum(one.y.size for one in series) > MOST_POINTS
+    series = [curve for panel in figure.graphic.panels for curve in panel.series]
+    return (
+        any(curve.kind == "cells" for curve in series) or sum(curve.y.size for curve in series) > MOST_POINTS
+    )
 
 
 def _table(pages: _Pages, table: Table) -> None:

@@ -315,18 +315,18 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     if not has_noise(measured):
         return []
     try:
-        began = [
+        grids = [
             (*_best_of_grid(measured, model, values, late), name) for name, late in _late_channels(measured)
         ]
     except (FitError, np.linalg.LinAlgError):
         return []
-    began.sort(key=lambda one: one[0])
+    grids.sort(key=lambda grid: grid[0])
     explained = [
-        found
-        for _, problem, start, name in began[:LIKELIEST]
-        if (found := _delay(measured, model, problem, start, name))
+        fitted
+        for _, problem, start, name in grids[:LIKELIEST]
+        if (fitted := _delay(measured, model, problem, start, name))
     ]
-    return [min(explained, key=lambda found: found[0])[1]] if explained else []
+    return [min(explained, key=lambda fitted: fitted[0])[1]] if explained else []
 
 
 def _best_of_grid(

@@ -285,7 +285,7 @@ class _Scene:
             names.append(course.kind)
             logs.append(course.prior)
         weight = np.concatenate(
-            [(log + own[:, None]).ravel() for (log, _, _), own in zip(parts, logs, strict=True)]
+            [(log + log_prior[:, None]).ravel() for (log, _, _), log_prior in zip(parts, logs, strict=True)]
         )
         weight = np.exp(weight - special.logsumexp(weight))
         means = np.concatenate([mean for _, mean, _ in parts])
@@ -303,8 +303,8 @@ class _Scene:
         unit = np.outer(self.scale, self.scale)
         covariance = _calibrated(total, noise) / unit
         shares: dict[str, float] = {}
-        for label, one in zip(labels[keep], weight, strict=True):
-            shares[str(label)] = shares.get(str(label), 0.0) + float(one)
+        for label, share in zip(labels[keep], weight, strict=True):
+            shares[str(label)] = shares.get(str(label), 0.0) + float(share)
         growth = float(np.max(np.sqrt(np.diag(covariance * unit) / np.diag(noise))))
         return CoefficientError(at + mean / self.scale, covariance, noise / unit, shares, growth)
 
@@ -365,7 +365,10 @@ def _moved(inverse: ComplexArray, stiffness: FloatArray, h: ComplexArray) -> Com
     direct one, (n_line, n_output, n_input, n_pattern) [m/N].
     """
     moving = [stiffness, *(np.diag(row) for row in np.diag(np.diag(stiffness)))]
-    parts = [inverse @ one @ inverse @ one @ h for one in moving[: len(moving) if len(stiffness) > 1 else 1]]
+    parts = [
+        inverse @ matrix @ inverse @ matrix @ h
+        for matrix in moving[: len(moving) if len(stiffness) > 1 else 1]
+    ]
     # Each as large as the others.
     sizes = [np.sqrt(np.mean(np.abs(part) ** 2)) for part in parts]
     return np.stack([part / size for part, size in zip(parts, sizes, strict=True) if size > 0], axis=-1)
@@ -468,8 +471,8 @@ def _evidence(
 def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
     """Re sum conj(first) second over lines and elements, (n_first, n_second)."""
     flat = (part.reshape(-1, part.shape[-1]) for part in (first, second))
-    one, other = flat
-    return np.asarray((one.conj().T @ other).real)
+    left, right = flat
+    return np.asarray((left.conj().T @ right).real)
 
 
 def _calibrated(total: FloatArray, noise: FloatArray) -> FloatArray:

@@ -374,25 +374,25 @@ def _components(
     try:
         # What runs away is sorted out below.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            told = evidence(fit, of, amplitudes, rows, steps, begin)
+            judged = evidence(fit, of, amplitudes, rows, steps, begin)
     except FitError:
         return []
     n = base.model.n_interest
-    away = np.abs((told.mean[:, :n] - base.theta[:n]) @ rows[:, :n].T)
+    away = np.abs((judged.mean[:, :n] - base.theta[:n]) @ rows[:, :n].T)
     usable = (
-        np.isfinite(told.log)
+        np.isfinite(judged.log)
         & np.all(away <= FARTHEST, axis=1)
-        & np.all(np.einsum("aii->ai", told.covariance) > 0, axis=1)
+        & np.all(np.einsum("aii->ai", judged.covariance) > 0, axis=1)
     )
     return [
         Component(
             member,
             kind,
             float(amplitudes[i]),
-            float(told.log[i] + priors[i]),
-            told.mean[i],
-            told.covariance[i],
-            told.theta,
+            float(judged.log[i] + priors[i]),
+            judged.mean[i],
+            judged.covariance[i],
+            judged.theta,
         )
         for i in np.flatnonzero(usable)
     ]

@@ -49,7 +49,7 @@ class _Test:
 
     def alone(self, matrix: ComplexArray) -> tuple[Fit, ...]:
         """The fits of one recording, whose noise its own residual shows."""
-        one = replace(
+        recording = replace(
             self.response,
             matrix=matrix,
             covariance=None,
@@ -63,7 +63,7 @@ class _Test:
             covariance_dof=float("inf"),
             findings=(),
         )
-        fits = self.fitting(one, self.settings, False)
+        fits = self.fitting(recording, self.settings, False)
         if not all(fit.converged for fit in fits):
             raise FitError("its fit does not converge")
         return fits
@@ -117,8 +117,11 @@ class _Values:
     log: bool
 
     @classmethod
-    def of(cls, own: Sequence[Parameter]) -> _Values:
-        values, errors = np.array([p.value for p in own]), np.array([p.std_error or 0.0 for p in own])
+    def of(cls, parameters: Sequence[Parameter]) -> _Values:
+        values, errors = (
+            np.array([p.value for p in parameters]),
+            np.array([p.std_error or 0.0 for p in parameters]),
+        )
         log = bool(np.all(values * values[0] > 0))
         return (
             cls(np.log(np.abs(values)), (errors / values) ** 2, True)
@@ -132,14 +135,16 @@ class _Values:
 
 def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], test: _Test) -> Fit:
     """A fit of all recordings with its parameters as means over *repeats*."""
-    own = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats.values()]
-    names = [p.name for p in pooled.parameters if all(_usable(one.get(p.name)) for one in own)]
+    by_name = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats.values()]
+    names = [
+        p.name for p in pooled.parameters if all(_usable(of_repeat.get(p.name)) for of_repeat in by_name)
+    ]
     if not names:
         return pooled
-    columns = {name: _Values.of([one[name] for one in own]) for name in names}
+    columns = {name: _Values.of([of_repeat[name] for of_repeat in by_name]) for name in names}
     judged = [name for name in names if name.startswith((*FREQUENCY, *DAMPING))] or names
     kept, covariate, at = _course(test.levels(list(repeats)), [columns[name] for name in judged])
-    used = [bool(one) for one in kept.used]
+    used = [bool(of_repeat) for of_repeat in kept.used]
     good = [fit for fit, is_used in zip(repeats.values(), used, strict=True) if is_used]
     common = {parameter.name: parameter for parameter in _common(pooled, good, test)}
     ratios = {p.name.partition("_")[2]: abs(p.value) for p in pooled.parameters if p.name.startswith(DAMPING)}
@@ -149,7 +154,7 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         if name in columns:
             of = columns[name].chosen(used)
             means[name] = repeat_mean(of.values, of.variances, _scale(name, of, ratios), covariate)
-            told = Repeats(
+            summary = Repeats(
                 len(test.response.repeat_names),
                 of.values.size,
                 means[name].spread,
@@ -157,7 +162,7 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
                 "" if at is None else LEVEL,
                 at,
             )
-            stated.append(_stated(parameter, means[name], of, common.get(name), pooled.dof, told))
+            stated.append(_stated(parameter, means[name], of, common.get(name), pooled.dof, summary))
         else:
             stated.append(parameter)
     return replace(
@@ -267,7 +272,7 @@ def _shared(common: Parameter | None, *, log: bool) -> tuple[float, float]:
 
 
 def _stated(
-    parameter: Parameter, mean: RepeatMean, of: _Values, common: Parameter | None, dof: int, told: Repeats
+    parameter: Parameter, mean: RepeatMean, of: _Values, common: Parameter | None, dof: int, summary: Repeats
 ) -> Parameter:
     """The mean with the hull of its own interval and that with the model error that all repeats share."""
     shift, extra = _shared(common, log=of.log)
@@ -298,7 +303,7 @@ def _stated(
         fitted=None,
         reason=common.reason if common is not None and extra > between else "",
         discrepancy=None if common is None else common.discrepancy,
-        repeats=replace(told, spread=mean.spread * unit, values=tuple(back(one) for one in of.values)),
+        repeats=replace(summary, spread=mean.spread * unit, values=tuple(back(one) for one in of.values)),
     )
 
 

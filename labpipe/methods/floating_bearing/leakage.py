@@ -87,13 +87,13 @@ class SmearedBalance:
         ).transpose(2, 0, 1)
         motion = self.motion_per_force(stiffness, omega, ratio.astype(np.complex128))
         widths = [
-            found
+            half_power
             for axis in range(2)
-            if (found := _half_power(omega, np.abs(motion[:, axis, axis]))) is not None
+            if (half_power := _half_power(omega, np.abs(motion[:, axis, axis]))) is not None
         ]
         if not widths:
             return ()
-        frequency, width = min(widths, key=lambda found: found[1])
+        frequency, width = min(widths, key=lambda half_power: half_power[1])
         length = self.leakage.kernel.blocks.length
         enough = FEWEST_LINES if modelled else ENOUGH_LINES
         if length * width >= enough:

@@ -211,15 +211,14 @@ class Bench(Watch):
         estimate = fit.estimate
         assert estimate is not None
         remaining = None
-        common = fit.common.get(parameter.name)
-        if common is not None and common.half >= wanted:
+        floor = fit.common[parameter.name].half if parameter.name in fit.common else 0.0
+        if floor >= wanted:
             remaining = Forecast(None)
         elif parameter.name in fit.model.names and estimate.identifiable:
             number = fit.model.names.index(parameter.name)
-            of_noise = wanted if common is None else math.sqrt(wanted**2 - common.half**2)
-            of_noise /= fit.by_chi_square
+            of_noise = math.sqrt(wanted**2 - floor**2) / fit.by_chi_square
             remaining = forecast(estimate, number, of_noise, fit.settings.coverage, variation)
-        return Standing(parameter, half, wanted, remaining)
+        return Standing(parameter, half, wanted, remaining, floor)
 
     def _of_fits(self, standings: Mapping[str, Standing]) -> list[Finding]:
         """What speaks of the fits as they stand now: a misfit, a floor, coefficients that are not told."""
@@ -255,10 +254,9 @@ class Bench(Watch):
             owner, _, name = label.partition(".")
             if owner != fit.settings.name or standing.goal is None or standing.reached:
                 continue
-            common = fit.common.get(name)
-            if common is not None and common.half >= standing.goal:
-                cause, floor = common.reason or "stated uncertainties", common.half
-            elif common is None and estimate.misfit and no_longer_falls(fit.widths[name]):
+            if standing.held_up:
+                cause, floor = standing.parameter.reason or "stated uncertainties", standing.floor
+            elif not fit.common and estimate.misfit and no_longer_falls(fit.widths[name]):
                 cause, floor = "model error", standing.half
             else:
                 continue
@@ -276,8 +274,7 @@ class Bench(Watch):
         findings = []
         for label, standing in standings.items():
             left = standing.remaining
-            fit, _, name = label.partition(".")
-            if left is None or standing.reached or self._held_up(fit, name, standing):
+            if left is None or standing.reached or standing.held_up:
                 continue
             far = left.expected is None or left.expected > OUT_OF_REACH * max(min(reachable), 3)
             if far and self.averages >= 5:
@@ -289,11 +286,6 @@ class Bench(Watch):
                     )
                 )
         return findings
-
-    def _held_up(self, fit: str, name: str, standing: Standing) -> bool:
-        """Whether more averages do not help, since the interval is not one of noise."""
-        common = next(followed.common for followed in self.fits if followed.settings.name == fit).get(name)
-        return common is not None and standing.goal is not None and common.half >= standing.goal
 
     def _enough(self, standings: Mapping[str, Standing]) -> bool:
         """Whether every goal is reached and nothing speaks against a stop."""

@@ -19,7 +19,7 @@ from labpipe.methods.live.averages import CUTTERS
 from labpipe.methods.live.bench import Bench
 from labpipe.methods.live.followed import is_followed
 from labpipe.methods.live.standings import Goal, Update
-from labpipe.project.ingest import ingest
+from labpipe.project.ingest import ingest, unique_names
 from labpipe.project.tests import Test
 from labpipe.project.work import Work
 from labpipe.quantities import to_display
@@ -96,11 +96,11 @@ def coefficients_of(updates: Sequence[Update]) -> tuple[CoefficientCourse, ...]:
     wanted = [name for name, standing in last.items() if standing.goal is not None] or list(last)[:DRAWN]
     courses = []
     for name in wanted:
-        known = [u for u in there if name in u.standings and math.isfinite(u.standings[name].half)]
-        if len(known) >= 2:
-            n = np.array([u.averages for u in known], float)
-            value = np.array([u.standings[name].parameter.value for u in known])
-            half = np.array([u.standings[name].half for u in known])
+        finite = [u for u in there if name in u.standings and math.isfinite(u.standings[name].half)]
+        if len(finite) >= 2:
+            n = np.array([u.averages for u in finite], float)
+            value = np.array([u.standings[name].parameter.value for u in finite])
+            half = np.array([u.standings[name].half for u in finite])
             course = CoefficientCourse(name, last[name].parameter.unit, n, value, half, last[name].goal)
             courses.append(course)
     return tuple(courses)
@@ -111,8 +111,8 @@ def course_figure(coefficients: Sequence[CoefficientCourse]) -> Figure:
     panels = []
     for course in coefficients:
         unit = shown_unit(course.unit, float(course.value[-1]), None)
-        value = np.array([to_display(one, unit) for one in course.value])
-        half = np.array([difference_in(one, unit) for one in course.half])
+        value = np.array([to_display(number, unit) for number in course.value])
+        half = np.array([difference_in(number, unit) for number in course.half])
         series = [curve(course.name, course.averages, value, band=(value - half, value + half), marker=".")]
         if course.goal is not None:
             width = difference_in(course.goal, unit)
@@ -127,7 +127,10 @@ def course_figure(coefficients: Sequence[CoefficientCourse]) -> Figure:
 def run_live(settings: LiveSettings, work: Work) -> Courses:
     """The course of every test whose fits can be followed average by average."""
     courses = []
+    # The names that the run gives to calibrated recordings.
+    names = iter(unique_names([s.path for test in work.pipeline.tests for s in test.recordings]))
     for test in work.pipeline.tests:
+        of_test = [next(names) for _ in test.recordings]
         frf = test.frf or work.pipeline.frf
         fits = [
             fit
@@ -136,24 +139,29 @@ def run_live(settings: LiveSettings, work: Work) -> Courses:
         ]
         chosen = not settings.test or test.name in settings.test
         if chosen and fits and test.recordings and frf is not None and frf.excitation in CUTTERS:
-            courses.append(_course(test, frf, fits, settings, work))
+            courses.append(_course(test, frf, fits, settings, work, of_test))
     return tuple(courses)
 
 
 def _course(
-    test: Test, frf: FrfSettings, fits: Sequence[FitSettings], settings: LiveSettings, work: Work
+    test: Test,
+    frf: FrfSettings,
+    fits: Sequence[FitSettings],
+    settings: LiveSettings,
+    work: Work,
+    names: Sequence[str],
 ) -> Course:
     bench: Bench | None = None
     enough, left_out = None, []
-    for number, source in enumerate(test.recordings):
-        name = f"recordings/{source.path.stem}"
+    for source, name in zip(test.recordings, names, strict=True):
+        place = f"recordings/{name}"
         recording = ingest(
-            source.path, source.rig, work.output, name, work.pipeline.folder, source.joined, source.by
+            source.path, source.rig, work.output, place, work.pipeline.folder, source.joined, source.by
         )
         if bench is None:
             plain = [replace(fit, test=()) for fit in fits]
             bench = Bench(recording.channels, recording.sample_rate, frf, plain, settings.goals)
-        if number:
+        else:
             bench.cutter.restart()
         for block in recording.blocks(BLOCK):
             for update in bench.add(block):

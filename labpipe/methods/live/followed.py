@@ -130,7 +130,7 @@ class FollowedFit:
         self._next_look = int(np.ceil(NEXT_LOOK * estimate.least))
         try:
             response = self._response()
-            found = [] if response is None else list(identify(response, replace(self.settings, test=())))
+            fits = [] if response is None else list(identify(response, replace(self.settings, test=())))
         except (LabpipeError, LinAlgError):
             return
         now = {parameter.name: parameter.value for parameter in self._of_noise()}
@@ -140,7 +140,7 @@ class FollowedFit:
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
                 parameter.reason,
             )
-            for parameter in (found[0].parameters if found else ())
+            for parameter in (fits[0].parameters if fits else ())
             if (parts := parameter.interval) is not None and parameter.name in now
         }
 

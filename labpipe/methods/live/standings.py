@@ -58,17 +58,26 @@ class Goal:
 
 @dataclass(frozen=True)
 class Standing:
-    """One coefficient after an average, the half-width *goal* asked for, and the averages *remaining*."""
+    """One coefficient after an average, the half-width *goal* asked for, and the averages *remaining*.
+
+    floor: the half-width that more averages do not take away [parameter unit].
+    """
 
     parameter: Parameter
     half: float
     goal: float | None = None
     remaining: Forecast | None = None
+    floor: float = 0.0
 
     @property
     def reached(self) -> bool:
         """Whether it is known as well as was asked for."""
         return self.goal is not None and self.half <= self.goal
+
+    @property
+    def held_up(self) -> bool:
+        """Whether no number of averages reaches the goal."""
+        return self.goal is not None and self.floor >= self.goal
 
 
 @dataclass(frozen=True)

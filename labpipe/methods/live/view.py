@@ -54,13 +54,13 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
 
 def level_text(session: Session, name: str, size: float) -> str:
     """The largest size of a channel in its unit, and its share of the range where the rig states one."""
-    channel = next(one for one in session.rig.all_channels if one.name == name)
-    unit = shown_unit(channel.unit, size, None)
+    units = {channel.name: channel.unit for channel in session.rig.all_channels}
+    unit = shown_unit(units[name], size, None)
     text = f"{difference_in(size, unit):.3g} {unit_label(unit)}"
-    of_rig = next((one for one in session.rig.channels if one.channel.name == name), None)
+    of_rig = {channel.channel.name: channel for channel in session.rig.channels}.get(name)
     if of_rig is None or of_rig.limits is None:
         return text
-    reach = abs(of_rig.limits[1] - of_rig.limits[0]) * abs(of_rig.scale)
+    reach = abs((of_rig.limits[1] - of_rig.limits[0]) * of_rig.scale)
     return f"{text} ({200 * size / reach:.0f} % of its range)"
 
 
@@ -108,13 +108,8 @@ def course(session: Session, update: Update) -> Document:
     rows = rows_of(session, update)
     if rows:
         header = ("coefficient", "value and 95 % interval", "goal", "still to come")
-        blocks.append(
-            Table(
-                header,
-                tuple(rows),
-                "Intervals hold at this moment: of noise, model error and stated uncertainties",
-            )
-        )
+        holds = "Intervals hold at this moment: of noise, model error and stated uncertainties"
+        blocks.append(Table(header, tuple(rows), holds))
     sections = [Section("Where the test stands", tuple(blocks))]
     updates = session.bench.updates if session.bench else []
     coefficients = coefficients_of(updates)

@@ -65,7 +65,7 @@ def model_errors(
     refined = estimate.refined
     order = np.argsort(np.abs(refined.poles))
     values = {parameter.name: parameter.value for parameter in parameters}
-    found: dict[int, ModelError] = {}
+    errors_by_mode: dict[int, ModelError] = {}
     for number, mode in enumerate(order, start=1):
         if not (misfit or moving or moved) and not _fills(measured, refined.poles[mode]):
             continue
@@ -83,22 +83,22 @@ def model_errors(
         if mixed.sound < 0.5:
             mixed = settled(mixed, _elsewhere(wide, estimate, int(mode), band, scatter))
         seen, shifted, of_points = band.points()
-        for one in moved:
-            if np.argmin(np.abs(refined.poles - one.pole)) == mode:
-                shifted = shifted + one.shifts[seen]
+        for mode_moved in moved:
+            if np.argmin(np.abs(refined.poles - mode_moved.pole)) == mode:
+                shifted = shifted + mode_moved.shifts[seen]
         points = seen, shifted, of_points
-        told = unloaded(*points, refined.shapes[:, mode]) if moving else {}
-        apart = {f"{name}_{number}": interval for name, interval in (told or _apart(*points)).items()}
-        found[number] = ModelError(mixed, _rows(base, number, values), apart, unloaded=bool(told))
-    return found
+        unmoved = unloaded(*points, refined.shapes[:, mode]) if moving else {}
+        apart = {f"{name}_{number}": interval for name, interval in (unmoved or _apart(*points)).items()}
+        errors_by_mode[number] = ModelError(mixed, _rows(base, number, values), apart, unloaded=bool(unmoved))
+    return errors_by_mode
 
 
 def _elsewhere(
-    wide: Measured, estimate: ModalEstimate, mode: int, own: _Band, scatter: FloatArray | None
+    wide: Measured, estimate: ModalEstimate, mode: int, near: _Band, scatter: FloatArray | None
 ) -> tuple[Mixture, ...]:
     """The same mode in narrower and wider bands, and with fewer and more residual terms."""
-    pole, found = estimate.refined.poles[mode], []
-    low, high = float(own.frequency[0]), float(own.frequency[-1])
+    pole, rows = estimate.refined.poles[mode], []
+    low, high = float(near.frequency[0]), float(near.frequency[-1])
     f_r, width = abs(pole) / (2 * np.pi), -2 * pole.real / (2 * np.pi)
     tried: list[tuple[float, int]] = [(factor, TERMS) for factor in OTHER_BANDS]
     for factor, terms in [*tried, *((1.0, terms) for terms in OTHER_TERMS)]:
@@ -108,11 +108,11 @@ def _elsewhere(
         if far:
             continue
         try:
-            band = own if factor == 1.0 else _Band.of(wide, estimate, mode, scatter, edges)
-            found.append(mixture(_ordinary(band.curve(slice(None)), pole, terms)))
+            band = near if factor == 1.0 else _Band.of(wide, estimate, mode, scatter, edges)
+            rows.append(mixture(_ordinary(band.curve(slice(None)), pole, terms)))
         except (FitError, np.linalg.LinAlgError):
             continue
-    return tuple(found)
+    return tuple(rows)
 
 
 def with_model_errors(
@@ -224,14 +224,14 @@ def _apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str,
     """
     if len(seen) < FEWEST_POINTS:
         return {}
-    found = {}
+    pieces = {}
     for place, name in enumerate(("f_n", "zeta")):
         x, weight = values[:, place], errors[:, place] ** -2.0
         scatter = float(np.sum(weight * (x - np.average(x, weights=weight)) ** 2))
         if chi2_tail(scatter, x.size - 1) < DISAGREE:
             reach = student_quantile(0.975, x.size - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / x.size)
-            found[name] = (float(np.mean(x)), float(np.mean(x) - reach), float(np.mean(x) + reach))
-    return found
+            pieces[name] = (float(np.mean(x)), float(np.mean(x) - reach), float(np.mean(x) + reach))
+    return pieces
 
 
 def unloaded(
@@ -247,11 +247,11 @@ def unloaded(
     if len(seen) <= FEWEST_POINTS:
         return {}
     scales = (PRIOR_SCALE * float(np.exp(np.median(values[:, 1]))), PRIOR_SCALE)
-    found = {}
+    pieces = {}
     for place, name in enumerate(("f_n", "zeta")):
         mean = repeat_mean(values[:, place], errors[:, place] ** 2, scales[place], square)
-        found[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
-    return found
+        pieces[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
+    return pieces
 
 
 def _others(refined: Refined, mode: int, s: ComplexArray, residues: ComplexArray) -> ComplexArray:

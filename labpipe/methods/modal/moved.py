@@ -74,8 +74,8 @@ class MovedMode:
         """What takes every point from its own pole to the mean one, (n_line, n_point, n_reference) [unit of
         the FRF]; *s* (n_line,) [rad/s].
         """
-        own = np.where(self._seen, self.poles, self.pole)
-        (a, b), _ = pole_functions(s, np.append(own, self.pole), hysteretic=False)
+        point_poles = np.where(self._seen, self.poles, self.pole)
+        (a, b), _ = pole_functions(s, np.append(point_poles, self.pole), hysteretic=False)
         change = np.einsum("lp,pr->lpr", a[:, -1:] - a[:, :-1], self.residues)
         return np.asarray(change + np.einsum("lp,pr->lpr", b[:, -1:] - b[:, :-1], self.residues.conj()))
 
@@ -127,17 +127,17 @@ def with_moved_modes(
     refined = done.refined
     if lines.hysteretic or lines.matrix.shape[1] < FEWEST_POINTS or np.any(refined.poles.real >= 0):
         return lines, done, (), ()
-    found = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _moved(lines, refined, chain)]
-    if not found and not (moving and done.p_noise < MISMATCH_P):
+    merging = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _moved(lines, refined, chain)]
+    if not merging and not (moving and done.p_noise < MISMATCH_P):
         return lines, done, (), ()
-    findings = tuple(mode.finding for _, mode in found)
-    merged = {number for chain, _ in found for number in chain}
+    findings = tuple(mode.finding for _, mode in merging)
+    merged = {number for chain, _ in merging for number in chain}
     for number in set(range(refined.poles.size)) - merged:
         s, data = _alone(lines, refined, [number])
         if s.size >= FEWEST_LINES:
-            found.append(([number], _by_points(s, data, refined.poles[[number]])[0]))
+            merging.append(([number], _by_points(s, data, refined.poles[[number]])[0]))
             merged.add(number)
-    moved = tuple(mode for _, mode in found)
+    moved = tuple(mode for _, mode in merging)
     rest = np.setdiff1d(np.arange(refined.poles.size), list(merged))
     poles = np.concatenate([refined.poles[rest], [mode.pole for mode in moved]])
     participation = np.vstack([refined.participation[rest], [mode.reference for mode in moved]])
@@ -233,10 +233,10 @@ def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexAr
 def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tuple[MovedMode, FloatArray]:
     """A pole of every point of data (n_line, n_point, n_reference), and the squares that each leaves."""
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
-    own = [_best(s, data[:, point], start) for point in range(data.shape[1])]
-    solved = [_solved(s, data[:, point], pole) for point, pole in enumerate(own)]
+    point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
+    solved = [_solved(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
     residues = np.array([amounts[0] for amounts, _ in solved])
-    return MovedMode(np.array(own)[:, 0], residues), np.array([left for _, left in solved])
+    return MovedMode(np.array(point_poles)[:, 0], residues), np.array([left for _, left in solved])
 
 
 def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> MovedMode | None:
