@@ -59,7 +59,7 @@ LEAST_DECADES, FEW_DECADES, WITHIN = 0.7, 2.2, (1.0, 2.0, 5.0)
 # Numbers from here on, and below the other, are written with an exponent.
 LARGE, SMALLEST = 1e6, 1e-4
 # What is not numbers over axes, by kind: each draws its subject on a canvas of a size.
-DRAWINGS = Registry("drawing", {"mode-shapes": "labpipe.document.drawings:shape_canvas"})
+DRAWINGS = Registry("drawing")
 
 
 def styled(grid: bool = True) -> Any:

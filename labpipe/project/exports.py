@@ -28,26 +28,7 @@ from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit
 from labpipe.registry import Registry
 
-WRITERS = Registry(
-    "writer",
-    {
-        "csv": "labpipe.project.exports:write_csv",
-        "parquet": "labpipe.project.exports:write_parquet",
-        "uff": "labpipe.project.exports:write_uff",
-        "uff58b": "labpipe.project.exports:write_uff58b",
-        "mat": "labpipe.project.exports:write_mat",
-        "shapes": "labpipe.project.exports:write_shapes",
-        "covariance": "labpipe.project.result_tables:write_covariance_csv",
-        "covariance-parquet": "labpipe.project.result_tables:write_covariance_parquet",
-        "band": "labpipe.project.result_tables:write_band_csv",
-        "plant": "labpipe.project.result_tables:write_plant_mat",
-        "matrix": "labpipe.project.matrix_table:write_matrix_csv",
-        "matrix-parquet": "labpipe.project.matrix_table:write_matrix_parquet",
-        "rotor": "labpipe.project.matrix_table:write_rotor_xlsx",
-        "rotor-csv": "labpipe.project.matrix_table:write_rotor_csv",
-        "dcc": "labpipe.project.result_certificate:write_dcc",
-    },
-)
+WRITERS = Registry("writer")
 
 
 def write_csv(artefact: Path, target: Path) -> None:

@@ -28,14 +28,7 @@ _TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items
 
 
 # The kinds of files with a schema: functions to it.
-SCHEMAS = Registry(
-    "schema",
-    {
-        "pipeline": "labpipe.project.schema:pipeline_schema",
-        "rig": "labpipe.project.schema:rig_schema",
-        "bearing": "labpipe.project.schema:bearing_schema",
-    },
-)
+SCHEMAS = Registry("schema")
 
 
 def rig_schema() -> dict[str, Any]:

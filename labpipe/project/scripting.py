@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 # Readers of text files that say themselves what they are: from a path to a record, or None for a file of
 # another kind.
-TEXT_FILES = Registry("text file", {})
+TEXT_FILES = Registry("text file")
 SETTINGS_SUFFIXES = (".yaml", ".yml")
 
 

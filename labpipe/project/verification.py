@@ -116,7 +116,7 @@ KINDS: Mapping[str, _Kind] = {
 }
 # Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a
 # damaged one.
-ARTEFACTS = Registry("artefact", {})
+ARTEFACTS = Registry("artefact")
 FITS = _Kind(read_fits, _json_digest, _nothing, lambda path: _entries("responses", path))
 
 

@@ -5,20 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from labpipe.errors import DataError
-from labpipe.raw_files.table import TEXT_SUFFIXES, guarded
+from labpipe.raw_files.table import guarded
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import Registry
 
 MATRIX_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf")
-FRF_READERS = Registry(
-    "frf-reader",
-    {
-        **dict.fromkeys(TEXT_SUFFIXES, "labpipe.raw_files.frf_csv:read_frf_csv"),
-        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.raw_files.uff_read:read_frf_uff"),
-        **dict.fromkeys(MATRIX_SUFFIXES, "labpipe.raw_files.mat_frf:read_frf_mat"),
-    },
-)
+FRF_READERS = Registry("frf-reader")
 
 
 def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:

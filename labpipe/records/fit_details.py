@@ -49,7 +49,7 @@ class FitDetailKind:
 
 
 # FitDetailKinds by the key of their records.
-DETAILS = Registry("fit detail", {})
+DETAILS = Registry("fit detail")
 
 
 # Modes of a structure: shapes with their uncertainty, and the stabilisation diagram that they were chosen

@@ -25,7 +25,7 @@ from labpipe.spectra.settings import FrfSettings
 
 # Name of a model or of a pipeline's section -> the function from an identification to what its results add to
 # the report together.
-REPORT_PARTS = Registry("report part", {})
+REPORT_PARTS = Registry("report part")
 
 # What a reader must know first: whether the result is accepted, and every warning and note in words.
 
