@@ -13,11 +13,11 @@ from labpipe.project.work import Work
 from labpipe.quantities import parse_value
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter, RuleOutcome
+from labpipe.records.sections import PipelineSection
 from labpipe.records.study import Studies, Study, StudyCase
 from labpipe.registry import nearest
 from labpipe.report.study import study_sections
 from labpipe.report.wording import threshold_text
-from labpipe.sections import PipelineSection
 from labpipe.uncertainty.study import StudySettings, run_study
 
 

@@ -10,11 +10,11 @@ from labpipe.display import difference_in, shown_unit, with_error, written
 from labpipe.quantities import to_display
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, FittedCurve, Identification, of_points
+from labpipe.records.sections import section
 from labpipe.report.chart import Chart, stacked
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import fitted_curve_figure
 from labpipe.report.wording import fit_title, legible
-from labpipe.sections import section
 
 DATES = ("date", "recorded", "day")
 MOST_CONDITIONS = 6

@@ -16,6 +16,7 @@ from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
+from labpipe.records.sections import PipelineSection
 from labpipe.registry import nearest
 from labpipe.report.chart import (
     GREY,
@@ -34,7 +35,6 @@ from labpipe.report.chart import (
     stacked,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.sections import PipelineSection
 
 # The rotor as a sketch, and its response to unbalance as people read it.
 
