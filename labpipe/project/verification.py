@@ -29,7 +29,7 @@ from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import finished, is_remote
 from labpipe.errors import DataError
-from labpipe.project.frf import RIGS
+from labpipe.project.measured import RIGS
 from labpipe.registry import Registry
 
 Reference = tuple[str, str]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.records.geometry import Geometry
+from labpipe.records.rig import Geometry
 from labpipe.registry import Registry
 
 

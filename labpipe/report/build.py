@@ -15,8 +15,7 @@ from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import Identification, of_points
 from labpipe.records.sections import section
 from labpipe.registry import Registry, nearest
-from labpipe.report.cover import cover_facts, result_blocks, section_facts
-from labpipe.report.decisions import SIMPLE_ACCEPTANCE, decision_blocks
+from labpipe.report.cover import SIMPLE_ACCEPTANCE, cover_facts, decision_blocks, result_blocks, section_facts
 from labpipe.report.document import Block, Document, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections

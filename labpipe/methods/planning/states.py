@@ -40,8 +40,8 @@ from labpipe.methods.planning.runs import Answered, Condition, Quantity, RunQues
 from labpipe.methods.planning.search import BOTH_LIMITS, flat
 from labpipe.methods.planning.settings import DensitySettings, NoiseSettings, PlanKind, PlanSettings
 from labpipe.project.bearing_file import BearingFile, open_bearing, setting_at
+from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.raw_files.signal_file import write_signal
 from labpipe.records.settings import Settings, setting, settings_of
 from labpipe.registry import nearest
 
