@@ -122,10 +122,12 @@ def test_shell_commands_are_known(page: Path) -> None:
 def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> None:
     """Keys of a pipeline.
 
-    A block with channels is a whole rig file, one with a plan or planes a whole plan or balance file: read.
+    A block with channels is a whole rig file, one with elements a rotor file, one with a plan or planes a
+    plan or balance file: read.
     """
     from labpipe.methods.balancing.balance_file import load_balance
     from labpipe.methods.planning.plan_file import load_plan
+    from labpipe.methods.rotor_system.system_file import load_system
     from labpipe.project.pipeline_file import section_names
     from labpipe.project.rig_file import load_rig
 
@@ -136,6 +138,9 @@ def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> No
         elif "planes" in yaml.safe_load(block):
             (tmp_path / "balance.yaml").write_text(block, encoding="utf-8")
             assert load_balance(tmp_path / "balance.yaml").runs
+        elif "elements" in yaml.safe_load(block):
+            (tmp_path / "rotor.yaml").write_text(block, encoding="utf-8")
+            assert load_system(tmp_path / "rotor.yaml").rig.bearings
         elif "plan" in yaml.safe_load(block):
             if not (tmp_path / "configs").exists():
                 (tmp_path / "configs").symlink_to(DOCS.parent / "configs")
