@@ -492,7 +492,7 @@ def _balance(settings: RotorSystemSettings, built: Built, posterior: Posterior) 
     draws = posterior.values + posterior.widened * (
         posterior.draws(settings.draws, settings.seed) - posterior.values
     )
-    each = [_influence(built, test, values) for values in draws]
+    each = [influence(built, test, values) for values in draws]
     weights = best_weights(each)
     left = np.array([np.sqrt(np.mean(np.abs(h @ (u + weights)) ** 2)) for h, u in each])
     before = float(np.sqrt(np.mean([np.mean(np.abs(h @ u) ** 2) for h, u in each])))
@@ -510,8 +510,10 @@ def _balance(settings: RotorSystemSettings, built: Built, posterior: Posterior) 
     )
 
 
-def _influence(built: Built, test: RunUpVectors, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """H (n_reading, n_plane) [m/(kg m)] and u (n_plane,) [kg m]."""
+def influence(built: Built, test: RunUpVectors, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """H (n_reading, n_plane) [m/(kg m)] and u (n_plane,) [kg m] at *values* (n_unknown,), for the speeds and
+    probes of a test.
+    """
     _, _, influence = test.readings(built.model, values)
     u = np.array([values[real] + 1j * values[imaginary] for _, real, imaginary in built.planes.values()])
     return influence.reshape(-1, u.size), u
@@ -545,7 +547,7 @@ def _next_weights(
         )
         _, jacobian = run.residual(built.model, posterior.values)
         narrowed = replace(posterior, covariance=np.linalg.inv(information + jacobian.T @ jacobian))
-        each = [_influence(built, test, values) for values in narrowed.draws(LOOKED)]
+        each = [influence(built, test, values) for values in narrowed.draws(LOOKED)]
         chosen = best_weights(each)
         found[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
     return found
