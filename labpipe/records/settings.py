@@ -523,6 +523,11 @@ def setting(
     return dataclasses.field(default=default, metadata={"setting": declared})
 
 
+def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
+    """A dataclass field of a number with an SI *unit*: a setting of the kind value."""
+    return setting("value", help, unit=unit, default=default)
+
+
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:
     """Field name -> (its Setting, whether it must be given) of a settings dataclass, in order of
     declaration.

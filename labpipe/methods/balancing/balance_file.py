@@ -26,7 +26,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 
 LISTS = ("planes", "runs")
 
@@ -37,32 +37,25 @@ class BalanceSettings(Settings):
 
     title: str = setting("text", "title of the report", default="")
     _: KW_ONLY
-    repeatability: float = setting(
-        "value",
-        "scatter of a reading when nothing is changed, as a share of it (standard)",
-        unit="1",
-        default=0.02,
+    repeatability: float = quantity(
+        "scatter of a reading when nothing is changed, as a share of it (standard)", "1", 0.02
     )
     noise: str = setting(
         "text", "scatter that does not depend on the reading, e.g. 0.2 um (standard)", default=""
     )
-    mass: float | None = setting("value", "mass of the rotor, for a grade", unit="kg", default=None)
-    speed: float | None = setting("value", "service speed, for a grade", unit="Hz", default=None)
-    grade: float | None = setting(
-        "value", "balance quality grade asked for, e.g. 2.5 mm/s for G 2.5", unit="m/s", default=None
-    )
+    mass: float | None = quantity("mass of the rotor, for a grade", "kg", None)
+    speed: float | None = quantity("service speed, for a grade", "Hz", None)
+    grade: float | None = quantity("balance quality grade asked for, e.g. 2.5 mm/s for G 2.5", "m/s", None)
 
 
 @dataclass(frozen=True)
 class PlaneSettings(Settings):
     """One entry of ``planes:``: where weights can be set in it."""
 
-    radius: float | None = setting(
-        "value", "at which weights are set; needed for masses", unit="m", default=None
-    )
+    radius: float | None = quantity("at which weights are set; needed for masses", "m", None)
     places: int = setting("integer", "evenly spread places for weights; 0: any angle", default=0)
-    first: float = setting("value", "angle of the first place", unit="rad", default=0.0)
-    largest: float | None = setting("value", "most mass in one place", unit="kg", default=None)
+    first: float = quantity("angle of the first place", "rad", 0.0)
+    largest: float | None = quantity("most mass in one place", "kg", None)
 
     def __post_init__(self) -> None:
         if self.places and (self.places < 3 or self.radius is None):

@@ -20,10 +20,8 @@ from labpipe.quantities import Unit, UnitError, parse_unit
 from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.sections import PipelineSection
-
-# Calibration lines: slope with standard error, test of curvature, linear range.
 
 CURVATURE_P = 0.01
 
@@ -171,7 +169,7 @@ def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tup
     return (Finding("model-mismatch", message),)
 
 
-# The ``calibrate:`` section: straight lines through calibration tables.
+# The ``calibrate:`` section.
 
 
 @dataclass(frozen=True)
@@ -189,15 +187,12 @@ class CalibrationSettings(Settings):
         "integer", "x enters as this power: 2 for a string's force over its frequency", default=1
     )
     through_origin: bool = setting("flag", "force the line through the origin", default=False)
-    tolerance: float | None = setting(
-        "value", "slope change allowed in the linear range", unit="1", default=None
-    )
+    tolerance: float | None = quantity("slope change allowed in the linear range", "1", None)
     name: str = ""
     path: Path = Path()
 
 
-# calibrate: tables of set and measured values -> straight lines with their uncertainty, and the range in
-# which they hold.
+# calibrate: tables of set and measured values -> straight lines with their uncertainty.
 
 
 @dataclass(frozen=True)

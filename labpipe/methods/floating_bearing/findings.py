@@ -13,9 +13,6 @@ from labpipe.methods.floating_bearing.values import LIMIT, FittedStiffness, Whir
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty
 
-# What is drawn of a fitted dynamic stiffness: H line by line with its noise, the model and the baseline
-# over frequency.
-
 # Frequencies at which the model is drawn.
 N_DRAWN = 60
 

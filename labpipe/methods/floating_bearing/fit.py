@@ -1,15 +1,9 @@
 """Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of
 noise and of given numbers.
 
-ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line from
-two runs.
-
 All lines weigh alike and the noise of the motion is not regarded, so that its errors are larger than need be
 and its intervals, from the residual, are those of noise that is the same at all lines. For comparison with
 published results; `ml` is the better estimate.
-
-Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test beside
-it.
 
 BIC, for the parameters of a form within which a smaller one lies are not determined there: likelihood ratios
 are not chi-square then, and AIC takes the larger form in a third of the cases. A form that BIC chooses may
@@ -90,8 +84,6 @@ from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, split_uncertainty
 from labpipe.registry import nearest
-
-# Where a baseline comes from: the fit of an earlier test, or given numbers.
 
 NONE = Uncertain(0.0)
 
@@ -179,8 +171,7 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
     )
 
 
-# ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line
-# from two runs.
+# ls: as the literature does it.
 
 # Functions of the real and of the imaginary part of H, by form.
 REAL_PARTS = {"kc": 1, "kcm": 2}
@@ -266,8 +257,7 @@ def _response(
     return respond
 
 
-# Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test
-# beside it.
+# Which form the data ask for.
 
 # Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc.
 # 90:773).
@@ -340,8 +330,7 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
     return tuple(findings)
 
 
-# Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of
-# noise and of given numbers.
+# Model dynamic-stiffness.
 
 BANDS_BY_DEFAULT = 10
 # Rounds in which what leaks by the model of the last round is taken out of the balance.

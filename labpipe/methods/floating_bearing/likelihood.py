@@ -1,15 +1,10 @@
 """Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion
 m.
 
-Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion m.
-
 With u = [G; m] of covariance C, B = [I, -H] and S = B C B^H the likelihood of u over all true u with B u = 0
 is, but for constants, V = sum over lines and runs of e^H S^-1 e (Pintelon and Schoukens 2012, System
 Identification, sec. 9.10). No run is inverted, so that one run with one vector per line is as good as two. 2
 V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n parameters.
-
-ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance
-estimated from few periods.
 
 A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu /
 (nu - p), and the covariance of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1)
@@ -32,9 +27,6 @@ from labpipe.estimation.descent import Minimum, minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
-
-# Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion
-# m.
 
 
 @dataclass(frozen=True)
@@ -176,8 +168,7 @@ def real_rows(rows: ComplexArray) -> FloatArray:
     return np.concatenate([rows.real, rows.imag], axis=1)
 
 
-# Where a descent begins: the matrices by weighted linear least squares, for every shape parameter of a grid
-# at once.
+# Where a descent begins.
 
 # Descents from the best places of a grid of shape parameters.
 MOST_DESCENTS = 3
@@ -244,8 +235,7 @@ def solved(
     return linear, float(np.sum(np.abs(side) ** 2)) - np.sum(right * linear, axis=1)
 
 
-# ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance
-# estimated from few periods.
+# ml: the most likely parameters of a balance.
 
 # Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a
 # model.

@@ -10,14 +10,11 @@ from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES
 from labpipe.methods.floating_bearing.given import Baseline
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.settings import SPECTRA
-
-# Settings of a floating-bearing fit: the section `dynamic_stiffness:` of a fit with model
-# dynamic-stiffness.
 
 MOTIONS = ("relative", "absolute")
 SYMMETRIES = ("none", "seal", "direct")
@@ -57,17 +54,12 @@ class DynamicStiffnessSettings(Settings):
     baseline_damping: Uncertain | None = setting(
         "uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None
     )
-    band_width: float | None = setting(
-        "value", "form bands: width of one; default: a tenth of the band", unit="Hz", default=None
-    )
+    band_width: float | None = quantity("form bands: width of one; default: a tenth of the band", "Hz", None)
     forms: tuple[str, ...] = setting(
         "names", "forms that `compare` holds against each other", default=COMPARED
     )
-    speed: float | None = setting(
-        "value",
-        "speed of the shaft, from x to y; default: the test's condition `speed`",
-        unit="Hz",
-        default=None,
+    speed: float | None = quantity(
+        "speed of the shaft, from x to y; default: the test's condition `speed`", "Hz", None
     )
     rotor_mass: Uncertain | None = setting(
         "uncertain",
@@ -75,18 +67,14 @@ class DynamicStiffnessSettings(Settings):
         unit="kg",
         default=None,
     )
-    rotor_stiffness: float | None = setting(
-        "value", "stiffness of that rotor; default: rigid", unit="N/m", default=None
+    rotor_stiffness: float | None = quantity("stiffness of that rotor; default: rigid", "N/m", None)
+    load: float | None = quantity(
+        "for coefficients without dimension; default: the condition `load`", "N", None
     )
-    load: float | None = setting(
-        "value", "for coefficients without dimension; default: the condition `load`", unit="N", default=None
-    )
-    clearance: float | None = setting(
-        "value", "radial clearance, for coefficients without dimension", unit="m", default=None
-    )
-    viscosity: float | None = setting("value", "for the Sommerfeld number", unit="Pa.s", default=None)
-    diameter: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
-    length: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
+    clearance: float | None = quantity("radial clearance, for coefficients without dimension", "m", None)
+    viscosity: float | None = quantity("for the Sommerfeld number", "Pa.s", None)
+    diameter: float | None = quantity("for the Sommerfeld number", "m", None)
+    length: float | None = quantity("for the Sommerfeld number", "m", None)
     known: Baseline | None = None
 
     def __post_init__(self) -> None:

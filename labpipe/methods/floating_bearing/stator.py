@@ -1,9 +1,6 @@
 """Forces on the stator, its motion and acceleration; the dynamic stiffness line by line; what other
 excitations would give.
 
-What another excitation of the same time and peak force would have given, from the information that every line
-brought.
-
 The information of a line about the coefficients goes with the square of its force, whatever the rest does. A
 spectrum of the same r.m.s. and crest factor shifts it among the lines; both forces at once, with the opposite
 sign of one of them in the second run, bring twice as much of it as one after the other.
@@ -27,9 +24,6 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
-
-# Forces on the stator, its motion against the shaft and its acceleration in x and y, of the channels of a
-# test.
 
 FORCE, DISPLACEMENT, ACCELERATION = "force", "displacement", "acceleration"
 QUANTITIES = (FORCE, DISPLACEMENT, ACCELERATION)
@@ -205,8 +199,7 @@ def _shared(spectra: ChannelSpectra, lines: BoolArray) -> tuple[float, float]:
     )
 
 
-# The dynamic stiffness line by line without a model, for figures and for least squares as in the
-# literature.
+# The dynamic stiffness line by line without a model.
 
 # Condition number of the motions of all runs beyond which they are one direction.
 ONE_DIRECTION = 1e3
@@ -282,8 +275,7 @@ def _pairs(values: NDArray[Any]) -> NDArray[Any]:
     return values[: 2 * n].reshape(n, 2, values.shape[2])
 
 
-# What another excitation of the same time and peak force would have given, from the information that every
-# line brought.
+# What another excitation of the same time and peak force would have given.
 
 # Share of the power of the forces below which a line or a direction does not act.
 QUIET = 1e-4

@@ -1,29 +1,17 @@
 """What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, effective and dimensionless
 coefficients.
 
-Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a rotor
-on the bearing.
-
 A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w. The
 imaginary part gives k, the equivalent stiffness, linear in x = w^2; the real part then is a quadratic in x.
 Without M: w^2 = ((k - K_xx)(k - K_yy) - K_xy K_yx) / det C with k = (K_xx C_yy + K_yy C_xx - K_xy C_yx - K_yx
 C_xy) / (C_xx + C_yy) (Lund 1987; San Andres 2006 for seals). Negative: no whirl.
 
-Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping changes
-sign.
-
 On x = r cos wt, y = r sin wt the force along and against the motion is that of H_f = (H_xx + H_yy - j (H_xy -
 H_yx)) / 2: K_eff = Re H_f, C_eff = Im H_f / w; of K, C and M: C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2
 (M_xy - M_yx)) / (2 w).
 
-What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed of
-the shaft.
-
 *std_error* is what noise leaves, *std_error_inflated* with it what given numbers add (and a residual beyond
 the noise); intervals are by the latter.
-
-Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and the
-Sommerfeld number.
 
 S = mu N L D / W (R / c)^2 with N in revolutions per second (Someya 1989, Journal-Bearing Databook).
 """
@@ -42,9 +30,6 @@ from labpipe.estimation.statistics import derived, estimated, student_limit, wid
 from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, StiffnessModel
 from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertain
-
-# Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a
-# rotor on the bearing.
 
 # Imaginary step of derivatives: exact to rounding.
 STEP = 1e-30
@@ -161,8 +146,7 @@ def _fieller(
     return float(below[-1]) if below.size else -np.inf, float(above[0]) if above.size else np.inf
 
 
-# Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping
-# changes sign.
+# Effective stiffness and damping of a forward circular orbit.
 
 # Frequencies at which a change of sign is looked for: from this share of the lowest line to that of the
 # highest.
@@ -254,8 +238,7 @@ def _zero(omega: FloatArray, values: FloatArray, at: int) -> float:
     return float(omega[at] - values[at] * (omega[at + 1] - omega[at]) / step) if step else float(omega[at])
 
 
-# What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed
-# of the shaft.
+# What people read of a fitted dynamic stiffness.
 
 # Ratio of the whole standard error to that of noise below which they are the same.
 SAME = 1 + 1e-9
@@ -494,8 +477,7 @@ def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> lis
     return values
 
 
-# Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and
-# the Sommerfeld number.
+# Coefficients without dimension.
 
 LETTERS = "kcm"
 

@@ -24,7 +24,7 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import Multisine, design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.simulate.linear import TACHO, dynamic_stiffness, pulses
 from labpipe.simulate.virtual_rigs import (
     Truth,
@@ -51,8 +51,8 @@ FILMS = ("given", "journal")
 class Relaxation(Settings):
     """G j w tau / (1 + j w tau) in either direction: damping that turns into stiffness."""
 
-    stiffness: float = setting("value", "stiffness G that is added at high frequency", unit="N/m")
-    time: float = setting("value", "relaxation time tau", unit="s")
+    stiffness: float = quantity("stiffness G that is added at high frequency", "N/m")
+    time: float = quantity("relaxation time tau", "s")
 
     def __post_init__(self) -> None:
         if not self.time > 0:
@@ -65,10 +65,10 @@ class Pad(Settings):
     tilting-pad bearing.
     """
 
-    stiffness: float = setting("value", "R_0", unit="N/m")
-    damping: float = setting("value", "R_1", unit="N.s/m")
-    frequency: float = setting("value", "natural frequency of the pad, w_0", unit="Hz")
-    damping_ratio: float = setting("value", "damping ratio of the pad", unit="1")
+    stiffness: float = quantity("R_0", "N/m")
+    damping: float = quantity("R_1", "N.s/m")
+    frequency: float = quantity("natural frequency of the pad, w_0", "Hz")
+    damping_ratio: float = quantity("damping ratio of the pad", "1")
 
     def __post_init__(self) -> None:
         if not self.frequency > 0:
@@ -81,11 +81,9 @@ class Condition(Settings):
     it.
     """
 
-    speed: float = setting("value", "shaft speed", unit="Hz", default=0.0)
-    load: float = setting("value", "static load on the bearing, downwards (-y)", unit="N", default=0.0)
-    pressure: float = setting(
-        "value", "pressure drop or supply pressure, for the record", unit="Pa", default=0.0
-    )
+    speed: float = quantity("shaft speed", "Hz", 0.0)
+    load: float = quantity("static load on the bearing, downwards (-y)", "N", 0.0)
+    pressure: float = quantity("pressure drop or supply pressure, for the record", "Pa", 0.0)
     film: str = setting(
         "choice", "K and C as given here, or of the rig's journal bearing", choices=FILMS, default="given"
     )
@@ -111,10 +109,10 @@ class Condition(Settings):
 class FloatingNoise(Settings):
     """Standard deviations of the measuring noise of a sample, white up to half the sampling rate."""
 
-    force: float = setting("value", "load cells", unit="N", default=2.0)
-    displacement: float = setting("value", "relative probes", unit="m", default=2e-7)
-    acceleration: float = setting("value", "accelerometers", unit="m/s^2", default=0.05)
-    drive: float = setting("value", "recorded drives", unit="V", default=1e-4)
+    force: float = quantity("load cells", "N", 2.0)
+    displacement: float = quantity("relative probes", "m", 2e-7)
+    acceleration: float = quantity("accelerometers", "m/s^2", 0.05)
+    drive: float = quantity("recorded drives", "V", 1e-4)
 
     def of(self, quantity: str) -> float:
         """Standard deviation of a channel of this quantity [SI]; zero for the tacho."""
@@ -134,7 +132,7 @@ class FloatingRig(Settings):
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    stator_mass: float = setting("value", "mass of the stator with its housing", unit="kg")
+    stator_mass: float = quantity("mass of the stator with its housing", "kg")
     conditions: tuple[tuple[str, Condition], ...] = setting(
         "sections", "conditions by name", section=Condition, default=(), needed=True
     )
@@ -147,35 +145,32 @@ class FloatingRig(Settings):
         "matrix", "of hoses and soft supports on the stator", unit="N/m", default=NONE
     )
     baseline_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=NONE)
-    shaft_mass: float = setting("value", "mass that moves with the shaft", unit="kg", default=40.0)
+    shaft_mass: float = quantity("mass that moves with the shaft", "kg", 40.0)
     shaft_stiffness: Matrix = setting(
         "matrix", "of the shaft's own supports", unit="N/m", default=((2.4e8, 0.0), (0.0, 2.4e8))
     )
     shaft_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=((2e4, 0.0), (0.0, 2e4)))
-    shaft_noise: float = setting(
-        "value", "rms of a random force on the shaft in x and in y, white in the band", unit="N", default=0.0
+    shaft_noise: float = quantity(
+        "rms of a random force on the shaft in x and in y, white in the band", "N", 0.0
     )
-    unbalance: float = setting("value", "mass times eccentricity of the shaft", unit="kg.m", default=0.0)
+    unbalance: float = quantity("mass times eccentricity of the shaft", "kg.m", 0.0)
     runout: tuple[float, ...] = setting(
         "values", "amplitudes of 1x, 2x, ... that the probes see of the shaft's surface", unit="m", default=()
     )
     excitation: str = setting(
         "choice", "recordings that are made unless they are named", choices=tuple(RUNS_OF), default="hadamard"
     )
-    force: float = setting("value", "rms force of one shaker", unit="N", default=2000.0)
+    force: float = quantity("rms force of one shaker", "N", 2000.0)
     band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(10.0, 100.0))
-    spacing: float = setting("value", "spacing of the excited lines", unit="Hz", default=1.0)
-    slope: float = setting(
-        "value",
-        "power of frequency with which the amplitude of the lines goes, -1 for 1/f",
-        unit="1",
-        default=0.0,
+    spacing: float = quantity("spacing of the excited lines", "Hz", 1.0)
+    slope: float = quantity(
+        "power of frequency with which the amplitude of the lines goes, -1 for 1/f", "1", 0.0
     )
     periods: int = setting("integer", "periods recorded, all of them steady", default=8)
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=2000.0)
+    sample_rate: float = quantity("sampling rate", "Hz", 2000.0)
     drives: bool = setting("flag", "the drives of the shakers, u_x and u_y, are recorded too", default=False)
-    gain: float = setting("value", "force of a shaker over its drive", unit="N/V", default=1000.0)
-    probe_delay: float = setting("value", "delay of the relative probes", unit="s", default=0.0)
+    gain: float = quantity("force of a shaker over its drive", "N/V", 1000.0)
+    probe_delay: float = quantity("delay of the relative probes", "s", 0.0)
     noise: FloatingNoise = setting(
         "section", "measuring noise", section=FloatingNoise, default=FloatingNoise()
     )

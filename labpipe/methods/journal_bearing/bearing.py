@@ -1,14 +1,8 @@
 """Journal bearings with a finite-length oil film: static equilibrium and the eight linear coefficients;
 Ocvirk's closed forms.
 
-Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear
-coefficients.
-
 Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per
 displacement in z: K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
-
-Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over one
-half.
 
 The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`,
 load along -z.
@@ -33,9 +27,6 @@ from labpipe.methods.journal_bearing.film import (
     film_equations,
     interpolation,
 )
-
-# Static equilibrium of the journal on its film: Newton's method for pressures and displacement together,
-# dimensionless.
 
 # Largest change of displacement (over clearance), or of pressure (over its maximum), in the last step.
 TOLERANCE = 1e-7
@@ -232,8 +223,7 @@ def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> f
     return min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
 
 
-# Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear
-# coefficients.
+# Journal bearings with a finite-length oil film, healthy or worn.
 
 DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
@@ -492,8 +482,7 @@ def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
     return max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs)
 
 
-# Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over
-# one half.
+# Short journal bearing (Ocvirk).
 
 
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:

@@ -1,9 +1,6 @@
 """The oil film: cells, wear, the Reynolds equation by finite volumes, its exact linearisation and its banded
 factors.
 
-The Reynolds equation of a journal bearing by finite volumes and its exact linearisation; all quantities
-dimensionless.
-
 Lengths over the radial clearance c, angle theta around and zeta = 2 z / L in axial direction, pressures over
 6 mu Omega (R / c)^2:
 
@@ -18,8 +15,6 @@ crosses about two cells gradually; away from it the equations hold exactly.
 
 Axial grooves over the whole length are at ambient pressure and separate the film before them from that after
 them.
-
-Banded Cholesky factors of the film's equations.
 
 The cells are numbered in axial direction first, so the band is one column of cells wide. The film is periodic
 around the journal: where whole columns are cavitated, the ring is cut there and they are left out; a film
@@ -36,9 +31,6 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
-
-# Wear of a journal bearing: depth of the worn arc about a given angle (Dufrane et al. 1983, rotated by an
-# angle).
 
 
 def wear_edges(depth: float, angle: float) -> tuple[float, float]:
@@ -79,8 +71,7 @@ def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float)
     return np.maximum(mean, 0.0)
 
 
-# Cells of the oil film: equal arcs around the journal, equal strips over half the width (the film is
-# symmetric).
+# Cells of the oil film.
 
 FEWEST_AROUND = 24
 FEWEST_ACROSS = 4
@@ -180,8 +171,7 @@ def _strips(mesh: FilmMesh) -> FloatArray:
     return (np.arange(mesh.across // 2) + 0.5) * mesh.strip
 
 
-# The Reynolds equation of a journal bearing by finite volumes and its exact linearisation; all quantities
-# dimensionless.
+# The Reynolds equation of a journal bearing by finite volumes and its exact linearisation.
 
 # The front: compliance in units of a cell's own, and the part of the wedge over which the maximum is rounded.
 # Together they make coefficients smooth to .1 % over the angle of wear at 120 x 30 cells and move them by

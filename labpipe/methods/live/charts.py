@@ -179,8 +179,6 @@ class Charts:
         return any(stats.pearsonr(levels, column).pvalue < limit for column in scores.T)
 
 
-# How long it still takes.
-
 # Quantile of the stated band of 80 %.
 BAND = float(stats.norm.ppf(0.9))
 # Averages beyond which a goal counts as out of reach.

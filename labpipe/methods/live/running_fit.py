@@ -1,8 +1,8 @@
 """A fit that follows the averages of a running test, with intervals that hold at the moment of stopping.
 
-Nothing is kept but sums, so that memory stays flat however long the test. The equation of motion
-e = B F - Z X of one average is linear in the coefficients; its weighted squares have an exact gradient, and a
-warm start needs few Gauss-Newton steps per average.
+Nothing is kept but sums, so that memory stays flat however long the test. The equation of motion e = B F - Z
+X of one average is linear in the coefficients; its weighted squares have an exact gradient, and a warm start
+needs few Gauss-Newton steps per average.
 """
 
 from __future__ import annotations

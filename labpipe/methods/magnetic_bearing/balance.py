@@ -1,8 +1,5 @@
 """The balance of a levitated rotor, M x'' = K_i i - K_s x, from currents and displacements of a test.
 
-The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its
-slopes.
-
 Smooth currents: B = [-K_i, K_s - w^2 M + j w C]. Behind a held output the current between samples is not
 smooth; then exactly, with A = M^-1 K_s, x[k+1] + x[k-1] - 2 cos(sqrt(A) T) x[k] = the integral of sin(sqrt(A)
 (T - |t|)) / sqrt(A) M^-1 K_i i(t) over -T ... T.
@@ -24,8 +21,6 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
-
-# Currents and displacements of the channels of a test, axis by axis, and the rigid rotor that they move.
 
 CURRENT, DISPLACEMENT = "current", "displacement"
 LEAST_LINES = 3
@@ -258,8 +253,7 @@ def _shared(spectra: ChannelSpectra, n: int) -> dict[str, float]:
     return {"shared": shared, "shared_power": 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))}
 
 
-# The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its
-# slopes.
+# The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples.
 
 # Powers of A T^2, the square of the pole times the sampling interval, beyond which rounding is larger.
 POWERS = 6

@@ -29,11 +29,8 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.registry import nearest
-
-# Magnet of a homopolar hybrid magnetic bearing as a reluctance network: force-current factor and negative
-# stiffness.
 
 MU_0 = 4e-7 * np.pi
 RINGS = 2
@@ -56,25 +53,17 @@ class Magnet(Settings):
     """
 
     turns: int = setting("integer", "turns of the coil on each pole")
-    gap: float = setting("value", "effective air gap of the centred rotor", unit="m")
-    pole_area: float = setting("value", "area of one pole", unit="m^2")
-    bias_current: float = setting(
-        "value", "steady current that adds to the permanent magnet's flux", unit="A", default=0.0
+    gap: float = quantity("effective air gap of the centred rotor", "m")
+    pole_area: float = quantity("area of one pole", "m^2")
+    bias_current: float = quantity("steady current that adds to the permanent magnet's flux", "A", 0.0)
+    coercivity: float = quantity("coercivity H_c of the permanent-magnet ring", "A/m", 0.0)
+    magnet_length: float = quantity("length of the permanent-magnet ring along its magnetisation", "m", 0.0)
+    magnet_area: float | None = quantity(
+        "area of the ring; by default its reluctance is neglected", "m^2", None
     )
-    coercivity: float = setting(
-        "value", "coercivity H_c of the permanent-magnet ring", unit="A/m", default=0.0
-    )
-    magnet_length: float = setting(
-        "value", "length of the permanent-magnet ring along its magnetisation", unit="m", default=0.0
-    )
-    magnet_area: float | None = setting(
-        "value", "area of the ring; by default its reluctance is neglected", unit="m^2", default=None
-    )
-    recoil: float = setting(
-        "value", "relative recoil permeability of the permanent magnet", unit="1", default=1.05
-    )
-    iron_path: float = setting("value", "length of the iron path of one pole", unit="m", default=0.0)
-    iron_permeability: float = setting("value", "relative permeability of the iron", unit="1", default=4000.0)
+    recoil: float = quantity("relative recoil permeability of the permanent magnet", "1", 1.05)
+    iron_path: float = quantity("length of the iron path of one pole", "m", 0.0)
+    iron_permeability: float = quantity("relative permeability of the iron", "1", 4000.0)
 
     def __post_init__(self) -> None:
         positive = {"turns": self.turns, "gap": self.gap, "pole_area": self.pole_area, "recoil": self.recoil}
@@ -177,8 +166,7 @@ def inferred_pole_area(turns: int, gap: float, force_per_current: float, negativ
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
 
-# Magnetic bearings as a kind of bearing: settings of their file, and stiffness, damping, poles and
-# sensitivity from them.
+# Magnetic bearings as a kind of bearing.
 
 MAGNETIC = "magnetic-bearing"
 DOFS = ("x", "y")
@@ -195,26 +183,19 @@ class MagneticFile(Settings):
 
     kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
     name: str = setting("text", "name of the bearing", default="")
-    mass: float = setting("value", "mass that this bearing carries, for poles and sensitivity", unit="kg")
-    speed: float | None = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz", default=None)
-    frequency: float | None = setting(
-        "value", "frequency of the motion; default: the speed", unit="Hz", default=None
-    )
+    mass: float = quantity("mass that this bearing carries, for poles and sensitivity", "kg")
+    speed: float | None = quantity("speed of the shaft, in Hz or rpm", "Hz", None)
+    frequency: float | None = quantity("frequency of the motion; default: the speed", "Hz", None)
     loop: ControlLoop = setting("section", "the position control", section=ControlLoop, default=ControlLoop())
     magnet: Magnet | None = setting(
         "section", "geometry of the magnet; gives both factors unless given", section=Magnet, default=None
     )
-    force_per_current: float | None = setting(
-        "value",
-        "force-current factor; default: the magnet's, without one the loop's",
-        unit="N/A",
-        default=None,
+    force_per_current: float | None = quantity(
+        "force-current factor; default: the magnet's, without one the loop's", "N/A", None
     )
-    negative_stiffness: float | None = setting(
-        "value", "pull of the bias field per displacement, k_n", unit="N/m", default=None
-    )
-    static_stiffness: float | None = setting(
-        "value", "stiffness of the closed loop at rest; k_n is inferred", unit="N/m", default=None
+    negative_stiffness: float | None = quantity("pull of the bias field per displacement, k_n", "N/m", None)
+    static_stiffness: float | None = quantity(
+        "stiffness of the closed loop at rest; k_n is inferred", "N/m", None
     )
     inferred: tuple[str, ...] = setting(
         "names", "entries neither published nor measured; stated with the result", default=()

@@ -59,9 +59,6 @@ from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
-# What a fitted loop says of its closed loop: margins, peak of the sensitivity, modes with their decrements,
-# each with its interval.
-
 # Step of differences in standard errors of the unknowns.
 STEP = 0.02
 # Upper end of the search without a sampling rate [Hz], and of modes as a share of the sampling rate.
@@ -253,8 +250,7 @@ def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: 
     return amounts
 
 
-# Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its
-# interval, and a verdict.
+# Certificate of a closed loop.
 
 # Modes are looked for up to this multiple of the measured band.
 BEYOND = 1.5

@@ -41,9 +41,6 @@ from labpipe.records.settings import ESTIMATE, Uncertainties
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 
-# Hand-over to robust control design: the levitated rotor as state space, and the smallest band that covers
-# the measured scatter.
-
 # Corner frequencies of an overbound that are tried, per decade and beyond the lines [decades].
 PER_DECADE, BEYOND = 12, 1.5
 
@@ -123,7 +120,7 @@ def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, 
     return float(np.exp(gain[zero, pole])), float(corners[zero]), float(corners[pole])
 
 
-# What a magnet's fit says besides its numbers: findings, notes, and the response that its figure draws.
+# What a magnet's fit says besides its numbers.
 
 # Loss of the standard errors to few degrees of freedom beyond which it is said.
 LOSS = 1.1
@@ -268,8 +265,7 @@ def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) 
     return np.asarray(np.einsum("lrk,lrm->lkm", noise, np.abs(inverse) ** 2))
 
 
-# Model magnet: force per current and stiffness of magnetic bearings from a levitated rotor of known mass,
-# in a closed loop.
+# Model magnet: force per current and stiffness of magnetic bearings from a levitated rotor of known mass.
 
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:

@@ -1,9 +1,6 @@
 """The most likely K_i and K_s by errors in variables, what noise leaves of them, and what uncertainties of
 given numbers do.
 
-Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the
-channels free of noise.
-
 With S = B C B^H the likelihood of z over all true z with B z = 0 is, but for constants, V = sum over lines
 and runs of (B z)^H S^-1 (B z) (Pintelon and Schoukens 2012, System Identification, sec. 9.10); the gradient
 is that of L^-1 dB/dp z^ with z^ the channels without the noise that the residual tells.
@@ -24,9 +21,6 @@ from labpipe.methods.floating_bearing.likelihood import Noise, inverse_informati
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.uncertain import Uncertainty
-
-# Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the
-# channels free of noise.
 
 REWEIGHTED = 4
 
@@ -154,8 +148,7 @@ def real_rows(rows: ComplexArray) -> FloatArray:
     return np.concatenate([rows.real, rows.imag], axis=1)
 
 
-# The most likely K_i and K_s, what noise leaves of them, and what the uncertainties of given numbers do to
-# them.
+# The most likely K_i and K_s.
 
 NEAR, MOST_STEPS = 1e-4, 60
 # Relative noise below which a covariance is rounding.

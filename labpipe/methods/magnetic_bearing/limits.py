@@ -15,11 +15,9 @@ from labpipe.methods.magnetic_bearing.stability import INPUT, OUTPUT
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
-
-# The section `certificate:` of a comparison of that kind.
 
 # Zones that a peak of the sensitivity may have to lie in; D has no upper end.
 ZONE_NAMES = ("A", "B", "C")
@@ -45,22 +43,17 @@ class CertificateSettings(Settings):
         choices=(INPUT, OUTPUT),
         default=INPUT,
     )
-    rate: float | None = setting(
-        "value", "sampling rate of the controller; default: that of discrete blocks", unit="Hz", default=None
+    rate: float | None = quantity(
+        "sampling rate of the controller; default: that of discrete blocks", "Hz", None
     )
     filtered: bool = setting(
         "flag", "current and displacement were recorded through a filter against aliasing", default=False
     )
-    log_decrement: float | None = setting(
-        "value",
-        "least logarithmic decrement of every mode; default: 0.1 with a model or a fit, else none",
-        unit="1",
-        default=None,
+    log_decrement: float | None = quantity(
+        "least logarithmic decrement of every mode; default: 0.1 with a model or a fit, else none", "1", None
     )
     zone: str = setting("choice", "worst zone of ISO 14839-3", choices=ZONE_NAMES, default="B")
-    confidence: float = setting(
-        "value", "probability from which a limit counts as kept, or as broken", unit="1", default=0.95
-    )
+    confidence: float = quantity("probability from which a limit counts as kept, or as broken", "1", 0.95)
 
     def __post_init__(self) -> None:
         if not 0.5 < self.confidence < 1:
@@ -153,8 +146,7 @@ def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
     ]
 
 
-# Logarithmic decrements of the modes of a fit (an FRF's modal model, a ring-down, one degree of freedom)
-# against a limit.
+# Logarithmic decrements of the modes of a fit (an FRF's modal model.
 
 RATIO, DECREMENT = "zeta", "log_decrement"
 

@@ -1,7 +1,5 @@
 """The position control of a magnetic bearing: stiffness and damping over frequency, and margins of its loop.
 
-Margins of a loop transfer function: gain, phase, delay and disk, and the peak of the sensitivity.
-
 A loop around an unstable plant has two gain margins: it becomes unstable by too much gain and by too little.
 """
 
@@ -16,10 +14,7 @@ from scipy import optimize
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
-from labpipe.records.settings import Settings, setting
-
-# Position control of a magnetic bearing: stiffness and damping of its loop over frequency, and each
-# element's share.
+from labpipe.records.settings import Settings, quantity, setting
 
 # Entries of the PID, which a controller of blocks takes the place of.
 PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
@@ -38,24 +33,18 @@ class ControlLoop(Settings):
     the place of the PID, any transfer function of s or z; *cross* makes it a matrix of x and y.
     """
 
-    proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
-    derivative: float = setting("value", "derivative gain k_d", unit="s", default=6.5e-4)
-    derivative_time: float = setting(
-        "value", "time constant T_d of the differentiator", unit="s", default=1e-4
-    )
-    lag: float = setting("value", "gain k_i of the first-order lag", unit="1", default=-0.25)
-    lag_time: float = setting("value", "time constant T_i of the lag", unit="s", default=0.0318)
-    sensor: float = setting("value", "sensitivity of the position probe", unit="V/m", default=8000.0)
-    amplifier: float = setting("value", "gain of the current amplifier", unit="A/V", default=1.0)
-    force_per_current: float = setting(
-        "value", "force-current factor of one bearing", unit="N/A", default=5.8
-    )
-    bandwidth: float = setting(
-        "value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0
-    )
-    delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
-    sensor_bandwidth: float | None = setting(
-        "value", "-3 dB bandwidth of the probe; without it, unlimited", unit="Hz", default=None
+    proportional: float = quantity("proportional gain k_p", "1", 1.0)
+    derivative: float = quantity("derivative gain k_d", "s", 6.5e-4)
+    derivative_time: float = quantity("time constant T_d of the differentiator", "s", 1e-4)
+    lag: float = quantity("gain k_i of the first-order lag", "1", -0.25)
+    lag_time: float = quantity("time constant T_i of the lag", "s", 0.0318)
+    sensor: float = quantity("sensitivity of the position probe", "V/m", 8000.0)
+    amplifier: float = quantity("gain of the current amplifier", "A/V", 1.0)
+    force_per_current: float = quantity("force-current factor of one bearing", "N/A", 5.8)
+    bandwidth: float = quantity("-3 dB bandwidth w_a / 2 pi of the amplifier", "Hz", 1000.0)
+    delay: float = quantity("delay tau of sampling and computing", "s", 75e-6)
+    sensor_bandwidth: float | None = quantity(
+        "-3 dB bandwidth of the probe; without it, unlimited", "Hz", None
     )
     controller: tuple[ControllerBlock, ...] = setting(
         "entries", "blocks in series, instead of the PID", section=ControllerBlock, default=()
@@ -234,7 +223,7 @@ def stiffness_shares(
     return shares
 
 
-# Margins of a loop transfer function: gain, phase, delay and disk, and the peak of the sensitivity.
+# Margins of a loop transfer function.
 
 # Lines of the search, and its lowest frequency over the highest.
 LINES, LOWEST = 1201, 1e-6

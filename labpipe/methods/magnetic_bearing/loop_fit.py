@@ -20,8 +20,6 @@ from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import chance, with_budget, with_error
 
-# The end of a loop's fit at the edge of what a bearing can have: an unknown that fits best at zero.
-
 # An unknown less than this share of its start value above zero stands at the edge where no bearing can have
 # one below.
 NEAR = 1e-2
@@ -101,8 +99,7 @@ def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
     return Minimum(values, end.converged and stays, minimum.steps + end.steps)
 
 
-# The end of a loop's fit: what noise and systematic sources leave of its parameters, to first order and
-# where that bends.
+# The end of a loop's fit.
 
 # Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
 UNDETERMINED = 1e6

@@ -18,9 +18,6 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import MatrixError, Uncertainty
 
-# Spectra of all channels as responses to the injections: signals of several quantities, none of them taken
-# as free of noise.
-
 # Condition number of the injections of all runs beyond which they are one.
 ONE_INJECTION = 1e6
 
@@ -115,8 +112,7 @@ def _port(spectra: ChannelSpectra, number: int) -> Port:
     return Port(channel.name, channel.name, channel.dof, channel.angle, left)
 
 
-# Sensitivity of one loop or of several that are coupled, line by line from both sides of the sums where
-# excitations are added.
+# Sensitivity of one loop or of several that are coupled.
 
 SAME_SIGNAL = 1e-9
 

@@ -34,8 +34,6 @@ from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
 
-# Unknowns of a magnetic-bearing file by name: their values in the file, and the file with other values.
-
 ALIASES = {"gain": "amplifier"}
 FACTORS = ("force_per_current", "negative_stiffness")
 _LOOP = {name: entry.unit for name, (entry, _) in settings_of(ControlLoop).items() if entry.kind == "value"}
@@ -142,8 +140,7 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     return replace(changed, magnet=replace(file.magnet, **magnet))  # type: ignore[arg-type]
 
 
-# Systematic errors of a recorded loop: what the uncertainties of its channels and of sums of channels do to
-# its responses.
+# Systematic errors of a recorded loop.
 
 
 def response_errors(
@@ -192,8 +189,7 @@ def directions_left_out(ports: Iterable[Port]) -> list[str]:
     )
 
 
-# Measured responses of a control loop beside the prediction of a bearing file: the residual over its
-# unknowns, and what moves it.
+# Measured responses of a control loop beside the prediction of a bearing file.
 
 STEP = 1e-5
 
@@ -356,8 +352,7 @@ class LoopProblem:
         return float("inf") if residual is None else float(residual @ residual)
 
 
-# Response of a rig with a magnetic bearing: mass, support and bearings as in a fit, from the bearing's
-# prediction.
+# Response of a rig with a magnetic bearing.
 
 
 @dataclass(frozen=True)

@@ -172,9 +172,6 @@ class Smooth:
         return margin(pair, places), float(np.sqrt(total)), moved
 
 
-# Margins of a measured loop transfer function.
-
-
 def measured_margins(
     frequency: FloatArray,
     transfer: tuple[ComplexArray, FloatArray],

@@ -94,10 +94,6 @@ def recorded_loop(
     )
 
 
-# What makes a rejected fit good: a sign, a power of ten, or the side of the controller where the excitation
-# is added.
-
-
 def cause_of(
     own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
 ) -> str:

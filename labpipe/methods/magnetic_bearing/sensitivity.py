@@ -30,9 +30,6 @@ from labpipe.records.uncertain import Budget, MatrixError
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
-# Sensitivity of a control loop from an excitation added in the loop: its peak, the zone of ISO 14839-3, and
-# the prediction.
-
 COMPLEX_PARTS = 2
 # Ratio of predicted to measured S (1 - S) up to which a change is scaled by it: beyond is noise about zero.
 MOST_SCALED = 2.0

@@ -34,9 +34,6 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
 )
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
 
-# Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the sensitivity
-# with its zone.
-
 PADE_ORDER = 4
 # Sizes of z: of what is no state but an empty place in a delay line, and beyond 1 of a pole that grows.
 EMPTY, MARGINAL = 1e-6, 1e-9
@@ -266,8 +263,7 @@ def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
     return SensitivityPeak(float(size[place]), float(frequency[place]), zone_of(float(size[place])))
 
 
-# A magnetic-bearing loop cut open: controller, and motion and current per command, in continuous time or
-# sampled with its hold.
+# A magnetic-bearing loop cut open.
 
 # Signals of a loop that an injection e moves; the units are per volt at either place.
 SIGNALS = ("before", "after", "output", "displacement", "current")

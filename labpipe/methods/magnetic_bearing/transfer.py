@@ -13,10 +13,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, setting
-
-# A transfer function by zeros, poles and gain, of s or of z; from polynomials, from filters, and from
-# objects of other packages.
+from labpipe.records.settings import Settings, quantity, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
@@ -249,8 +246,7 @@ def _confirmed(
     return found
 
 
-# Blocks of a controller in series as a bearing file has them. FORMS by name: the entries that a block
-# needs, and its transfer function.
+# Blocks of a controller in series as a bearing file has them. FORMS by name.
 
 # Relative distance at which two roots are conjugate.
 CONJUGATE = 1e-6
@@ -318,35 +314,27 @@ class ControllerBlock(Settings):
     poles: tuple[complex, ...] = setting(
         "roots", "roots: of the denominator, [rad/s]; with a rate of z, [1]", default=()
     )
-    gain: float = setting(
-        "value", "roots: factor before (s - zeros) / (s - poles); gain: the gain", unit="1", default=1.0
-    )
+    gain: float = quantity("roots: factor before (s - zeros) / (s - poles); gain: the gain", "1", 1.0)
     numerator: tuple[float, ...] = setting(
         "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
     )
     denominator: tuple[float, ...] = setting(
         "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
     )
-    rate: float | None = setting(
-        "value", "roots, polynomial: sampling rate, which makes them functions of z", unit="Hz", default=None
+    rate: float | None = quantity(
+        "roots, polynomial: sampling rate, which makes them functions of z", "Hz", None
     )
-    proportional: float = setting("value", "pid: proportional gain", unit="1", default=0.0)
-    integral: float = setting("value", "pid: gain of the integral", unit="1/s", default=0.0)
-    derivative: float = setting("value", "pid: gain of the derivative", unit="s", default=0.0)
-    derivative_time: float = setting(
-        "value", "pid: time constant of the differentiator", unit="s", default=0.0
-    )
-    zero: float | None = setting(
-        "value", "lead-lag: corner frequency of the numerator", unit="Hz", default=None
-    )
-    pole: float | None = setting(
-        "value", "lead-lag: corner frequency of the denominator", unit="Hz", default=None
-    )
-    frequency: float | None = setting("value", "low-pass: corner; notch: centre", unit="Hz", default=None)
+    proportional: float = quantity("pid: proportional gain", "1", 0.0)
+    integral: float = quantity("pid: gain of the integral", "1/s", 0.0)
+    derivative: float = quantity("pid: gain of the derivative", "s", 0.0)
+    derivative_time: float = quantity("pid: time constant of the differentiator", "s", 0.0)
+    zero: float | None = quantity("lead-lag: corner frequency of the numerator", "Hz", None)
+    pole: float | None = quantity("lead-lag: corner frequency of the denominator", "Hz", None)
+    frequency: float | None = quantity("low-pass: corner; notch: centre", "Hz", None)
     order: int = setting("integer", "low-pass: 1 or 2", default=1)
-    damping: float = setting("value", "low-pass of order 2: damping ratio", unit="1", default=2**-0.5)
-    depth: float = setting("value", "notch: gain at the centre", unit="1", default=0.0)
-    width: float = setting("value", "notch: width at -3 dB over the centre frequency", unit="1", default=0.2)
+    damping: float = quantity("low-pass of order 2: damping ratio", "1", 2**-0.5)
+    depth: float = quantity("notch: gain at the centre", "1", 0.0)
+    width: float = quantity("notch: width at -3 dB over the centre frequency", "1", 0.2)
 
     def __post_init__(self) -> None:
         form = FORMS[self.form]

@@ -29,9 +29,6 @@ from labpipe.simulate.virtual_rigs import (
     whole_numbers,
 )
 
-# Runs of one force and one displacement: excitation, duration, Cramer-Rao errors of k and c. ONE_DOF by
-# name.
-
 # Forces [N rms] by which pedestal and rotor stay within 40 um.
 PEDESTAL_FORCE, AXIAL_FORCE = 0.3, 0.3
 

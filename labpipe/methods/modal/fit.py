@@ -62,8 +62,6 @@ from labpipe.records.response import BlockCovariance, FrequencyResponse, Port, s
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 
-# What systematic errors of sensors and of a given mass do to modes.
-
 
 def modal_sources(
     measured: Measured,
@@ -253,8 +251,7 @@ def modal_notes(
     return tuple(notes)
 
 
-# Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum
-# likelihood.
+# Model modal: the modes of a band from any number of FRFs.
 
 # Share of the band by which lines on either side are looked at as well.
 BEYOND = 0.15

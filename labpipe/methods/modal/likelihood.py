@@ -7,8 +7,7 @@ output, and is eliminated; the Gram matrix of u = a + b, v = j (a - b) with a = 
 an iteration needs of the lines.
 
 With a loss factor of each mode, w_r^2 (1 + j eta) - w^2 = s^2 - lambda^2: in place of the conjugate pair
-  stands psi l^T (1 / (s - lambda)
-- 1 / (s + lambda)), so u = a - b, v = j u with b = s^p / (s + lambda).
+stands psi l^T (1 / (s - lambda) - 1 / (s + lambda)), so u = a - b, v = j u with b = s^p / (s + lambda).
 
 Real modes (damping in proportion to mass and stiffness) have imaginary psi and real l: R = psi l^T then is
 psi_real l^T / (2 j w_d).
@@ -22,8 +21,6 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-
-# What modes outside the band leave inside it: a few smooth terms with complex factors for every FRF.
 
 
 @dataclass(frozen=True)

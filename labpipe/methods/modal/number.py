@@ -13,9 +13,6 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, refine, remaining
 from labpipe.methods.modal.poles import similarity
 
-# Whether what a fit leaves is noise: the residual of a missing mode is alike on neighbouring lines, that of
-# noise is not.
-
 LAGS = 8
 # Lines whose residuals tell the noise of the one in their middle.
 AROUND = 31
@@ -130,8 +127,7 @@ def _larger(terms: ResidualTerms) -> list[ResidualTerms]:
     ]
 
 
-# Modes after the refinement: those that noise explains are left out, and one is added where the residual of
-# the others is not noise.
+# Modes after the refinement.
 
 MOST_ADDED = 4
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).

@@ -1,8 +1,5 @@
 """Poles of all orders by p-LSCF, and the choice of the physical ones by stabilisation.
 
-Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set of
-sums over the lines.
-
 H A(z) = B(z) with real polynomials of z = e^(-s T) and a common right denominator A of size (n_input,
 n_input): Guillaume, Verboven, Vanlanduit, Van der Auweraer and Peeters, IMAC 2003. All normal equations are
 Toeplitz in the powers of z, so that the sums of z^m, z^m H and z^m H^H H over the lines are all that the data
@@ -17,9 +14,6 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
-
-# Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set
-# of sums over the lines.
 
 # Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay
 # apart.
@@ -162,8 +156,7 @@ def _roots(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     return roots.astype(np.complex128), blocks[largest, :, np.arange(roots.size)].T.astype(np.complex128)
 
 
-# Choice of the physical poles from those of all orders: the poles of the structure return at every order,
-# those of noise do not.
+# Choice of the physical poles from those of all orders.
 
 # Two poles of different orders are one mode where they differ by less than half the decay rate and a share of
 # the frequency, and act on the references alike.

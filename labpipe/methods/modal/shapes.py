@@ -17,8 +17,6 @@ from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
 from labpipe.records.response import Port
 
-# Mode shapes with their uncertainty, their likeness and their phase.
-
 
 def shape_record(
     refined: Refined,
@@ -66,8 +64,7 @@ def phase_collinearity(shapes: ComplexArray) -> FloatArray:
     return np.asarray(((xx - yy) ** 2 + 4 * xy**2) / (xx + yy) ** 2)
 
 
-# What people read of refined modes: natural frequencies, damping ratios, and stiffness, damping and mass
-# where a mass or a driving point
+# What people read of refined modes.
 
 Function = Callable[[FloatArray], float]
 # Of the pole x_0 + j x_1; with a loss factor its square is -w_n^2 (1 + j eta).

@@ -1,9 +1,6 @@
 """How spectra are put on shakers, signals of least peak within the limits, and what tests of a given length
 tell with them.
 
-Phases for the least peak of several signals that share their lines: forces and the motions that they cause,
-each against its limit.
-
 Source s, a shaker say, has the phase phi_ls at line l, and signal c is s_c(t) = Re sum_ls g_lsc exp(j (phi_ls
 + 2 pi k_l t)), t in periods. The peak is approached by 2p-norms of all signals, p rising (Guillaume,
 Schoukens, Pintelon and Kollar 1991, IEEE Trans. Instrum. Meas. 40, 982).
@@ -31,8 +28,6 @@ from labpipe.methods.planning.model import (
     vector_information,
 )
 from labpipe.raw_files.excitation import _signals, one_period, peaks
-
-# How a spectrum is put on the shakers: one after the other, or both at once. SCHEMES by name.
 
 ONE_BY_ONE, TOGETHER, INTERLEAVED = "one by one", "together", "interleaved"
 # Lines with less than this share of a test's power are left out.
@@ -123,8 +118,7 @@ def _kept(name: str, lines: IntArray, forces: ComplexArray, groups: IntArray) ->
 
 SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleaved}
 
-# Phases for the least peak of several signals that share their lines: forces and the motions that they
-# cause, each against its limit.
+# Phases for the least peak of several signals that share their lines.
 
 # Samples per period of the highest line, while searching.
 SEARCHED = 8
@@ -228,8 +222,7 @@ class _Problem:
         )
 
 
-# What tests of a given length tell once every signal is as large as the limits allow: predicted standard
-# errors.
+# What tests of a given length tell once every signal is as large as the limits allow.
 
 # Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the
 # slowest motion has died away.

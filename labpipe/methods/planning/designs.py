@@ -21,8 +21,6 @@ from scipy.optimize import linprog, minimize
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
 
-# What makes a design good, and the certificate that none is better. CRITERIA by name.
-
 D, A, MINIMAX = "D", "A", "minimax"
 CRITERIA = (MINIMAX, "A", "D")
 # Variances within this of the largest one count as largest.
@@ -114,8 +112,7 @@ def _scores(weights: FloatArray, information: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ij,aij->a", weights, information))
 
 
-# Optimum designs: shares of the power on candidates, found by multiplication and polished on the few that
-# remain.
+# Optimum designs.
 
 START_STEPS = 300
 ROUNDS = 40

@@ -46,9 +46,6 @@ from labpipe.registry import nearest
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
 
-# What evaluates a planned excitation: the rig file, unless the plan names one, and the pipeline with the
-# planned lines.
-
 RIG, PIPELINE = "rig.yaml", "pipeline.yaml"
 FIT = "planned"
 # What evaluates spectra of all channels.
@@ -258,8 +255,7 @@ def uncertain_text(number: Uncertain, unit: str) -> str:
     return f"{number.value!r} {unit} +- {number.std_error * SHAPES[number.shape]!r} {unit}{behind}"
 
 
-# The uncertainty budget of a test that is still planned: the pipeline that will evaluate it, run on
-# rehearsed recordings.
+# The uncertainty budget of a test that is still planned.
 
 
 def rig_path(file: PlanFile) -> Path | None:
@@ -341,8 +337,7 @@ def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
     )
 
 
-# plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline
-# files that evaluate the test.
+# plan of an excitation.
 
 REPORT = "report.html"
 

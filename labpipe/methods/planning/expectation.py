@@ -1,8 +1,5 @@
 """What is expected of a rig, how sure that is, and whether an excitation determines all coefficients.
 
-What is expected of a rig, how sure that is, and what this does to a plan: the predicted errors over draws of
-the coefficients.
-
 An earlier result with covariance V counts in two ways. Where it is to be combined with the new test, its
 information V^-1 adds to that of the new one: the errors of both are those of (V^-1 + I)^-1. And the new test
 runs on the rig as it is, not as it was expected: its errors are those at coefficients drawn from V about the
@@ -21,8 +18,6 @@ from labpipe.errors import ConfigError
 from labpipe.methods.planning.campaigns import Campaign, EarlierInformation, Rig, score, with_shares
 from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, sensitivities
 from labpipe.raw_files.excitation import peaks
-
-# Whether an excitation determines all coefficients, and if not, the smallest change that does.
 
 # Singular values below this share of the largest count as zero, columns scaled to unit length.
 SINGULAR = 1e-9
@@ -140,8 +135,7 @@ def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str,
         )
 
 
-# What is expected of a rig, how sure that is, and what this does to a plan: the predicted errors over draws
-# of the coefficients.
+# What is expected of a rig, how sure that is, and what this does to a plan.
 
 DRAWS = 200
 SEED = 1

@@ -1,8 +1,5 @@
 """Models with expected coefficients, and what a force spectrum tells about them: Fisher information.
 
-What a force spectrum tells about coefficients: the Fisher information per line and per second, with noise in
-all sensors.
-
 Residual e = F - M_s A - D(theta) X. Noise densities S_F, S_X, S_A (one-sided) give its density Lambda =
 (S_F^2 + M_s^2 S_A^2) I + S_X^2 D D^H, and T seconds with the mean-square force spectrum Phi = F F^H / 2 and X
 = H F tell I_ij = 2 T sum_l Re tr[(E_i H)^H Lambda^-1 (E_j H) Phi_l]. That is the information of errors in
@@ -19,9 +16,6 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-
-# Models with expected coefficients: the balance F - M_s A = D X with D = sum_i theta_i E_i(jw) + D_0.
-# MODELS by name.
 
 AXES = ("x", "y")
 UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg"}
@@ -222,8 +216,7 @@ def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
     return np.array([expected[name] for name in names])
 
 
-# What a force spectrum tells about coefficients: the Fisher information per line and per second, with noise
-# in all sensors.
+# What a force spectrum tells about coefficients.
 
 
 @dataclass(frozen=True)

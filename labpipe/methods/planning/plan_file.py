@@ -23,8 +23,6 @@ from labpipe.project.settings_reader import DECIDE, Faults, read_settings
 from labpipe.registry import nearest
 from labpipe.report.document import Document, Section
 
-# Reading a plan file: a title, and the section `plan:`, whose entries are those of the model it is for.
-
 KEYS = ("title", "plan")
 
 
@@ -143,7 +141,7 @@ def read_any_plan(path: Path) -> Plan | RunPlan:
     return plan
 
 
-# Files of planned runs, of whatever kind: plan.json, a report, the runs as a table, the pipeline.
+# Files of planned runs, of whatever kind.
 
 REPORT, PIPELINE, ROTOR = "report.html", "pipeline.yaml", "rotor.yaml"
 

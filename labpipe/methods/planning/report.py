@@ -18,8 +18,6 @@ from labpipe.quantities import to_display
 from labpipe.report.chart import Axis, Panel, dots, look, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
-# A planned test as people read it: the spectrum, what it will tell beside a flat one, and how sure that is.
-
 HEADER = (
     "coefficient",
     "expected",
@@ -273,7 +271,7 @@ def _time(seconds: float) -> str:
     return f"{seconds / 60:.3g} min" if seconds >= 120 else f"{seconds:.3g} s"
 
 
-# Planned runs as people read them: which runs, what they will tell, and what they will not.
+# Planned runs as people read them.
 
 NUMBERS = ("number", "expected", "goal", "std. error", "runs shared alike", "known before", "never below")
 MODELS = {

@@ -33,11 +33,8 @@ from labpipe.methods.run_ups.misfit import scales
 from labpipe.methods.run_ups.records import Shaker
 from labpipe.methods.run_ups.rotor import RPM, RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.registry import nearest
-
-# The ``plan:`` section for run-ups: which loads, unbalances and speeds there could be, and what is wanted
-# of the film.
 
 RUN_UPS = "run-ups"
 EXPONENTS = ("viscosity_speed", "viscosity_load")
@@ -48,10 +45,10 @@ SPEEDS = ("critical_speed", "threshold")
 class ReadingSettings(Settings):
     """Standard errors of the readings at one speed, from one dwell there."""
 
-    amplitude: float = setting("value", "of the amplitude itself", unit="1", default=0.01)
-    displacement: float = setting("value", "added to every reading, in squares", unit="m", default=0.0)
-    phase: float = setting("value", "of the phase", unit="rad", default=float(np.deg2rad(1)))
-    threshold: float = setting("value", "of the threshold speed itself", unit="1", default=0.002)
+    amplitude: float = quantity("of the amplitude itself", "1", 0.01)
+    displacement: float = quantity("added to every reading, in squares", "m", 0.0)
+    phase: float = quantity("of the phase", "rad", float(np.deg2rad(1)))
+    threshold: float = quantity("of the threshold speed itself", "1", 0.002)
 
     def __post_init__(self) -> None:
         if min(self.amplitude, self.phase, self.threshold) <= 0 or self.displacement < 0:
@@ -66,8 +63,8 @@ class TrialSettings(Settings):
         "phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=()
     )
     shaker: str = setting("text", "plane on which a shaker acts, along x, instead", default="")
-    force: float = setting("value", "of the shaker, 0-to-peak", unit="N", default=1.0)
-    ratio: float = setting("value", "frequency of the shaker over that of the shaft", unit="1", default=0.95)
+    force: float = quantity("of the shaker, 0-to-peak", "N", 1.0)
+    ratio: float = quantity("frequency of the shaker over that of the shaft", "1", 0.95)
 
     def __post_init__(self) -> None:
         if bool(self.unbalance) == bool(self.shaker):
@@ -101,23 +98,19 @@ class RunUpPlanSettings(Settings):
     _: KW_ONLY
     loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
     speeds: tuple[float, float] = setting("band", "speeds that can be run", unit="Hz")
-    step: float = setting("value", "from one speed of a run to the next", unit="Hz")
-    dwell: float = setting("value", "time at one speed", unit="s")
-    duration: float = setting("value", "of all runs together", unit="s")
+    step: float = quantity("from one speed of a run to the next", "Hz")
+    dwell: float = quantity("time at one speed", "s")
+    duration: float = quantity("of all runs together", "s")
     trials: tuple[tuple[str, TrialSettings], ...] = setting(
         "sections", "ways to excite the rotor, by name", section=TrialSettings, default=(), needed=True
     )
     stretches: int = setting("integer", "parts of the speeds that can be run by themselves", default=3)
-    changeover: float = setting("value", "time between runs", unit="s", default=0.0)
+    changeover: float = quantity("time between runs", "s", 0.0)
     to_threshold: bool = setting(
         "flag", "the highest stretch may be run on until the rotor gets unstable", default=False
     )
-    displacement_limit: float | None = setting(
-        "value", "largest at a plane, 0-to-peak; default: none", unit="m", default=None
-    )
-    journal_limit: float | None = setting(
-        "value", "largest of the journal, 0-to-peak; default: none", unit="m", default=None
-    )
+    displacement_limit: float | None = quantity("largest at a plane, 0-to-peak; default: none", "m", None)
+    journal_limit: float | None = quantity("largest of the journal, 0-to-peak; default: none", "m", None)
     noise: ReadingSettings = setting(
         "section", "of a reading", section=ReadingSettings, default=ReadingSettings()
     )
@@ -131,12 +124,8 @@ class RunUpPlanSettings(Settings):
         "file", "identification.json whose joint fit is expected where `expected` has none", default=""
     )
     known: tuple[str, ...] = setting("names", f"what is known: of {', '.join(PARAMETERS)}", default=())
-    at_load: float | None = setting(
-        "value", "load at which speeds and coefficients are predicted", unit="N", default=None
-    )
-    at_speed: float | None = setting(
-        "value", "speed at which coefficients are predicted", unit="Hz", default=None
-    )
+    at_load: float | None = quantity("load at which speeds and coefficients are predicted", "N", None)
+    at_speed: float | None = quantity("speed at which coefficients are predicted", "Hz", None)
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "relative standard errors that are wanted: {k_xy: 5 %, threshold: 1 %}; default: all parameters "
@@ -259,8 +248,7 @@ def logarithm(name: str, value: float) -> float:
     return value if name in EXPONENTS else float(np.log(value))
 
 
-# plan of run-ups: settings -> which loads, trial unbalances and speeds to run, and the pipeline of their
-# joint fit.
+# plan of run-ups.
 
 METHOD = "joint"
 # Standard error of the logarithm of what is known.

@@ -1,7 +1,5 @@
 """Which runs, and how many of each: exact designs of operating conditions within a time.
 
-Which runs, and how many of each: exact designs of operating conditions within a time.
-
 A run of condition a tells I_a of parameters in units of what is wanted, beside I_0 that is known before.
 Shares of the time are the continuous optimum of `designs`, with I_0 inside every candidate, so that its
 certificate holds for runs as well: the counts are rounded down, filled up and exchanged run by run (Fedorov
@@ -21,8 +19,6 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.planning.designs import A, D, Design, certificate, optimum, variances
 from labpipe.methods.planning.records import PlannedNumber, PlannedRun, RunPlan
-
-# Which runs, and how many of each: exact designs of operating conditions within a time.
 
 # What makes the first runs comparable, before they determine everything: this share of the information of
 # all.

@@ -25,8 +25,6 @@ from labpipe.methods.planning.designs import CRITERIA, Certificate, Design, opti
 from labpipe.methods.planning.model import Noise, PlannedModel, sensitivities, vector_information
 from labpipe.raw_files.excitation import schroeder_phases
 
-# Candidates of a design: one line, one direction of force each, with what they tell at unit cost.
-
 
 @dataclass(frozen=True)
 class Candidates:
@@ -71,8 +69,7 @@ def candidates(
     return Candidates(line, direction, cost, information)
 
 
-# The search for a plan: optimum designs of several criteria and costs, put on the shakers, and ranked by
-# what they tell at the limits.
+# The search for a plan.
 
 # Shares of the displacement in the cost of a line that are tried where it is limited.
 DISPLACEMENT_SHARES = (0.0, 0.5, 1.0)

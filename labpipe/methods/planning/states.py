@@ -1,8 +1,5 @@
 """plan of a floating bearing at several loads and speeds: which states to run how often, and their signals.
 
-A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or of
-what they have in common.
-
 Of numbers p that all states have in common, a clearance or a viscosity, the run in a state s tells J_s^T I_s
 J_s, where I_s is what it tells of the coefficients there and J_s = d(coefficients)/dp.
 """
@@ -42,11 +39,8 @@ from labpipe.methods.planning.settings import DensitySettings, NoiseSettings, Pl
 from labpipe.project.bearing_file import BearingFile, open_bearing, setting_at
 from labpipe.project.marked_yaml import set_entry
 from labpipe.raw_files.signal_file import write_signal
-from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.registry import nearest
-
-# The ``plan:`` section for a floating bearing at several loads and speeds: which states there could be, and
-# what is wanted of them.
 
 STATES = "bearing-states"
 FLOATING = "dynamic-stiffness"
@@ -68,17 +62,17 @@ class StatePlanSettings(Settings):
     _: KW_ONLY
     loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
-    mass: float = setting("value", "mass of the stator", unit="kg")
+    mass: float = quantity("mass of the stator", "kg")
     band: tuple[float, float] = setting("band", "frequencies that are excited, all alike", unit="Hz")
-    period: float = setting("value", "length of one period; lines lie 1 / period apart", unit="s")
-    sample_rate: float = setting("value", "of signals and recordings", unit="Hz")
-    run: float = setting("value", "measured time of one run in one state", unit="s")
-    duration: float = setting("value", "of all runs with what lies between them", unit="s")
-    force_limit: float = setting("value", "largest force of a shaker, 0-to-peak", unit="N")
-    displacement_limit: float | None = setting(
-        "value", "largest displacement in x or y, 0-to-peak; default: none", unit="m", default=None
+    period: float = quantity("length of one period; lines lie 1 / period apart", "s")
+    sample_rate: float = quantity("of signals and recordings", "Hz")
+    run: float = quantity("measured time of one run in one state", "s")
+    duration: float = quantity("of all runs with what lies between them", "s")
+    force_limit: float = quantity("largest force of a shaker, 0-to-peak", "N")
+    displacement_limit: float | None = quantity(
+        "largest displacement in x or y, 0-to-peak; default: none", "m", None
     )
-    changeover: float = setting("value", "time between runs", unit="s", default=0.0)
+    changeover: float = quantity("time between runs", "s", 0.0)
     noise: NoiseSettings | None = setting(
         "section", "noise of the sensors per sample", section=NoiseSettings, default=None
     )
@@ -105,9 +99,7 @@ class StatePlanSettings(Settings):
     exclude: tuple[tuple[float, float], ...] = setting(
         "bands", "frequencies that are not excited", unit="Hz", default=()
     )
-    mains: float | None = setting(
-        "value", "mains frequency, whose multiples are left out", unit="Hz", default=None
-    )
+    mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
     skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
 
     def __post_init__(self) -> None:
@@ -163,8 +155,7 @@ class StatePlanSettings(Settings):
         )
 
 
-# A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or
-# of what they have in common.
+# A bearing at several loads and speeds.
 
 
 @dataclass(frozen=True)
@@ -276,10 +267,10 @@ def _quantities(
 ) -> Iterator[Quantity]:
     """The numbers in common, and every coefficient of every state."""
     goals = {name: values[0] for name, values in settings.goal}
-    for number, quantity in enumerate(common):
-        size = abs(quantity.value)
-        goal = goals[quantity.name] * size if quantity.name in goals else None
-        yield Quantity(quantity.name, quantity.unit, quantity.value, np.eye(len(common))[number], goal, size)
+    for row, entry in zip(np.eye(len(common)), common, strict=True):
+        size = abs(entry.value)
+        goal = goals[entry.name] * size if entry.name in goals else None
+        yield Quantity(entry.name, entry.unit, entry.value, row, goal, size)
     for test, rows in zip(tests, slopes, strict=True):
         model = test.state.model
         for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):
@@ -289,8 +280,7 @@ def _quantities(
             )
 
 
-# plan of a floating bearing at several loads and speeds: settings -> which states to run how often, their
-# signals, and the pipeline.
+# plan of a floating bearing at several loads and speeds.
 
 # Half of a difference, relative to the number.
 STEP = 1e-2

@@ -1,15 +1,9 @@
 """Predicted uncertainty budgets: a planned test rehearsed, and what systematic sources add to its noise.
 
-A planned test as it would be recorded if its noise were known: means free of noise, periods that scatter as
-the noise does.
-
 Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on every line. Over the periods
 these have the mean zero and are orthogonal to each other, so that the average is what the rig does, and its
 covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor. What evaluates a recording,
 and its uncertainty budget, then give what is expected of the real one.
-
-Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a
-planned test, however long it is.
 
 The changes of the coefficients by one standard uncertainty of every source, c, come from the budget of the
 fit that will evaluate the test. Where an earlier result counts beside it, with information I_0 and changes
@@ -38,9 +32,6 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.registry import nearest
-
-# A planned test as it would be recorded if its noise were known: means free of noise, periods that scatter
-# as the noise does.
 
 # Periods beyond the number of channels: degrees of freedom of their covariance.
 SPARE = 4
@@ -111,8 +102,7 @@ def _direction(channel: Channel, n_dof: int) -> ComplexArray:
     return np.array([np.cos(angle), np.sin(angle)], complex)
 
 
-# Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a
-# planned test, however long it is.
+# Predicted uncertainty budgets.
 
 COVERAGE = 0.95
 # Share of the variance that is systematic from which on longer measuring hardly helps: less than a tenth of

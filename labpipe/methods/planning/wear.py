@@ -1,8 +1,5 @@
 """plan of wear tests: at which speeds and loads and in which bands to test.
 
-Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information of
-its receptance.
-
 With white forces of one-sided density S_F in y and then in z, each for T seconds, and noise densities S_n of
 the probes and S_m of the force transducer, I_ij = 2 T sum over terms of the integral of S_F Re(h_i* h_j) /
 (S_n + |H|^2 S_m) over the band, h_i the derivatives of the receptance H by the parameters (Pintelon and
@@ -38,7 +35,7 @@ from labpipe.methods.wear.measured import PLACES
 from labpipe.methods.wear.model import BETA_STEP
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -49,8 +46,8 @@ NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa",
 class WearNoise(Settings):
     """Standard deviations of the sensors' noise per sample, at the sampling rate of the plan."""
 
-    displacement: float = setting("value", "of the displacement", unit="m", default=1e-6)
-    force: float = setting("value", "of the force", unit="N", default=0.0)
+    displacement: float = quantity("of the displacement", "m", 1e-6)
+    force: float = quantity("of the force", "N", 0.0)
 
     def __post_init__(self) -> None:
         if self.displacement <= 0 or self.force < 0:
@@ -63,8 +60,8 @@ class WearNoise(Settings):
 class WearGoal(Settings):
     """Standard errors that are wanted."""
 
-    depth: float | None = setting("value", "of the depth", unit="m", default=None)
-    angle: float | None = setting("value", "of the angle", unit="rad", default=None)
+    depth: float | None = quantity("of the depth", "m", None)
+    angle: float | None = quantity("of the angle", "rad", None)
 
     def __post_init__(self) -> None:
         if any(value is not None and value <= 0 for value in (self.depth, self.angle)):
@@ -84,12 +81,12 @@ class WearPlanSettings(Settings):
     _: KW_ONLY
     expected: Wear = setting("section", "depth and angle that are expected", section=Wear)
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
-    duration: float = setting("value", "of all tests together", unit="s")
-    sample_rate: float = setting("value", "of the recordings", unit="Hz")
+    duration: float = quantity("of all tests together", "s")
+    sample_rate: float = quantity("of the recordings", "Hz")
     bands: tuple[tuple[float, float], ...] = setting(
         "bands", "bands that can be excited, one at a time", unit="Hz"
     )
-    force: float = setting("value", "rms of the shaker's white force, in whatever band", unit="N")
+    force: float = quantity("rms of the shaker's white force, in whatever band", "N")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     loads: tuple[float, ...] = setting(
         "values",
@@ -98,11 +95,9 @@ class WearPlanSettings(Settings):
         default=(),
     )
     load_node: int = setting("integer", "node of that static force; default: that of the shaker", default=0)
-    run: float = setting(
-        "value", "length of one run, under a force in y and again in z", unit="s", default=60.0
-    )
-    changeover: float = setting("value", "time between tests", unit="s", default=0.0)
-    block: float = setting("value", "block length of the responses", unit="s", default=4.0)
+    run: float = quantity("length of one run, under a force in y and again in z", "s", 60.0)
+    changeover: float = quantity("time between tests", "s", 0.0)
+    block: float = quantity("block length of the responses", "s", 4.0)
     noise: WearNoise = setting(
         "section", "of the sensors, per sample", section=WearNoise, default=WearNoise()
     )
@@ -118,9 +113,7 @@ class WearPlanSettings(Settings):
     beta: Uncertain | None = setting(
         "uncertain", "damping of the shaft, estimated along", unit="s", default=None
     )
-    angle_limit: float = setting(
-        "value", "largest angle there could be, either way", unit="rad", default=np.pi / 9
-    )
+    angle_limit: float = quantity("largest angle there could be, either way", "rad", np.pi / 9)
     goal: WearGoal = setting(
         "section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal()
     )
@@ -178,9 +171,6 @@ class WearPlanSettings(Settings):
         assert self.rig is not None
         return self.loads or (sum(force for node, _, force in self.rig.loads if node == self.node),)
 
-
-# Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information
-# of its receptance.
 
 MESH = FilmMesh(240, 30)
 
@@ -287,8 +277,7 @@ def information(
     return np.asarray(np.einsum("ilt,lt,jlt->ij", flat.conj(), weight, flat).real)
 
 
-# plan of wear tests: settings -> at which speeds and loads and in which bands to test, and the pipeline of
-# the fits.
+# plan of wear tests.
 
 RIG = "rig.yaml"
 # Lines about a speed that are left out, either way [blocks].

@@ -13,8 +13,6 @@ from labpipe.methods.ring_down.likelihood import Decayed, Piece
 from labpipe.methods.ring_down.residual_test import portmanteau
 from labpipe.records.fit_details import AmplitudeLaw, OverAmplitude
 
-# The law A' = -w (z0 + z1 A) A, phase' = w + s A of one mode, fitted to its decays.
-
 SHARED = 4
 # Step of the differences, in parameters scaled to order one: their rounding and their curvature both stay
 # below 1e-5 of a slope.
@@ -172,7 +170,7 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     )
 
 
-# Damping and frequency of a decay over its amplitude: piece by piece, and as a law.
+# Damping and frequency of a decay over its amplitude.
 
 # Stretches of one decay at most, periods of one at least, and amplitudes over their standard error below
 # which nothing is seen.
@@ -264,8 +262,7 @@ def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: 
     return OverAmplitude(*table)
 
 
-# One mode more than a fit has, where it explains better what looks like damping over amplitude: two close
-# modes beat.
+# One mode more than a fit has, where it explains better what looks like damping over amplitude.
 
 # Difference of the Bayesian information criterion beyond which the better model is chosen: strong evidence
 # (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 3.2).

@@ -41,8 +41,6 @@ from labpipe.records.response import Port
 from labpipe.records.spectra import FreeDecays
 from labpipe.records.uncertain import Uncertainty
 
-# The logarithmic decrement as it is read off a screen, for comparison: from the peaks, one per period.
-
 # Peaks count down to this share of the first.
 DOWN_TO = 0.1
 
@@ -88,8 +86,7 @@ def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
     return (middle, *shown)
 
 
-# What people read of decaying modes: natural frequency, damping ratio, logarithmic decrement; with a mass
-# stiffness and damping.
+# What people read of decaying modes.
 
 
 def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...]:
@@ -192,8 +189,7 @@ def pole_correlation(fitted: Decayed) -> FloatArray:
     return correlation(slopes @ fitted.covariance @ slopes.T)
 
 
-# What the uncertainties of sensors and of a given mass do to decays: the law over the amplitude goes as one
-# over the sensor's gain.
+# What the uncertainties of sensors and of a given mass do to decays.
 
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
 

@@ -16,8 +16,6 @@ from labpipe.errors import FitError
 from labpipe.records.spectra import FreeDecay
 from labpipe.spectra.bands import lines_in
 
-# Decays as equations: all samples of a decay, or the DFT lines of a band.
-
 # Smooth terms along the lines of a band, which carry what modes outside it add.
 SMOOTH_TERMS = 3
 
@@ -100,8 +98,7 @@ def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> 
     return Piece(piece.time[:n_sample], piece.rows[:n_sample], None, piece.nuisance[:n_sample])
 
 
-# Maximum likelihood of decaying oscillations: y = offset + sum Re(C e^(lambda t)), offset and C eliminated
-# (variable projection).
+# Maximum likelihood of decaying oscillations.
 
 MOST_STEPS = 60
 MOST_HALVINGS = 12
@@ -302,8 +299,7 @@ def _misfit(solved: Sequence[Solved]) -> float:
     )
 
 
-# Start values of a free decay: the matrix pencil of the decimated record, followed over longer and longer
-# pieces of it.
+# Start values of a free decay.
 
 # Samples of the decimated record, series of them, and how many ranks beyond that of the modes are tried.
 MOST_SAMPLES, MOST_SERIES = 600, 4

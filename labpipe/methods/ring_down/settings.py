@@ -11,8 +11,6 @@ from labpipe.records.settings import Settings, setting
 from labpipe.records.spectra import FreeDecays
 from labpipe.spectra.settings import DECAYS
 
-# Settings of a fit of free decays: the section `decay:` of a fit with model decay.
-
 MOST_MODES = 8
 
 

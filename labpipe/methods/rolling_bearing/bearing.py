@@ -32,8 +32,6 @@ from labpipe.methods.rolling_bearing.shaft import modes, sdof_stiffness, theoret
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
 
-# Ball passage: variation of a rolling bearing's stiffness while its cage turns by one element.
-
 POSITIONS = 24
 
 
@@ -96,7 +94,7 @@ def ball_passage(
     )
 
 
-# Ball and roller bearings as kinds of bearing: from their settings to coefficients, a whole sweep at once.
+# Ball and roller bearings as kinds of bearing.
 
 UNITS = ("m", "m", "m", "rad", "rad")
 LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")

@@ -1,9 +1,6 @@
 """Equilibrium of rolling bearings under prescribed loads and displacements: Newton's method on the convex
 load potential.
 
-Equilibrium of a rolling bearing under prescribed loads and displacements: Newton's method on the load
-potential.
-
 The potential Phi(q) = sum_j K_n delta_j^(n+1) / (n+1) - f . q is convex (delta is a convex function of q for
 balls, linear for rollers), so a line search makes the solution independent of its start; loose elements,
 clearance and zero contact angle need no special case.
@@ -29,8 +26,6 @@ from labpipe.methods.rolling_bearing.loads import (
     stiffness_sum,
 )
 from labpipe.registry import nearest
-
-# Limits of the rolling-bearing model: loads that a bearing cannot carry, and their error messages.
 
 LOADS = ("x", "y", "z", "mx", "my")
 UNITS = ("N", "N", "N", "N m", "N m")
@@ -132,8 +127,7 @@ def _case(case: int, n_case: int) -> str:
     return f"load case {case + 1}: " if n_case > 1 else ""
 
 
-# Newton's method with a line search on the convex load potential of a rolling bearing, many load cases in
-# parallel.
+# Newton's method with a line search on the convex load potential of a rolling bearing.
 
 TOLERANCE = 1e-12  # of the residual against the loads
 ACCEPTABLE = 1e-9  # where steps are down to the rounding of positions
@@ -313,8 +307,7 @@ def _axial_approach(bearing: RollingBearing, size: FloatArray, side: FloatArray)
     return side * axial - a0 * sin0
 
 
-# Equilibrium of a rolling bearing under prescribed loads and displacements: Newton's method on the load
-# potential.
+# Equilibrium of a rolling bearing under prescribed loads and displacements.
 
 # Load cases solved together: many enough for a small overhead of numpy, few enough for the cache.
 CASES_AT_ONCE = 512

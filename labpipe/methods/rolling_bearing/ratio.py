@@ -1,8 +1,6 @@
 """Fit against theory: the theory's transfer function fitted like the measured one, and the ratio over all
 tests.
 
-Fit against fit: the theory's transfer function, fitted like the measured one, and the factor between the two.
-
 A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still.
 Therefore the theory's stiffness matrix is multiplied by a factor and put in series with the shaft, its curve
 is fitted on the measured lines with the measured weights, and factor and damping are changed until that fit
@@ -36,9 +34,6 @@ from labpipe.uncertainty.compare import OF_TESTS, Evidence
 from labpipe.uncertainty.observations import Campaign
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
 from labpipe.uncertainty.weighted import WeightedFit, weighted_fit, weighted_mean
-
-# Fit against fit: the theory's transfer function, fitted like the measured one, and the factor between the
-# two.
 
 TILTS = (3, 4)
 STEP = 1e-4

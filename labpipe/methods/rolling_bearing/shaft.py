@@ -1,13 +1,8 @@
 """A shaft on one rolling bearing: natural frequencies, transfer matrices, and bending in series with the
 bearing.
 
-Rigid shaft on one rolling bearing: natural frequencies and the theoretical transfer matrix of its five
-coordinates.
-
 M q'' + C q' + K q = f, q = (x, y, z, bx, by) at the bearing's centre, which is the shaft's centre of mass; C
 = beta K.
-
-Bending shaft in series with its bearing: the bearing's share of a measured radial stiffness.
 
 R. J. W. Knaapen (1997), chapter 3: 1/k_total = 1/k_bearing + 1/k_shaft for radial coefficients; tilts and
 axial ones need no correction.
@@ -26,9 +21,6 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rolling_bearing.loads import DOFS
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
-
-# Rigid shaft on one rolling bearing: natural frequencies and the theoretical transfer matrix of its five
-# coordinates.
 
 
 @dataclass(frozen=True)
@@ -141,8 +133,7 @@ def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool
     return apparent if known_inertia else apparent / shaft_modes.share[range(len(DOFS)), main]
 
 
-# Theoretical transfer matrix of a shaft that bends between its bearing and the place of excitation and
-# measurement.
+# Theoretical transfer matrix of a shaft that bends between its bearing and the place of excitation.
 
 RADIAL = (0, 1)
 
@@ -187,7 +178,7 @@ def bent_transfer_matrix(
     return receptance
 
 
-# Bending shaft in series with its bearing: the bearing's share of a measured radial stiffness.
+# Bending shaft in series with its bearing.
 
 NORMAL_95 = normal_quantile(0.975)
 

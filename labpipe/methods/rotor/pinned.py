@@ -1,17 +1,11 @@
 """A rotor between pinned ends with one bearing: condensation, growth rates, critical and threshold speeds.
 
-A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing once
-per speed.
-
 Pins fix y and z of their nodes; the rotations there carry no disc and are condensed statically, so that three
 stations between two pins have twelve degrees of freedom. With b the bearing's two and i the others, at a
 speed Omega
 
     x_i = Z_ii^-1 (f_i - Z_ib x_b),   (D + K_b + j Omega C_b) x_b = g,   D = Z_bb - Z_bi Z_ii^-1 Z_ib,   g =
     f_b - Z_bi Z_ii^-1 f_i.
-
-Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical and
-threshold speed.
 
 Modes without motion of the journal (the anti-phase modes of a symmetric rotor) are undamped by the bearing
 and not considered; the rotor is unstable if one of the other modes grows faster than GROWTH_TOLERANCE.
@@ -29,9 +23,6 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, solved
 from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, free_rotor
-
-# A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing
-# once per speed.
 
 
 @dataclass(frozen=True)
@@ -201,8 +192,7 @@ def condensed_rotor(
     return CondensedRotor(speed, at_bearing, force, motion[:, dofs, 0], per_journal)
 
 
-# Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical
-# and threshold speed.
+# Stability of a pinned rotor on one bearing whose coefficients change with speed.
 
 # Least share of the journal in a mode's squared deflections.
 LEAST_PARTICIPATION = 1e-8

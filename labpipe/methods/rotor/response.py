@@ -1,10 +1,7 @@
 """Modes, stability and steady vibration of a rotor on its bearings, and its reduction to chosen nodes.
 
-Reduced rotor: the free rotor is solved once per speed between chosen nodes, bearings are added as a low-rank
-update.
-
-With b the bearing dofs, Z_b = K + j w C of all bearings and R the receptance of the free rotor,
-H = R - R_:b (I + Z_b R_bb)^-1 Z_b R_b: (Woodbury), matrices of two rows per bearing instead of four per node.
+With b the bearing dofs, Z_b = K + j w C of all bearings and R the receptance of the free rotor, H = R - R_:b
+(I + Z_b R_bb)^-1 Z_b R_b: (Woodbury), matrices of two rows per bearing instead of four per node.
 """
 
 from __future__ import annotations
@@ -19,9 +16,6 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, Support, free_rotor, supported_rotor
 from labpipe.spectra.convert import FROM_DIRECTIONAL
-
-# Eigenvalues of a rotor on its bearings: modes, the Campbell diagram, stability and the onset speed of
-# instability.
 
 # Growth rates [1/s] below this are rounding errors, of undamped modes for example.
 GROWTH_TOLERANCE = 1e-3
@@ -138,8 +132,7 @@ def onset_speed(
     return None
 
 
-# Steady vibration of a rotor on its bearings: frequency response between chosen dofs, and unbalance
-# response.
+# Steady vibration of a rotor on its bearings.
 
 
 def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
@@ -221,8 +214,7 @@ def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
     return turned
 
 
-# Reduced rotor: the free rotor is solved once per speed between chosen nodes, bearings are added as a
-# low-rank update.
+# Reduced rotor: the free rotor is solved once per speed between chosen nodes.
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,7 @@ from labpipe.report.chart import (
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.sections import PipelineSection
 
-# The rotor as a sketch, and its response to unbalance as people read it.
-
-# The rotor of worn-bearing fits as a sketch: shaft elements, sleeves, discs, bearings, and where it is
-# excited and measured.
+# The rotor of worn-bearing fits as a sketch.
 
 MM = 1e3
 HEIGHT = 2.9
@@ -239,7 +236,7 @@ def disc_dimensions(disc: Mapping[str, Any], bore: float) -> tuple[float, float,
     return bore, max(float(outer), 1.2 * bore), float(length)
 
 
-# The response to unbalance as people read it: forward and backward circles over speed, and their largest.
+# The response to unbalance as people read it.
 
 UM = 1e6
 HEADER = ("case", "depth [um]", "angle [deg]", "forward [um]", "at [Hz]", "backward [um]", "at [Hz]", "ratio")
@@ -322,7 +319,7 @@ def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
             yield ListedParameter(fit="unbalance", parameter=parameter, test=case.name, model="unbalance")
 
 
-# The section unbalance: the model's response to unbalance over speed.
+# The section unbalance.
 
 
 def run_unbalance(settings: UnbalanceSettings, work: Work) -> UnbalanceRuns:  # noqa: ARG001 (one signature for all sections)
@@ -330,7 +327,7 @@ def run_unbalance(settings: UnbalanceSettings, work: Work) -> UnbalanceRuns:  # 
     return unbalance_runs(settings)
 
 
-# Holding the response to unbalance against rules: "unbalance.CASE.forward_peak".
+# Holding the response to unbalance against rules.
 
 
 def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNumber) -> RuleOutcome:

@@ -7,8 +7,6 @@ descriptions.
 Axes: x along the shaft, y horizontal, z up, spin from y to z. Every node has y, z and the rotations about y
 and z.
 
-Timoshenko shaft elements with rotary inertia and gyroscopics (Nelson & McVaugh 1976, Nelson 1980).
-
 One bending plane has w and its rotation at both ends, (w1, r1, w2, r2); with xi = x / l and the shear
 parameter Phi the deflection is N(xi) and the rotation of the cross-section D(xi) times these four.
 """
@@ -23,9 +21,6 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-
-# Parts of a rotor: shaft elements, discs, sleeves and supports. Nodes are numbered from 1, as in rig
-# descriptions.
 
 
 def _refuse_unless_positive(what: str, part: object, names: tuple[str, ...]) -> None:
@@ -291,7 +286,7 @@ def in_both_planes(plane: FloatArray) -> FloatArray:
     return both
 
 
-# System matrices of a rotor and static loads on its bearings: M q'' + (C + Omega G) q' + K q = F.
+# System matrices of a rotor and static loads on its bearings.
 
 STANDARD_GRAVITY = 9.80665
 

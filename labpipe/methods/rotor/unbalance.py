@@ -12,9 +12,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import forward_backward_motion, unbalance_response
 from labpipe.methods.rotor.rig import RotorRig
-from labpipe.records.settings import Settings, setting
-
-# The directional response of a rotor to its unbalance over speed, healthy and with wear.
+from labpipe.records.settings import Settings, quantity, setting
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ class UnbalanceSettings(Settings):
         default=(),
         needed=True,
     )
-    step: float = setting("value", "step of speed", unit="Hz", default=0.5)
+    step: float = quantity("step of speed", "Hz", 0.5)
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     rig: RotorRig | None = None
 

@@ -1,16 +1,10 @@
 """Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, by
 pattern search.
 
-Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that
-halves or doubles.
-
 Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the
 objective is evaluated at all 2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the
 mesh m doubles, otherwise m halves. Neighbours beyond a bound are moved onto it. No gradients, and no standard
 errors of the minimum. COBYQA of scipy is the alternative by name.
-
-Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, kept
-as a baseline.
 
 Per point the factors f on the coefficients of the rotor file's bearing, 1 - bound <= f <= 1 + bound, minimise
 
@@ -38,9 +32,6 @@ from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, rank_of, runs_b
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement
 from labpipe.registry import nearest
-
-# Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that
-# halves or doubles.
 
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
 # (n_chosen,).
@@ -244,8 +235,7 @@ def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[F
     return np.array(start, np.float64), upper - lower
 
 
-# Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid,
-# kept as a baseline.
+# Eight coefficients per load and speed from the planes' amplitudes alone.
 
 BOUND = 0.3
 SEED = 20260101

@@ -1,7 +1,5 @@
 """Measured run-ups: order tracks, the peak of the response, critical and threshold speeds.
 
-The measured critical speed: the peak of a run-up's response, interpolated between the measured speeds.
-
 Near a critical speed all outputs are dominated by the same two modes and have one common denominator,
 
     X_o(x) = (a_o + b_o x) / (1 + c x + d x^2),   x: speed, scaled to the points about the peak,
@@ -37,8 +35,6 @@ from labpipe.quantities import to_display
 from labpipe.records.uncertain import COURSES, Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.orders import OrderTrack
-
-# The measured critical speed: the peak of a run-up's response, interpolated between the measured speeds.
 
 POINTS = 11
 FEWEST_POINTS = 7
@@ -127,7 +123,7 @@ def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: F
     return fitted
 
 
-# Records of measured run-ups: motion, critical and threshold speeds.
+# Records of measured run-ups.
 
 GRAM_MM = 1e6
 
@@ -206,7 +202,7 @@ def column(values: FloatArray) -> tuple[float, ...]:
     return tuple(float(f"{value:.8g}") for value in np.asarray(values, np.float64).tolist())
 
 
-# Run-ups from order tracks, and the vector difference of two runs: the response to a known added unbalance.
+# Run-ups from order tracks, and the vector difference of two runs.
 
 # Relative tolerance within which two speeds count as equal.
 SAME_SPEED = 1e-3

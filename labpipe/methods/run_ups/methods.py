@@ -37,9 +37,6 @@ from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.settings import RunUpSettings
 from labpipe.records.finding import Contribution, Parameter
 
-# Eight coefficients per load and speed from complex amplitudes in both directions: bounded least squares
-# with a ridge.
-
 BOUND = 0.3
 RIDGE = 0.15
 MOST_STEPS = 60

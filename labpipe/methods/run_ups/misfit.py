@@ -1,8 +1,5 @@
 """Weighted residuals of run-ups with analytic slopes, and what a set of run-ups can tell apart.
 
-Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition, undetermined
-combinations.
-
 A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two
 complex equations. Amplitudes alone give one number per disc. Only a force that does not turn with the shaft
 moves the journal along another vector.
@@ -23,8 +20,6 @@ from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matri
 from labpipe.methods.run_ups.records import RankRow, RunUp, Shaker
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.records.uncertain import Uncertainty
-
-# Weighted residuals of run-ups with analytic slopes, and the rank of a set of run-ups.
 
 # Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
 RANK_TOLERANCE = 1e-7
@@ -202,8 +197,7 @@ def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS)
     )
 
 
-# Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition,
-# undetermined combinations.
+# Identifiability of the eight coefficients from run-ups at one load and speed.
 
 AMPLITUDES = "amplitudes at the planes"
 COMPLEX = "amplitude and phase in both directions"

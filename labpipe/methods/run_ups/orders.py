@@ -28,8 +28,6 @@ from labpipe.report.figures import PHASE, phase_degrees
 from labpipe.spectra.orders import OrderTrack, plane_track, track_order
 from labpipe.spectra.settings import ShaftLines
 
-# Figures of order tracking: amplitude and phase over the speed, and the orbits.
-
 MOST_ORBITS = 8
 MOST_COLUMNS = 4
 # Room above the amplitudes for their names, and above the limit of a gap.
@@ -173,8 +171,7 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> Panel:
     return Panel(Axis("x", unit), Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True)
 
 
-# orders: a recording with its shaft speed -> amplitude and phase of an order over the run, as table and
-# figures.
+# orders: a recording with its shaft speed -> amplitude and phase of an order over the run.
 
 Column = tuple[str, FloatArray]
 

@@ -1,7 +1,5 @@
 """The joint fit times smooth factors: a Gaussian process of the deviation from the film's family.
 
-Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
-
 g_i(W, Omega), i one of the eight coefficients, are independent with mean zero and the covariance
 
     k = s^2 exp(-((W - W') / l_W)^2 / 2 - ((Omega - Omega') / l_Omega)^2 / 2)
@@ -9,9 +7,6 @@ g_i(W, Omega), i one of the eight coefficients, are independent with mean zero a
 (Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of
 unit variance a priori, b from the eigenvectors of k over these places; the remaining variance elsewhere is
 *unexplained*.
-
-The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a rejected
-joint fit.
 
 Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve
 parameters p and the fields' z (see `process_field`), started at the joint fit. Size and lengths of the fields
@@ -49,8 +44,6 @@ from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, sour
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement, searched_over
 from labpipe.records.uncertain import Uncertain, Uncertainty
-
-# Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
 
 # Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
 LEAST_EIGENVALUE = 1e-7
@@ -155,8 +148,7 @@ def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     ).reshape(-1, 2)
 
 
-# Result of the joint fit with smooth factors and its predictions at any load, with the interface of the
-# joint fit.
+# Result of the joint fit with smooth factors and its predictions at any load.
 
 # Half-width of the differences about a peak, as a part of its speed.
 PEAK_STEP = 5e-3
@@ -292,8 +284,7 @@ class ProcessFit:
         return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
 
 
-# The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a
-# rejected joint fit.
+# The joint fit times smooth factors.
 
 # Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load
 # and speed.

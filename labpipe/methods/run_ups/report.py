@@ -36,9 +36,6 @@ from labpipe.methods.run_ups.records import (
 from labpipe.records.identification import Identification
 from labpipe.report.document import Block, Paragraph, Section, Table
 
-# Tables of run-ups: measurements, critical and threshold speeds of every method, identifiability of the
-# coefficients.
-
 # Short names of columns.
 SHORT = {
     "start": "original",
@@ -378,11 +375,10 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
     )
 
 
-# Journal coefficients as figures: over speed at one load, as surfaces over load and speed; convergence and
-# spread of searches.
+# Journal coefficients as figures.
 
 
-# Report of run-ups: measurements, predictions and coefficients of every method, identifiability, figures.
+# Report of run-ups.
 
 FRAME = (
     "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of "

@@ -44,8 +44,6 @@ from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter
 
-# Metamodels of the journal coefficients over load and speed, and their predictions for every run.
-
 # Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels.
 KINDS = {
     "response-surface": "surface",
@@ -162,8 +160,7 @@ def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
     )
 
 
-# All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold speeds,
-# uncertainties.
+# All methods on the run-ups of a rotor, compared on every run.
 
 Tell = Callable[[str], None]
 

@@ -48,9 +48,6 @@ from labpipe.sections import PipelineSection
 from labpipe.spectra.orders import cascade_spectra, track_order
 from labpipe.spectra.settings import ShaftLines
 
-# Run-ups of a pipeline as they were measured: tables or tracked recordings, residuals subtracted, critical
-# speeds read off.
-
 # Lines of a stored cascade, more than a figure can show.
 MOST_LINES = 240
 NO_UNCERTAINTIES = ProbeUncertainties()
@@ -158,8 +155,7 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
     )
 
 
-# run_ups: the run-ups of a rotor -> journal coefficients by several methods, critical and threshold speeds,
-# uncertainties.
+# run_ups: the run-ups of a rotor -> journal coefficients by several methods.
 
 Tell = Callable[[str], None]
 
@@ -188,8 +184,7 @@ def identify_run_ups(
     )
 
 
-# Holding run-ups against rules: "run_ups.joint[held-out].critical_speed", ".threshold.covers",
-# "run_ups.points.rank", "run_ups.warnings".
+# Holding run-ups against rules.
 
 
 MEASURED = "measured"

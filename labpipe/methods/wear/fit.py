@@ -58,8 +58,6 @@ from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import FrequencyResponse
 
-# Findings of a wear identification: bounds, further minima, identifiability, healthy bearing.
-
 # Further minima count while their chi-square lies less than this above the least: the 99 % quantile for two
 # parameters.
 RIVAL = 9.21
@@ -150,8 +148,7 @@ def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMes
     )
 
 
-# Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017), each with
-# its uncertainty.
+# Model worn-bearing.
 
 # Number of further minima that are refined as the best one is, and their largest excess of chi-square,
 # relative.

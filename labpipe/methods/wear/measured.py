@@ -22,8 +22,6 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, directio
 from labpipe.spectra.damping import half_power
 from labpipe.spectra.matrices import without_rounding
 
-# Frame, lines and terms of a measured response that a wear identification uses.
-
 # Terms of the matrix in row-major order: yy yz zy zz, or ff fb bf bb.
 PLACES = {"full": (0, 1, 2, 3), "direct": (0, 3), "cross": (1, 2)}
 NAMES = {"FRF": ("y", "z"), "dFRF": FORWARD_BACKWARD}
@@ -188,7 +186,7 @@ def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
     return chosen
 
 
-# Objectives of a wear identification: weighted complex residuals or log amplitudes, with the prior.
+# Objectives of a wear identification.
 
 # From (modelled terms, their slopes) to (residual, its slopes), both as real columns.
 Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]

@@ -1,8 +1,5 @@
 """Minima of the misfit, profile intervals and joint regions, the probability of a healthy bearing.
 
-Error of a wear identification by the finite cells of its oil films, as a part of the covariance and of the
-intervals.
-
 Noise is not the only uncertainty: where the film divides, coefficients bend sharply over the depth, and the
 cells round the bend. The change of the coefficients from half the cells moves the estimate; a third of it is
 the standard deviation of the mesh's own error. Films err independently: a mesh that suits one may not suit
@@ -24,8 +21,6 @@ from labpipe.distributions import chi2_quantile
 from labpipe.errors import FitError
 from labpipe.methods.wear.measured import Misfit
 from labpipe.methods.wear.settings import ANGLE, DEPTH, WearSettings
-
-# Minima of the misfit: bounded least squares from a mesh of starts.
 
 # Least depth of a start [m]: at zero depth the response does not depend on depth (to first order) or angle.
 SHALLOWEST_START = 1e-6
@@ -361,8 +356,7 @@ def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> Flo
     return np.unique(both[(both >= low) & (both <= high)])
 
 
-# Error of a wear identification by the finite cells of its oil films, as a part of the covariance and of
-# the intervals.
+# Error of a wear identification by the finite cells of its oil films.
 
 
 def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:

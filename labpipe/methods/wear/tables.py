@@ -1,12 +1,8 @@
 """Coefficients of the bearings of a rotor as functions of wear and its conditions, and the response of the
 rotor with them.
 
-Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's coefficients.
-
 With Z = K + j w C of the bearings and H the receptance of the rotor on them, dH/dp = -H_ob (dZ/dp) H_bf:
 exact, and from the few dofs of the reduced rotor only.
-
-Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation pressure.
 
 Tables are cached per bearing, load, speed, range and mesh: the fits of a pipeline share them.
 """
@@ -29,9 +25,6 @@ from labpipe.methods.rotor.response import ReducedRotor
 from labpipe.methods.rotor.rig import BearingPlace
 from labpipe.methods.rotor.shaft import Support
 from labpipe.spectra.convert import FROM_DIRECTIONAL
-
-# Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's
-# coefficients.
 
 
 @dataclass(frozen=True)
@@ -127,8 +120,7 @@ def worn_response(
     return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
 
 
-# Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation
-# pressure.
+# Coefficients of the bearings of a rotor as functions of wear.
 
 # Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the
 # films.

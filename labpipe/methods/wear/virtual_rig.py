@@ -22,7 +22,7 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.simulate.linear import shaken_rotor
 from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings, require_positive
 
@@ -37,8 +37,8 @@ LINES_AT_ONCE = 512
 class JournalNoise(Settings):
     """Standard deviations of the measuring noise, white up to half the sampling rate."""
 
-    displacement: float = setting("value", "displacement sensors", unit="m", default=1e-6)
-    force: float = setting("value", "force transducer", unit="N", default=0.05)
+    displacement: float = quantity("displacement sensors", "m", 1e-6)
+    force: float = quantity("force transducer", "N", 0.05)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,28 +51,20 @@ class VirtualJournalRig(Settings):
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
-    viscosity_error: float = setting(
-        "value", "true viscosity over the rotor file's, less one", unit="1", default=0.0
-    )
-    clearance_error: float = setting(
-        "value", "true clearance over the rotor file's, less one", unit="1", default=0.0
-    )
-    cavitation_pressure: float = setting(
-        "value", "true pressure at which the film tears", unit="Pa", default=0.0
-    )
+    viscosity_error: float = quantity("true viscosity over the rotor file's, less one", "1", 0.0)
+    clearance_error: float = quantity("true clearance over the rotor file's, less one", "1", 0.0)
+    cavitation_pressure: float = quantity("true pressure at which the film tears", "Pa", 0.0)
     states: tuple[tuple[str, Wear], ...] = setting(
         "sections", "states of the worn bearing by name", section=Wear, default=HEALTHY
     )
     cells_around: int = setting("integer", "cells of the oil film around the journal", default=480)
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
-    force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
-    bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=120.0)
-    lowest: float = setting("value", "and from here", unit="Hz", default=0.0)
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=256.0)
-    duration: float = setting("value", "length of one run", unit="s", default=60.0)
-    unbalance: float = setting(
-        "value", "mass times eccentricity at the force's node", unit="kg.m", default=1e-5
-    )
+    force: float = quantity("rms force of the shaker", "N", 30.0)
+    bandwidth: float = quantity("the force is white up to here", "Hz", 120.0)
+    lowest: float = quantity("and from here", "Hz", 0.0)
+    sample_rate: float = quantity("sampling rate", "Hz", 256.0)
+    duration: float = quantity("length of one run", "s", 60.0)
+    unbalance: float = quantity("mass times eccentricity at the force's node", "kg.m", 1e-5)
     noise: JournalNoise = setting("section", "measuring noise", section=JournalNoise, default=JournalNoise())
     rig: RotorRig | None = None
 
