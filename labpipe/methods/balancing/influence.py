@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 
 # Draws of z_0 and alpha by which intervals are stated, and their seed.
@@ -97,7 +97,7 @@ def influence(runs: Sequence[Run], noise: Noise) -> Influence:
     misfit, dof = 0.0, 0
     scale = np.max(np.abs(design), axis=0)
     for line in range(n_line):
-        there: BoolArray = np.isfinite(readings[:, line])
+        there = np.isfinite(readings[:, line])
         rows, z = design[there] / np.where(scale > 0, scale, 1.0), readings[there, line]
         if np.linalg.matrix_rank(rows, tol=1e-6) < n_unknown:
             raise DataError(

@@ -140,7 +140,6 @@ def line_fit(
         for parameter, unit, value, error in zip(names, units, line.values, std_errors, strict=False)
     )
     n = x.size
-    adjusted = 1 - (1 - line.r2) * (n - 1) / line.dof
     return Fit(
         name=name,
         model=STRAIGHT_LINE,
@@ -149,7 +148,7 @@ def line_fit(
         lines=n,
         equations=n,
         dof=line.dof,
-        gof=Goodness(line.r2, adjusted),
+        gof=Goodness(line.r2, 1 - (1 - line.r2) * (n - 1) / line.dof),
         parameters=(*parameters, *extra),
         condition_number=line.condition_number,
         correlation=correlation(line.covariance),
@@ -163,8 +162,8 @@ def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tup
         return ()
     share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
     message = (
-        f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is "
-        f"{share:.2g} % of the range"
+        f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is {share:.2g} % of "
+        "the range"
     )
     return (Finding("model-mismatch", message),)
 

@@ -154,8 +154,8 @@ def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
         return (
             note(
                 "shaft-moves",
-                f"the shaft moves by {share}; the balance is of the stator, so that no "
-                "coefficient is wrong by it",
+                f"the shaft moves by {share}; the balance is of the stator, so that no coefficient is wrong "
+                "by it",
             ),
         )
     message = (
@@ -207,8 +207,8 @@ def given_notes(
         )
         lines.append(f"{uncertainty.source}: {size}")
     return (
-        "dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines "
-        f"and runs. {'; '.join(lines)}.",
+        "dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines and "
+        f"runs. {'; '.join(lines)}.",
     )
 
 

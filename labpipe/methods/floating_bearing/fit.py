@@ -502,8 +502,9 @@ def _solved_fit(
     if best.pulls is not None:
         uncertainties, contradicted = contradictions(given, uncertainties, best.pulls)
     amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
-    others = other_excitations(stator, best, columns)
-    return Solved(best, uncertainties, amplification, others, candidates, contradicted)
+    return Solved(
+        best, uncertainties, amplification, other_excitations(stator, best, columns), candidates, contradicted
+    )
 
 
 def _most_likely(

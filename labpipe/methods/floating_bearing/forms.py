@@ -235,8 +235,7 @@ class StiffnessModel:
 
     def matrices(self, values: FloatArray) -> FloatArray:
         """The M_k (n_matrix, 2, 2) [N/m, N.s/m, kg] of values (n_parameter,)."""
-        linear = values[: self.n_linear].reshape(len(self.form.matrices), -1)
-        return np.tensordot(linear, self.elements, 1)
+        return np.tensordot(values[: self.n_linear].reshape(len(self.form.matrices), -1), self.elements, 1)
 
     def stiffness(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s].

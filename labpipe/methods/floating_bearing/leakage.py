@@ -67,8 +67,7 @@ class SmearedBalance:
         moved = motion.reshape(n_line, n_point, 2, 2)
         seen = squared if self.by_acceleration else np.ones_like(squared)
         mean_force = np.einsum("p,lpij->lij", weights, forces)
-        mean_motion = np.einsum("p,lp,lpij->lij", weights, seen, moved)
-        return np.asarray(mean_force @ np.linalg.inv(mean_motion))
+        return np.asarray(mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved)))
 
     def corrected(self, balance: Balance, stiffness: Stiffness) -> Balance:
         """The balance whose force side is without what leaks by the model's own H."""
@@ -131,7 +130,7 @@ def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBa
         return None
     numbers = np.round(stator.omega / (2 * np.pi) * blocks.length).astype(np.intp)
     leakage = Leakage(kernel_of(blocks), numbers, np.empty(0), 0)
-    ratio: ComplexArray = np.asarray(-(stator.omega**2)[:, None, None] * np.eye(2), np.complex128)
+    ratio = np.asarray(-(stator.omega**2)[:, None, None] * np.eye(2), np.complex128)
     if not given.absolute and stator.accelerated and balance.motion.shape[1] > 1:
         # The shaft moves too: acceleration per motion against it, where both runs tell it.
         motion = balance.motion.swapaxes(-1, -2)

@@ -99,8 +99,7 @@ def whitened(balance: Balance, stiffness: ComplexArray) -> Whitened:
     l_yy = np.sqrt(s[..., 1, 1].real - np.abs(l_yx) ** 2)
     plain = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
     white = Whitened(plain.whiten(plain.white), balance.motion, l_xx, l_yx, l_yy)
-    smoothed = balance.motion - times(of_motion, white.weighted())
-    return Whitened(white.white, smoothed, l_xx, l_yx, l_yy)
+    return Whitened(white.white, balance.motion - times(of_motion, white.weighted()), l_xx, l_yx, l_yy)
 
 
 class ErrorsInVariables:
@@ -436,5 +435,4 @@ def inverse_information(jacobian: FloatArray) -> FloatArray:
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     columns = jacobian / scale
-    inverse: FloatArray = np.linalg.pinv(2 * columns.T @ columns, hermitian=True) / np.outer(scale, scale)
-    return inverse
+    return np.linalg.pinv(2 * columns.T @ columns, hermitian=True) / np.outer(scale, scale)

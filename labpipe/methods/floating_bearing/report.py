@@ -61,9 +61,8 @@ def stiffness_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
         f"Dots: measured, {lines}, with 95 % intervals by noise; line: the model.{baseline} The fit itself "
         "uses the channels, not these values."
     )
-    chart = Chart(panels, 4, 2, (WIDTH, 7.2), "x", "above")
     return Figure(
-        chart,
+        Chart(panels, 4, 2, (WIDTH, 7.2), "x", "above"),
         caption,
         f"Real and imaginary parts of the dynamic stiffness of fit {fit_title(fit)} over frequency",
     )

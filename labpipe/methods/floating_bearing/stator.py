@@ -86,9 +86,7 @@ def stator_of(
         columns = chosen[quantity]
         if columns or quantity != ACCELERATION:
             to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
-    lines: BoolArray = (
-        np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
-    )
+    lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
     if np.count_nonzero(lines) < LEAST_LINES:
         raise FitError(
             f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
@@ -177,10 +175,9 @@ def _check_once(channels: Sequence[Channel], quantity: str) -> None:
     for channel in channels:
         if channel.dof in seen:
             key = "input" if quantity == FORCE else "output"
-            hint = f"name those of the balance in `{key}`"
             raise ConfigError(
                 f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}",
-                hint=hint,
+                hint=f"name those of the balance in `{key}`",
             )
         seen[channel.dof] = channel.name
 

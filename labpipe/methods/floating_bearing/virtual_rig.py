@@ -365,7 +365,7 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
     angle = _angle(rig, condition.speed) + phase
     if rig.unbalance > 0:
         omega = 2 * np.pi * condition.speed
-        force: ComplexArray = np.array([[0, 0, 1, -1j]], np.complex128) * rig.unbalance * omega**2
+        force = np.array([[0, 0, 1, -1j]], np.complex128) * rig.unbalance * omega**2
         stator, shaft = motions(rig, condition, np.array([condition.speed]), force)
         late = np.exp(-1j * omega * rig.probe_delay)
         amplitudes = np.concatenate([np.zeros(2), (stator - shaft)[0] * late, -(omega**2) * stator[0]])

@@ -68,10 +68,9 @@ class FilmState:
         """This state with displacement and pressure changed as from *first* to *second*: a start value, no
         equilibrium.
         """
-        displacement = self.displacement + second.displacement - first.displacement
         return replace(
             self,
-            displacement=displacement,
+            displacement=self.displacement + second.displacement - first.displacement,
             pressure=self.pressure + second.pressure - first.pressure,
             coarse=None,
         )
@@ -296,13 +295,12 @@ class JournalBearing:
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
         """The dimensionless film on a mesh."""
-        cavitation = self.cavitation_pressure / self.pressure_scale(speed)
         return Film.of(
             mesh,
             self.diameter / self.length,
             self.wear_depth / self.clearance,
             self.wear_angle,
-            cavitation,
+            self.cavitation_pressure / self.pressure_scale(speed),
             self.groove_width,
         )
 

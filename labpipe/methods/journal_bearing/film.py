@@ -51,8 +51,7 @@ def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
 
     Equation (jour-wear).
     """
-    added: FloatArray = np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
-    return added
+    return np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
@@ -67,7 +66,7 @@ def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float)
     half = np.arccos(1 - depth)
     first = np.clip(from_deepest - width / 2, -half, half)
     last = np.clip(from_deepest + width / 2, -half, half)
-    mean: FloatArray = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
+    mean = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
     return np.maximum(mean, 0.0)
 
 
@@ -348,7 +347,7 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, Floa
     the edge [cells].
     """
     from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
-    grooved: BoolArray = from_split < groove / 2
+    grooved = from_split < groove / 2
     distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
     after = np.roll(grooved, -1)
     opening = np.ones_like(grid.centre)
@@ -424,7 +423,7 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
 
     *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
     """
-    cavitated: BoolArray = np.all(equations.cavitated, axis=1)
+    cavitated = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)
     columns, band = (
         _folded_band(equations) if columns is None else (columns, _open_band(equations, columns, room))

@@ -178,11 +178,10 @@ class Bench(Watch):
             for fit in self.fits:
                 fit.look()
             standings = self._standings(variation, again=True)
-        findings = (*self.findings.values(), *self._of_fits(standings))
         return Update(
             self.averages,
             standings=standings,
-            findings=findings,
+            findings=(*self.findings.values(), *self._of_fits(standings)),
             stop=self._enough(standings),
             seconds=self.seconds,
             events=events,
@@ -239,8 +238,8 @@ class Bench(Watch):
                 findings.append(
                     Finding(
                         "model-mismatch",
-                        f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does "
-                        "not explain the averages within their noise; intervals count that",
+                        f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model "
+                        "does not explain the averages within their noise; intervals count that",
                     )
                 )
             findings += self._floors(fit, standings)

@@ -396,8 +396,9 @@ def _solved(information: FloatArray, gradient: FloatArray) -> FloatArray:
     """Newton's step with the information scaled to a diagonal of one; what no line tells is not moved."""
     scale = np.sqrt(np.diag(information))
     scale[scale == 0] = 1.0
-    scaled = information / np.outer(scale, scale)
-    return np.asarray(np.linalg.lstsq(scaled, gradient / scale, rcond=1e-12)[0] / scale)
+    return np.asarray(
+        np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
+    )
 
 
 def _satterthwaite(counts: IntArray, moved: ComplexArray, weighted: ComplexArray) -> FloatArray:

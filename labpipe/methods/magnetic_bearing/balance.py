@@ -13,7 +13,7 @@ from math import factorial
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
@@ -78,9 +78,7 @@ def levitation_of(
     displacements = _chosen(spectra, DISPLACEMENT, ("output",), names[1], "output")
     displacements = _paired(spectra.channels, currents, displacements)
     chosen = [spectra.channels[n] for n in currents]
-    lines: BoolArray = (
-        np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
-    )
+    lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
     if np.count_nonzero(lines) < LEAST_LINES:
         hint = (
             f"{LEAST_LINES} or more: widen `band`, or raise the level, since lines at which no current "
@@ -192,10 +190,9 @@ def _places(channels: Sequence[Channel]) -> FloatArray:
     places = [channel.position for channel in channels]
     for channel, place in zip(channels, places, strict=True):
         if place is None:
-            hint = "position: 120 mm, along the axis"
             raise ConfigError(
                 f"two bearings act in one plane, and the place of channel '{channel.name}' is not known",
-                hint=hint,
+                hint="position: 120 mm, along the axis",
             )
     matrix = np.column_stack([np.ones(2), np.array(places, float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
@@ -218,7 +215,7 @@ def mass_matrix(
     """
     n = len(currents)
     if not isinstance(mass, float):
-        matrix: FloatArray = np.asarray(mass, float)
+        matrix = np.asarray(mass, float)
         if matrix.shape != (n, n):
             raise ConfigError(
                 f"the mass has {matrix.shape[0]} axes, the currents {n}",

@@ -120,8 +120,7 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
     potential = (source - magnet.magnet_reluctance * (permeance @ coils)) / (
         RINGS + magnet.magnet_reluctance * permeance.sum()
     )
-    fluxes: FloatArray = permeance * (potential + coils)
-    return fluxes
+    return permeance * (potential + coils)
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
@@ -357,8 +356,8 @@ def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
         return (
             Finding(
                 "unstable-loop",
-                f"the loop is unstable: {stability.unstable} poles grow; at "
-                f"{listed} rad/s (delay approximated)",
+                f"the loop is unstable: {stability.unstable} poles grow; at {listed} rad/s (delay "
+                "approximated)",
             ),
         )
     warnings = []

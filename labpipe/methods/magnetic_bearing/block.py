@@ -53,9 +53,7 @@ class Block:
     def response(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """G (n_line,) [1] of values (n,) [1] at omega (n_line,) [rad/s]. Equation (mag-block)."""
         s = 1j * omega
-        total: ComplexArray = self.sign * np.exp(
-            np.clip(values[0], -FARTHEST, FARTHEST) - s * values[1] / self.highest
-        )
+        total = self.sign * np.exp(np.clip(values[0], -FARTHEST, FARTHEST) - s * values[1] / self.highest)
         rest = list(np.exp(np.clip(values[2:], -FARTHEST, FARTHEST)))
         if self.order in (1, 3):
             total = total / (1 + s / (2 * np.pi * rest.pop(0)))

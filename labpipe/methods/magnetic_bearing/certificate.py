@@ -397,8 +397,9 @@ def _measured_amounts(
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
     dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
     factors = [amount.name for amount in amounts if amount.name.startswith(f"{MEASURED}{GAIN}")]
-    sources = [error.uncertainty for error in matrix.errors]
-    return with_budget(amounts, sources, np.array(changes).T, dof, factors)
+    return with_budget(
+        amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof, factors
+    )
 
 
 def _fitted(

@@ -38,10 +38,7 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
         )
 
     def at(condition: float | None, unit: str) -> MagneticFile:
-        bearing: MagneticFile = (
-            file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])
-        )
-        return bearing
+        return file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])
 
     return at
 

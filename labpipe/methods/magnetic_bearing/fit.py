@@ -214,7 +214,7 @@ def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertaint
         )
         notes.append(
             f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, "
-            f"quantity: force}}."
+            "quantity: force}."
         )
     plain = zip(best.model.names, unweighted(rotor, best.model), best.model.units, strict=True)
     listed = ", ".join(

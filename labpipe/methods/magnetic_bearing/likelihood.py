@@ -75,8 +75,9 @@ class MagnetLikelihood:
         """L^-1 dB/dp z^ as real columns (n_equation, n_parameter) [1/parameter unit]."""
         state = self.at(parameters)
         slopes = self.model.slopes(parameters, self.rotor.omega) @ self.rotor.to_axes
-        changes = np.einsum("plac,lrc->plra", slopes, state.smoothed)
-        return real_rows(state.whiten(changes).reshape(len(slopes), -1)).T
+        return real_rows(
+            state.whiten(np.einsum("plac,lrc->plra", slopes, state.smoothed)).reshape(len(slopes), -1)
+        ).T
 
     def chi2(self, parameters: FloatArray) -> float:
         """V [1] at *parameters* (n_parameter,) [parameter units]; infinite where it is no number."""
@@ -100,8 +101,7 @@ def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
     lower = np.linalg.cholesky(b @ of_channels)
     white = np.linalg.solve(lower, e[..., None])
     weighted = np.linalg.solve(lower.conj().swapaxes(-1, -2), white)
-    smoothed = rotor.channels - (of_channels @ weighted)[..., 0]
-    return Residual(e, lower, white[..., 0], smoothed)
+    return Residual(e, lower, white[..., 0], rotor.channels - (of_channels @ weighted)[..., 0])
 
 
 def start(problem: MagnetLikelihood) -> FloatArray:
@@ -322,5 +322,6 @@ def _explained(
     # What the parameters can follow is theirs already.
     changes = changes + np.concatenate([uncertainty.changes for uncertainty in uncertainties]) @ jacobian.T
     along = 2 * changes @ problem.residual(values) / excess
-    stiff = np.eye(len(changes)) + 2 * changes @ changes.T / excess
-    return float(excess * along @ np.linalg.solve(stiff, along))
+    return float(
+        excess * along @ np.linalg.solve(np.eye(len(changes)) + 2 * changes @ changes.T / excess, along)
+    )

@@ -69,10 +69,9 @@ class ControlLoop(Settings):
         if self.controller:
             for name in PID:
                 if getattr(self, name) != self.__dataclass_fields__[name].default:
-                    hint = "leave it out, or put {form: pid, ...} among the blocks"
                     raise ConfigError(
                         f"{name}: belongs to the PID, and there is a controller of blocks",
-                        hint=hint,
+                        hint="leave it out, or put {form: pid, ...} among the blocks",
                         field=name,
                     )
         elif self.cross is not None:
@@ -122,7 +121,7 @@ def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexA
     """
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
-    s: ComplexArray = 1j * omega
+    s = 1j * omega
     return {
         "proportional": np.full(omega.shape, loop.proportional, np.complex128),
         "derivative": loop.derivative * s / (1 + s * loop.derivative_time),
@@ -137,7 +136,7 @@ def _in_series(blocks: tuple[ControllerBlock, ...], omega: FloatArray) -> Comple
 
 def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
     """Factors of the loop besides the PID, by name: delay, amplifier and probe, each (n_line,) [1]."""
-    s: ComplexArray = 1j * omega
+    s = 1j * omega
     factors = {"delay": np.exp(-s * loop.delay)}
     for name, corner in zip(("amplifier", "sensor"), loop.corners, strict=False):
         factors[name] = 1 / (1 + s * corner)
@@ -149,7 +148,7 @@ def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
 
     Equation (mag-controller).
     """
-    total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+    total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
     return total
@@ -180,10 +179,9 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
     Equation (mag-static).
     """
     if not np.isfinite(loop.at_rest):
-        hint = "give negative_stiffness"
         raise ConfigError(
             "static_stiffness: the controller integrates, so the loop is rigid at rest",
-            hint=hint,
+            hint="give negative_stiffness",
             field="static_stiffness",
         )
     return loop_stiffness(loop) * loop.at_rest - static
@@ -199,10 +197,7 @@ def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: Float
 
 def stiffness_matrix(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
     """K G(jw) - k_n I of both directions at *omega* [rad/s], (n_line, 2, 2) [N/m]."""
-    matrix: ComplexArray = loop_stiffness(loop) * controller_matrix(
-        loop, omega
-    ) - negative_stiffness * np.eye(2)
-    return matrix
+    return loop_stiffness(loop) * controller_matrix(loop, omega) - negative_stiffness * np.eye(2)
 
 
 def stiffness_shares(
@@ -215,7 +210,7 @@ def stiffness_shares(
     delay, amplifier, probe; the negative stiffness of the bias field, -k_n. Equation (mag-shares).
     """
     shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
-    total: ComplexArray = np.sum(list(shares.values()), axis=0)
+    total = np.sum(list(shares.values()), axis=0)
     for name, factor in chain_factors(loop, omega).items():
         shares[name] = total * (factor - 1)
         total = total * factor

@@ -222,7 +222,7 @@ class LoopMinimum:
 
         covariance (n_parameter, n_parameter) [1] of u, combined. Equation (comp-bent).
         """
-        bends: FloatArray = np.zeros(len(self.problem.unknowns))
+        bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
         for column in range(bends.size):
             for sign in (1.0, -1.0):
@@ -296,9 +296,9 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     responses without noise estimate. Equation (comp-loop).
     """
     if not all(has_noise(observation.measured) for observation in observations):
-        hint = "average several periods or blocks"
         raise FitError(
-            "the noise of the response is not known, so a loop cannot be compared with it", hint=hint
+            "the noise of the response is not known, so a loop cannot be compared with it",
+            hint="average several periods or blocks",
         )
     unknowns = tuple(unknown(observations[0].file, name) for name in names)
     support = observations[0].support

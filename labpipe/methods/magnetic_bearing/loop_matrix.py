@@ -70,7 +70,7 @@ def _covariance(
     rows[:, np.arange(len(outputs)), outputs] = 1.0
     rows[:, :, inputs] -= matrix
     noise = np.einsum("loc,lrcd,lpd->lrop", rows, spectra.covariance, rows.conj())
-    joint: ComplexArray = np.einsum("lrop,lri,lrj->loipj", noise, inverse, inverse.conj())
+    joint = np.einsum("lrop,lri,lrj->loipj", noise, inverse, inverse.conj())
     n = matrix.shape[1] * matrix.shape[2]
     return joint.reshape(-1, n, n)
 
@@ -182,7 +182,7 @@ class SensitivityMatrix:
     def _largest_slopes(self) -> ComplexArray:
         """u_i* v_j of the largest singular value, (n_line, n^2) [1]."""
         left, _, right = np.linalg.svd(self.values)
-        slopes: ComplexArray = left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]
+        slopes = left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]
         return slopes.reshape(len(slopes), -1)
 
     def loop_transfer(self, loop: int) -> tuple[ComplexArray, FloatArray]:

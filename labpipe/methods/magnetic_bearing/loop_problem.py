@@ -76,9 +76,9 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     elif field in _MAGNET:
         value_and_unit = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
     else:
-        entries = list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))
         raise ConfigError(
-            f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, entries)
+            f"estimate: '{name}' is no unknown of a magnetic bearing",
+            hint=nearest(name, list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))),
         )
     if value_and_unit is None or value_and_unit[0] is None:
         where = (
@@ -444,19 +444,15 @@ def receptance(
     *support* (k_s, c_s), default: nominal.
     """
     stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
-    matrix: ComplexArray = _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
-    return matrix
+    return _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
 
 
 def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:
     """k_s + j w c_s + n (K G(jw) - k_n) - m w^2, (n_line,) [N/m]."""
     plant = file.levitated()
-    bearings: ComplexArray = view.settings.share * dynamic_stiffness(
-        plant.loop, plant.negative_stiffness, omega
-    )
+    bearings = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     assert isinstance(view.settings.mass, float)
-    total: ComplexArray = support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2
-    return total
+    return support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2
 
 
 def view_errors(

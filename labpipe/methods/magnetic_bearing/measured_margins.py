@@ -126,8 +126,7 @@ def _through(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatA
     over log omega at other places (..., n_place) [rad/s].
     """
     count = min(coefficients, omega.shape[-1])
-    weights: FloatArray = _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
-    return weights
+    return _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
 
 
 def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:

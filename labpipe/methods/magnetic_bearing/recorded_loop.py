@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports, matrix_errors, measured_part
@@ -152,7 +152,7 @@ def _words(name: str, factor: float) -> str:
 def _scaled(response: FrequencyResponse, rows: Sequence[int], factor: float) -> FrequencyResponse:
     """The response with some of its outputs times a real factor; one input."""
     assert response.covariance is not None
-    scale: FloatArray = np.ones(len(response.outputs))
+    scale = np.ones(len(response.outputs))
     scale[list(rows)] = factor
     errors = tuple(replace(error, change=error.change * scale[:, None]) for error in response.errors)
     covariance = response.covariance * np.outer(scale, scale)

@@ -86,8 +86,7 @@ class SampledLoop:
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
         force = (whole[:, :, :1] + z * whole[:, :, 1:2]) / straight(omega, self.rate)[:, None, None]
-        joined: ComplexArray = np.concatenate([force, whole[:, :, 2:]], axis=2)
-        return joined
+        return np.concatenate([force, whole[:, :, 2:]], axis=2)
 
 
 def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
@@ -120,8 +119,7 @@ def straight(omega: FloatArray, rate: float) -> FloatArray:
 
     Samples are divided by it.
     """
-    shape: FloatArray = np.sinc(omega / (2 * np.pi * rate)) ** 2
-    return shape
+    return np.sinc(omega / (2 * np.pi * rate)) ** 2
 
 
 @dataclass(frozen=True)

@@ -172,8 +172,7 @@ def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
 
 def ordered_poles(poles: ComplexArray) -> ComplexArray:
     """Least damped first, (n_pole,) [rad/s]."""
-    ordered: ComplexArray = poles[np.lexsort((np.abs(poles.imag), -poles.real))]
-    return ordered
+    return poles[np.lexsort((np.abs(poles.imag), -poles.real))]
 
 
 def unstable_poles(plant: Levitated) -> int:
@@ -191,7 +190,7 @@ def unstable_poles(plant: Levitated) -> int:
     dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega) - plant.mass * omega[
         :, None, None
     ] ** 2 * np.eye(2)
-    curve: ComplexArray = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
+    curve = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
     poles = np.array(
         [pole for blocks in _elements(loop) for pole in in_series(blocks)[0].poles], np.complex128
     )
@@ -221,12 +220,12 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
     """
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
-    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     controlled = loop_stiffness(plant.loop) * controller(plant.loop, omega)
     # An integrator at rest: S = 0.
     # At a pole on the axis it is infinite, and says so.
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio: ComplexArray = rotor / (rotor + controlled)
+        ratio = rotor / (rotor + controlled)
     return np.where(np.isfinite(controlled), ratio, 0.0)
 
 
@@ -236,11 +235,10 @@ def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
     Equation (mag-sensitivity).
     """
-    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
-    ratio: ComplexArray = rotor[:, None, None] * np.linalg.inv(
+    rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    return rotor[:, None, None] * np.linalg.inv(
         rotor[:, None, None] * np.eye(2) + loop_stiffness(plant.loop) * controller_matrix(plant.loop, omega)
     )
-    return ratio
 
 
 def zone_of(peak: float) -> str:

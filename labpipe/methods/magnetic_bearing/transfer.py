@@ -35,7 +35,7 @@ class Transfer:
 
     def response(self, omega: FloatArray) -> ComplexArray:
         """G at *omega* [rad/s], (n_line,) [1]; infinite at a pole."""
-        s: ComplexArray = 1j * np.asarray(omega)
+        s = 1j * np.asarray(omega)
         v = s if self.rate is None else np.exp(s / self.rate)
         total = np.full(v.shape, self.gain, np.complex128)
         # Factor by factor: the product of all zeros alone may exceed what numbers hold.

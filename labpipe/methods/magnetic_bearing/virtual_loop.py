@@ -46,10 +46,9 @@ def suspended(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspe
     The bias field is that of the rig's own loop, whatever gains *loop* has.
     """
     levitation = rig.levitation
-    pull = negative_stiffness(levitation)
     return Suspended(
         loop or levitation.loop,
-        pull,
+        negative_stiffness(levitation),
         rig.rotor_mass,
         levitation.bearings,
         rig.pedestal_stiffness,
@@ -188,8 +187,7 @@ def _unbalance_force(
     mass: float, speed: FloatArray, angle: FloatArray, eccentricity: float, place: float, quarter: float
 ) -> FloatArray:
     """m e (2 pi n)^2 cos(theta + place - quarter) [N]."""
-    force: FloatArray = mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
-    return force
+    return mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
 
 
 def _length(seconds: float) -> int:
@@ -229,8 +227,7 @@ def _hover_force(
         plant.stiffness
         + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
     )
-    force: FloatArray = static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
-    return force
+    return static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:

@@ -215,8 +215,7 @@ def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> FloatA
     """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
     t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
     angle = 2 * np.pi * rig.speed * t - quarter
-    motion: FloatArray = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
-    return motion
+    return rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:

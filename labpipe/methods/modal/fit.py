@@ -146,8 +146,8 @@ def modal_findings(
         warnings.append(
             Finding(
                 "unphysical",
-                f"the mode at {where} has a negative damping ratio: it is noise, or "
-                "energy enters the structure",
+                f"the mode at {where} has a negative damping ratio: it is noise, or energy enters the "
+                "structure",
             )
         )
     factor, said = mismatch(estimate), ""

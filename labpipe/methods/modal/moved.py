@@ -208,8 +208,9 @@ def _solved(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[C
     x = np.linspace(-1, 1, s.size)
     columns = np.column_stack([1 / (s[:, None] - poles), np.ones_like(x), x])
     amounts = np.linalg.lstsq(columns, data, rcond=None)[0]
-    left = np.sum(np.abs(data - columns @ amounts) ** 2, axis=0)
-    return amounts[: poles.size], np.maximum(left, np.finfo(float).tiny)
+    return amounts[: poles.size], np.maximum(
+        np.sum(np.abs(data - columns @ amounts) ** 2, axis=0), np.finfo(float).tiny
+    )
 
 
 def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexArray:
@@ -235,8 +236,9 @@ def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tupl
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
     point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
     solved = [_solved(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
-    residues = np.array([amounts[0] for amounts, _ in solved])
-    return MovedMode(np.array(point_poles)[:, 0], residues), np.array([left for _, left in solved])
+    return MovedMode(np.array(point_poles)[:, 0], np.array([amounts[0] for amounts, _ in solved])), np.array(
+        [left for _, left in solved]
+    )
 
 
 def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> MovedMode | None:

@@ -133,8 +133,7 @@ def schroeder_phases_of(power: FloatArray) -> FloatArray:
 
     Equation (spec-schroeder-power).
     """
-    share = power / power.sum()
-    return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(share)[:-1]])))
+    return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]])))
 
 
 def least_peak_phases(

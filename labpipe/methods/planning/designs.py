@@ -218,9 +218,8 @@ def _least_smooth(
         inverse = np.linalg.inv(design)
         if criterion == D:
             return -float(np.linalg.slogdet(design)[1]), -np.einsum("ij,aij->a", inverse, information)
-        weights = weights_of(inverse, np.ones(len(wanted)), wanted)
         return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -np.einsum(
-            "ij,aij->a", weights, information
+            "ij,aij->a", weights_of(inverse, np.ones(len(wanted)), wanted), information
         ) / scale
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}

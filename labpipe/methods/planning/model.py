@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 
 AXES = ("x", "y")
@@ -96,7 +96,7 @@ class PlannedModel:
 
     def with_known(self, letter: str) -> PlannedModel:
         """The model with all coefficients of a letter, m say, given at their expected values."""
-        kept: BoolArray = np.array([name[0] != letter for name in self.names])
+        kept = np.array([name[0] != letter for name in self.names])
         fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return replace(

@@ -8,7 +8,7 @@ from math import ceil
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
@@ -517,7 +517,7 @@ def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> floa
 def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> PlannedTest:
     """A test of *periods* periods, after *skip* that are dropped, as it is written down."""
     running = running_shakers(test)
-    forces: ComplexArray = test.forces[:, running]
+    forces = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
     stem = "-".join(name.replace(" ", "") for name in names)
     files = tuple(

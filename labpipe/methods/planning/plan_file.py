@@ -100,8 +100,7 @@ def _kind(node: Marked, faults: Faults) -> PlanKind | None:
     if name not in kinds:
         faults.add(entries["model"], "plan.model", f"unknown model '{name}'", nearest(name, kinds))
         return None
-    kind: PlanKind = PLANS.load(name)
-    return kind
+    return PLANS.load(name)
 
 
 # plan.json: a planned test, or planned runs, as they were predicted.

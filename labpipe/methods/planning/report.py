@@ -326,8 +326,8 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     )
     yield (
         f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions "
-        f"({_time(plan.duration)}){determined} "
-        f"{plan.gain:.2f} times better by {CRITERIA[plan.criterion]} than the same time shared alike."
+        f"({_time(plan.duration)}){determined} {plan.gain:.2f} times better by {CRITERIA[plan.criterion]} "
+        "than the same time shared alike."
     )
     if aimed:
         met = plan.needed is not None and plan.needed <= plan.duration * (1 + 1e-9)
@@ -376,8 +376,8 @@ def _runs_verdict(plan: RunPlan) -> Iterator[Block]:
     sure = floor(1e4 * plan.efficiency) / 100
     yield Paragraph(
         "Certificate: the plan has, whole runs included, an efficiency (by variances) of at least "
-        f"{sure:.2f} % among all divisions of the "
-        f"same time among the {plan.candidates} conditions, by the equivalence theorem."
+        f"{sure:.2f} % among all divisions of the same time among the {plan.candidates} conditions, by the "
+        "equivalence theorem."
     )
 
 

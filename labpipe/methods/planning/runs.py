@@ -268,12 +268,11 @@ def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(information / np.outer(root, root))
     parts = np.abs((wanted / root) @ vectors)
     poor = values <= SINGULAR * values[-1]
-    sums = np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1)
     return np.asarray(
         np.where(
             np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1),
             np.inf,
-            np.sqrt(sums),
+            np.sqrt(np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1)),
         )
     )
 

@@ -279,14 +279,13 @@ def _looked(
 ) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
-    campaign_at_limit = campaign(rig, large, wanted.criterion, wanted.goals)
     return Candidate(
         source.criterion,
         source.displacement_share,
         source.scheme,
         source.certificate,
         source.power,
-        campaign_at_limit,
+        campaign(rig, large, wanted.criterion, wanted.goals),
         source.floor,
     )
 

@@ -108,10 +108,9 @@ class StatePlanSettings(Settings):
         if self.changeover < 0 or self.duration <= 0:
             raise ConfigError("times are positive", field="duration")
         if self.periods < FEWEST_PERIODS:
-            hint = f"a run of {FEWEST_PERIODS * self.period:g} s or more"
             raise ConfigError(
                 f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}",
-                hint=hint,
+                hint=f"a run of {FEWEST_PERIODS * self.period:g} s or more",
                 field="run",
             )
         for name, values in self.goal:

@@ -66,8 +66,9 @@ def rehearsed(
         spectrum[test.lines] = mean
         spectrum[1 : (n_sample + 1) // 2] += size * np.exp(2j * np.pi * number * period / n_period)
         periods.append(fft.irfft(spectrum * (n_sample / 2), n_sample, axis=0))
-    samples = np.concatenate([periods[0]] * skip + periods)
-    return Recording(tuple(channels), samples, n_sample * rig.spacing, test.name)
+    return Recording(
+        tuple(channels), np.concatenate([periods[0]] * skip + periods), n_sample * rig.spacing, test.name
+    )
 
 
 def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:

@@ -57,8 +57,8 @@ def decay_findings(
         warnings.append(
             Finding(
                 "unphysical",
-                f"the oscillation at {where} does not decay: energy enters the structure, "
-                "or it is an excitation",
+                f"the oscillation at {where} does not decay: energy enters the structure, or it is an "
+                "excitation",
             )
         )
     beats = missing.mode if missing is not None else None

@@ -62,8 +62,7 @@ def jump_of(
     left = judged(pieces, parted, decays.sample_rate)
     if gain < BETTER or min(left.white, left.amplitude) < MISMATCH_P:
         return None
-    finding = _finding(parted, parts, decays.sample_rate)
-    return Jump(replace(decays, decays=parts), pieces, parted, finding)
+    return Jump(replace(decays, decays=parts), pieces, parted, _finding(parted, parts, decays.sample_rate))
 
 
 Parted = tuple[tuple[FreeDecay, ...], tuple[Piece, ...], Decayed]

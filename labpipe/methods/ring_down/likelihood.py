@@ -432,7 +432,7 @@ def _filtered(samples: FloatArray, rate: float, band: tuple[float, float] | None
     edge = 0.2 * (band[1] - band[0])
     gain = np.clip(np.minimum(frequency - band[0] + edge, band[1] + edge - frequency) / edge, 0.0, 1.0)
     spoilt = min(int(rate / edge), samples.size // 4)
-    whole: FloatArray = fft.irfft(fft.rfft(samples) * (3 - 2 * gain) * gain**2, samples.size)
+    whole = fft.irfft(fft.rfft(samples) * (3 - 2 * gain) * gain**2, samples.size)
     return whole[spoilt:-spoilt]
 
 
@@ -447,5 +447,4 @@ def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None,
         + 1
     )
     strongest = peaks[np.argsort(-power[peaks])][: 2 * n_mode]
-    number = int(np.max(strongest)) if strongest.size else power.size - 1
-    return 1.2 * max(number, 1) * rate / samples.size
+    return 1.2 * max((int(np.max(strongest)) if strongest.size else power.size - 1), 1) * rate / samples.size

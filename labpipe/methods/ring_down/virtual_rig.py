@@ -93,7 +93,7 @@ def motion(rig: DecayRig, name: str, time: FloatArray, strength: float) -> Float
     if name == "joint":
         return _slipping(rig, time, strength)
     modes = 1 if name == "struck" else len(rig.frequencies)
-    total: FloatArray = np.zeros(time.size)
+    total = np.zeros(time.size)
     for frequency, ratio in zip(rig.frequencies[:modes], rig.damping_ratios[:modes], strict=True):
         omega = 2 * np.pi * frequency
         total += np.exp(-ratio * omega * time) * np.sin(omega * np.sqrt(1 - ratio**2) * time)

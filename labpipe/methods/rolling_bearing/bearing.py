@@ -51,20 +51,17 @@ class Passage:
     @property
     def mean(self) -> FloatArray:
         """Mean stiffness, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        mean: FloatArray = self.stiffness.mean(axis=0)
-        return mean
+        return self.stiffness.mean(axis=0)
 
     @property
     def lowest(self) -> FloatArray:
         """Smallest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        lowest: FloatArray = self.stiffness.min(axis=0)
-        return lowest
+        return self.stiffness.min(axis=0)
 
     @property
     def highest(self) -> FloatArray:
         """Largest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        highest: FloatArray = self.stiffness.max(axis=0)
-        return highest
+        return self.stiffness.max(axis=0)
 
 
 def ball_passage(
@@ -212,9 +209,11 @@ def rolling_response(
     """The theoretical transfer matrix of the file's shaft on the bearing; None where there is no shaft."""
     if settings.shaft is None:
         return None
-    frequency = np.linspace(*settings.shaft.band, settings.shaft.lines)
     return theoretical_response(
-        settings.shaft.body, coefficients.stiffness, frequency, settings.damping_factor
+        settings.shaft.body,
+        coefficients.stiffness,
+        np.linspace(*settings.shaft.band, settings.shaft.lines),
+        settings.damping_factor,
     )
 
 

@@ -171,8 +171,7 @@ class Problem:
         """|f - F| relative to the acting loads, prescribed or between the rings, (n_case,) [1]."""
         least = self.bearing.stiffness_constant * (NEGLIGIBLE * self.bearing.reach) ** self.bearing.exponent
         acting = np.linalg.norm(self.load, axis=1) + trial.state.load.sum(axis=1) + least
-        misfit: FloatArray = np.linalg.norm(trial.residual, axis=1) / acting
-        return misfit
+        return np.linalg.norm(trial.residual, axis=1) / acting
 
 
 @dataclass(frozen=True)
@@ -257,8 +256,7 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
             break
         length[open_cases[short]] = (t * np.clip(fall / np.maximum(fall + rise, fall), 0.1, 0.7))[short]
         open_cases = open_cases[short]
-    position: FloatArray = trial.u + length[:, None] * step
-    return position
+    return trial.u + length[:, None] * step
 
 
 def _mask(indices: IntArray, size: int) -> BoolArray:
@@ -333,8 +331,7 @@ class Equilibrium:
     @property
     def contact_angle(self) -> FloatArray:
         """Loaded contact angles a_j (n_case, z) [rad]."""
-        angles: FloatArray = np.arctan2(self.contacts.sin, self.contacts.cos)
-        return angles
+        return np.arctan2(self.contacts.sin, self.contacts.cos)
 
     @property
     def mirrored(self) -> BoolArray:
@@ -356,8 +353,7 @@ class Equilibrium:
             return np.ones(len(self.load), dtype=bool)
         scale = np.array([1, 1, 1, 1 / self.bearing.pitch_radius, 1 / self.bearing.pitch_radius])
         eigenvalues = np.linalg.eigvalsh((self.stiffness * np.outer(scale, scale))[:, index][:, :, index])
-        unique: BoolArray = eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
-        return unique
+        return eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
 
 
 def equilibrium(

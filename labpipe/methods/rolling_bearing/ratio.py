@@ -310,7 +310,6 @@ def stiffness_ratio(
     mean = weighted_mean(logs, covariance)
     ratio = from_log("ratio", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
-    verdict = _ratio_verdict(ratio.ci95)
     return Comparison(
         name=campaign.settings.name,
         kind="ratio",
@@ -318,7 +317,7 @@ def stiffness_ratio(
         unit=campaign.unit,
         points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
         amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
-        verdict=verdict,
+        verdict=_ratio_verdict(ratio.ci95),
         statement=_ratio_statement(
             campaign,
             ratio.value,
@@ -419,13 +418,12 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
     rows = zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True)
-    points = tuple(_beta_point(*row, beta.value) for row in rows)
     return Comparison(
         name=campaign.settings.name,
         kind="rayleigh",
         subject=campaign.subject,
         unit=campaign.unit,
-        points=points,
+        points=tuple(_beta_point(*row, beta.value) for row in rows),
         amounts=(beta, exponent, chance("p_value", mean.p_value)),
         verdict=verdict,
         statement=f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g}).",

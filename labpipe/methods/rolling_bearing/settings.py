@@ -102,8 +102,7 @@ class BallGeometry:
         """
         gamma = side * self.ball_diameter * float(np.cos(self.contact_angle)) / self.pitch_diameter
         along = 2 / self.ball_diameter * (1 + gamma / (1 - gamma))
-        across = (2 - 1 / conformity) / self.ball_diameter
-        return point_contact(along, across, rings, balls)
+        return point_contact(along, (2 - 1 / conformity) / self.ball_diameter, rings, balls)
 
 
 def point_contact(along: float, across: float, first: Material = STEEL, second: Material = STEEL) -> float:

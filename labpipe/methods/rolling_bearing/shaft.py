@@ -74,8 +74,7 @@ def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
     if squares[0] < -1e-9 * squares[-1]:
         raise FitError("the stiffness matrix has a negative eigenvalue", hint="the shaft does not rest there")
-    frequency = np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
-    return Modes(frequency, scale[:, None] * vectors, vectors**2)
+    return Modes(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), scale[:, None] * vectors, vectors**2)
 
 
 def transfer_matrix(
@@ -129,7 +128,7 @@ def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool
     shaft_modes = modes(shaft, stiffness)
     main = [shaft_modes.main_mode(dof) for dof in DOFS]
     squares = (2 * np.pi * shaft_modes.frequency[main]) ** 2
-    apparent: FloatArray = squares * shaft.inertias
+    apparent = squares * shaft.inertias
     return apparent if known_inertia else apparent / shaft_modes.share[range(len(DOFS)), main]
 
 
@@ -154,9 +153,9 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     if np.isinf(bending):
         return whole
     columns = whole[..., :, RADIAL]
-    inner = columns[..., RADIAL, :] + bending * np.eye(len(RADIAL))
-    total: ComplexArray = whole - columns @ np.linalg.solve(inner, whole[..., RADIAL, :])
-    return total
+    return whole - columns @ np.linalg.solve(
+        columns[..., RADIAL, :] + bending * np.eye(len(RADIAL)), whole[..., RADIAL, :]
+    )
 
 
 def bent_transfer_matrix(
@@ -170,7 +169,7 @@ def bent_transfer_matrix(
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
     try:
-        receptance: ComplexArray = np.linalg.inv(dynamic)
+        receptance = np.linalg.inv(dynamic)
     except np.linalg.LinAlgError:
         raise FitError(
             "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"

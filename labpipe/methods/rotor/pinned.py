@@ -146,8 +146,7 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
     """The inverses of 2 x 2 matrices (..., 2, 2) [any unit] in closed form."""
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
-    inverted: ComplexArray = adjugate / (a * d - b * c)[..., None, None]
-    return inverted
+    return adjugate / (a * d - b * c)[..., None, None]
 
 
 def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: FloatArray) -> ComplexArray:
@@ -243,8 +242,8 @@ class Stability:
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         speed = np.atleast_1d(np.asarray(speed, np.float64))
         matrices = self.rotor.matrices
-        k: FloatArray = np.repeat(matrices.stiffness[None], speed.size, axis=0)
-        c: FloatArray = matrices.damping + speed[:, None, None] * matrices.gyroscopic
+        k = np.repeat(matrices.stiffness[None], speed.size, axis=0)
+        c = matrices.damping + speed[:, None, None] * matrices.gyroscopic
         rows = np.ix_(range(speed.size), place, place)
         k[rows] += stiffness
         c[rows] += damping
@@ -288,8 +287,7 @@ class Stability:
         squares = np.abs(vectors[..., :n, :]) ** 2
         whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
         share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
-        moving: BoolArray = share > LEAST_PARTICIPATION
-        return moving
+        return share > LEAST_PARTICIPATION
 
 
 def threshold_speed(

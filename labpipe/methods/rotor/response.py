@@ -144,8 +144,7 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float |
     w = np.asarray(omega, np.float64)[:, None, None]
     spin = np.broadcast_to(speed, np.shape(omega))[:, None, None]
     static = matrices.stiffness - w**2 * matrices.mass
-    z: ComplexArray = static + 1j * w * (matrices.damping + spin * matrices.gyroscopic)
-    return z
+    return static + 1j * w * (matrices.damping + spin * matrices.gyroscopic)
 
 
 def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
@@ -155,7 +154,7 @@ def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> Comple
     *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
     """
     try:
-        displacements: ComplexArray = np.linalg.solve(stiffness, forces)
+        displacements = np.linalg.solve(stiffness, forces)
     except np.linalg.LinAlgError:
         raise FitError(
             "the rotor has a resonance without damping on a line", hint="move the line or add damping"
@@ -210,8 +209,7 @@ def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
 
     Equation (rotor-orbit).
     """
-    turned: ComplexArray = displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
-    return turned
+    return displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
 
 
 # Reduced rotor: the free rotor is solved once per speed between chosen nodes.
@@ -290,8 +288,7 @@ def _bearing_forces(
 
 def support_stiffness(support: Support, omega: FloatArray) -> ComplexArray:
     """Z = K + j w C of a bearing, (n_line, 2, 2) [N/m]."""
-    z: ComplexArray = support.stiffness + 1j * omega[:, None, None] * support.damping
-    return z
+    return support.stiffness + 1j * omega[:, None, None] * support.damping
 
 
 def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, speed: float) -> ReducedRotor:

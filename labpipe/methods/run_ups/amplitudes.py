@@ -164,14 +164,13 @@ def cobyqa_search(
     evaluations = np.minimum(np.arange(1, length + 1)[:, None], counts)
     lowest = np.stack(columns, axis=1)
     mesh = np.full(lowest.shape, np.nan)
-    history = SearchHistory(evaluations, lowest, mesh)
     return SearchResult(
         lower + best * width,
         lowest[-1],
         mesh[-1],
         counts,
         np.array([trace.capped for trace in traces]),
-        history,
+        SearchHistory(evaluations, lowest, mesh),
     )
 
 

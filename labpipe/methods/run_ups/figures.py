@@ -480,9 +480,8 @@ def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
     caption = (
         f"{model.title[:1].upper()}{model.title[1:]}: {quantity} coefficients over load and speed{beyond}."
     )
-    drawing = Drawing("surfaces", surfaces, (WIDTH, 6.2))
     return Figure(
-        drawing,
+        Drawing("surfaces", surfaces, (WIDTH, 6.2)),
         caption,
         f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}",
     )

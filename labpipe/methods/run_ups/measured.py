@@ -88,8 +88,7 @@ def _noisy(run: RunUp, rng: np.random.Generator) -> ComplexArray:
     relative = run.amplitude_error / np.abs(run.response)
     shape = run.response.shape
     turned = np.exp(1j * run.phase_error * rng.standard_normal(shape))
-    noisy: ComplexArray = run.response * (1 + relative * rng.standard_normal(shape)) * turned
-    return noisy
+    return run.response * (1 + relative * rng.standard_normal(shape)) * turned
 
 
 def _peak(run: RunUp, number: int, chosen: slice, response: ComplexArray) -> float:
@@ -119,8 +118,7 @@ def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: F
         solution = np.linalg.lstsq(rows.reshape(m * n, -1), (weight * outputs).T.ravel(), rcond=None)[0]
         denominator = 1 + solution[-2] * x + solution[-1] * x**2
     top = solution[0:-2:2] + solution[1:-2:2] * place[:, None]
-    fitted: ComplexArray = top / (1 + solution[-2] * place + solution[-1] * place**2)[:, None]
-    return fitted
+    return top / (1 + solution[-2] * place + solution[-1] * place**2)[:, None]
 
 
 # Records of measured run-ups.
@@ -280,7 +278,7 @@ def _by_speed(
     weight = deviation[order] ** -2.0
     total = np.add.reduceat(weight, starts)
     means = np.asarray(np.add.reduceat(weight * response[order], starts) / total, np.complex128)
-    middle: FloatArray = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
+    middle = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
     return middle, means, np.asarray(total**-0.5)
 
 
@@ -363,12 +361,11 @@ def _vector_difference(run: RunUp, residual: RunUp, common: IntArray, partner: I
             f"runs '{run.name}' and '{residual.name}' have the same known unbalance",
             hint="state what was added in between",
         )
-    turned: FloatArray = np.sqrt(across) / np.abs(net)
     return replace(
         run,
         speed=run.speed[common],
         response=net,
         unbalance=unbalance,
         amplitude_error=np.sqrt(along),
-        phase_error=turned,
+        phase_error=np.sqrt(across) / np.abs(net),
     )

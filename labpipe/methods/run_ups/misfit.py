@@ -181,8 +181,9 @@ def scales(start: FloatArray) -> FloatArray:
 
     Absolute start value, at least a fifth of the mean direct coefficient, because K_yx crosses zero.
     """
-    direct = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
-    return np.maximum(np.abs(start), 0.2 * np.repeat(direct, 4, axis=-1))
+    return np.maximum(
+        np.abs(start), 0.2 * np.repeat(np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]])), 4, axis=-1)
+    )
 
 
 def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:

@@ -201,8 +201,7 @@ def run_up_result(
 def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     try:
         solve = solve_start if name == START else METHODS[name]
-        solved: Solved = solve(rig, trained, settings)
-        return solved
+        return solve(rig, trained, settings)
     except LabpipeError as error:
         error.where = error.where or f"run_ups, method {name}"
         raise

@@ -76,9 +76,8 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
         if not unbalances and shaker is None and unbalance is not None:
             unbalances = dict(unbalance) or {planes[0]: 0j}
         amplitude_error, phase_error = errors
-        run_name = name or path.stem
         return RunUp(
-            run_name,
+            name or path.stem,
             load,
             speed,
             planes,
@@ -167,11 +166,10 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
     values = np.concatenate(chunks) if chunks else np.zeros(0)
     if not np.all(np.isfinite(values)):
         row = int(np.argmin(np.isfinite(values)))
-        hint = "leave out the whole row where nothing was measured"
         raise DataError(
             f"column '{column}': a number is missing in row {row + 1} of the table",
             where=str(table.path),
-            hint=hint,
+            hint="leave out the whole row where nothing was measured",
         )
     return np.asarray(values * factor, np.float64)
 

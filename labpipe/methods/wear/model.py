@@ -153,11 +153,10 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     spread = dict(zip(prior.names, prior.std.tolist(), strict=True))
     scale = np.array([SCALES.get(name) or spread[name] for name in names])
     low, high = (np.array([box[name][end] for name in names]) / scale for end in (0, 1))
-    lines = tuple(np.asarray(frequency, float).tolist())
     return WornModel(
         rig=rig,
         bearings=bearings,
-        frequency=lines,
+        frequency=tuple(np.asarray(frequency, float).tolist()),
         directional=settings.response == "dFRF",
         names=names,
         scale=scale,

@@ -326,10 +326,7 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
 def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
     """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
-    spread: FloatArray = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[
-        :2, :2
-    ]
-    return spread
+    return np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[:2, :2]
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
@@ -396,5 +393,4 @@ def widened_region(outline: FloatArray, best: FloatArray, noise: FloatArray, fil
     (2, 2); all scaled [1].
     """
     stretch = np.linalg.cholesky(noise + film) @ np.linalg.inv(np.linalg.cholesky(noise))
-    stretched: FloatArray = best + (outline - best) @ stretch.T
-    return stretched
+    return best + (outline - best) @ stretch.T

@@ -88,8 +88,7 @@ def forward_backward(matrix: ComplexArray) -> ComplexArray:
     """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z
     (Mendes et al. 2017, eq. 18).
     """
-    turned: ComplexArray = np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
-    return turned
+    return np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
 
 
 @dataclass(frozen=True)
@@ -225,8 +224,7 @@ def _difference(film: JournalEquilibrium, name: str) -> FloatArray:
         for end in ends
     ]
     change = np.array([films[0].stiffness - films[1].stiffness, films[0].damping - films[1].damping])
-    slope: FloatArray = change / (ends[0] - ends[1])
-    return slope
+    return change / (ends[0] - ends[1])
 
 
 @lru_cache(maxsize=32)
@@ -254,8 +252,7 @@ class Correction:
         """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of
         PARAMETERS.
         """
-        moved: FloatArray = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
-        return moved
+        return self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
 
 
 @dataclass(frozen=True)

@@ -156,8 +156,9 @@ def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Rec
         Channel("f", "force", "input", axis),
         *(Channel(dof, "displacement", "output", dof) for dof in AXES),
     ]
-    turning = h[-1], virtual.unbalance, virtual.rig.omega
-    return shaken_rotor(virtual, name, channels, spectrum, at_lines, turning, rng)
+    return shaken_rotor(
+        virtual, name, channels, spectrum, at_lines, h[-1], virtual.unbalance, virtual.rig.omega, rng
+    )
 
 
 def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
