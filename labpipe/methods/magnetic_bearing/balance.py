@@ -1,4 +1,5 @@
-"""The balance of a levitated rotor, M x'' = K_i i - K_s x, from currents and displacements of a test.
+"""The balance of a levitated rotor, M x'' = K_i i - K_s x, from currents and displacements of a test: B z = 0
+with z = [I, X].
 
 Smooth currents: B = [-K_i, K_s - w^2 M + j w C]. Behind a held output the current between samples is not
 smooth; then exactly, with A = M^-1 K_s, x[k+1] + x[k-1] - 2 cos(sqrt(A) T) x[k] = the integral of sin(sqrt(A)
@@ -284,15 +285,15 @@ class Between:
             later = np.expm1(-corner * t) / np.expm1(-corner * interval)
         z = np.exp(1j * np.asarray(omega) * interval)[:, None]
         ahead, behind = (1 - later) + z * later, (1 - later) / z + later
-        moments = []
-        for j in range(POWERS):
-            power = 2 * j + 1
-            moments.append(
-                (((interval - t) ** power * ahead + t**power * behind) @ weights)
+        return np.array(
+            [
+                ((interval - t) ** power * ahead + t**power * behind)
+                @ weights
                 / factorial(power)
                 * self.rate**2
-            )
-        return np.array(moments)
+                for power in range(1, 2 * POWERS, 2)
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -348,23 +349,15 @@ class MagnetModel:
         """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not
         linear.
         """
-        scale = np.maximum(np.abs(values), self._sizes(omega))
-        changes = []
-        for number in range(values.size):
-            step = STEP * scale[number] * np.eye(values.size)[number]
-            changes.append(
-                (self.rows(values + step, omega) - self.rows(values - step, omega))
-                / (2 * STEP * scale[number])
-            )
-        return np.array(changes)
-
-    def _sizes(self, omega: FloatArray) -> FloatArray:
-        """Sizes of parameters that count [their units], from the inertia at the middle of the band."""
-        inertia = float(np.max(np.abs(self.mass))) * float(np.median(omega)) ** 2
+        # Sizes of parameters that count, from the inertia at the middle of the band.
+        middle = float(np.median(omega))
+        inertia = float(np.max(np.abs(self.mass))) * middle**2
+        sizes = {"k_i": 1.0, "k_s": inertia, "c": inertia / middle}
+        scale = np.maximum(np.abs(values), [sizes[kind] for kind, _, _ in self.places])
         return np.array(
             [
-                {"k_i": 1.0, "k_s": inertia, "c": inertia / float(np.median(omega))}[kind]
-                for kind, _, _ in self.places
+                (self.rows(values + step, omega) - self.rows(values - step, omega)) / (2 * step.sum())
+                for step in np.diag(STEP * scale)
             ]
         )
 
@@ -382,7 +375,10 @@ def magnet_model(
     """
     n = len(labels)
     pairs = [
-        (row, column) for row in range(n) for column in range(n) if _estimated(coupling, row, column, bearing)
+        (row, column)
+        for row in range(n)
+        for column in range(n)
+        if row == column or (coupling != DIRECT and (coupling != BEARING or bearing[row] == bearing[column]))
     ]
     kinds = [kind for kind in UNITS if kind != "c" or damping]
     places = tuple((kind, row, column) for kind in kinds for row, column in pairs)
@@ -391,9 +387,3 @@ def magnet_model(
         kind if n == 1 else f"{kind}_{labels[row]}{glue}{labels[column]}" for kind, row, column in places
     )
     return MagnetModel(names, places, mass, between)
-
-
-def _estimated(coupling: str, row: int, column: int, bearing: tuple[int, ...]) -> bool:
-    if coupling == DIRECT:
-        return row == column
-    return coupling != BEARING or bearing[row] == bearing[column]

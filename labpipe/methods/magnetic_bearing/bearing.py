@@ -1,6 +1,4 @@
-"""Magnetic bearings as a kind of bearing: reluctance network, settings of their file, stiffness, damping,
-poles.
-"""
+"""Magnetic bearings as a kind of bearing: reluctance network, settings of their file, coefficients, poles."""
 
 from __future__ import annotations
 
@@ -235,33 +233,28 @@ class MagneticFile(Settings):
 
     def levitated(self) -> Levitated:
         """Control loop, negative stiffness and mass, from whichever entries the file has."""
-        factors = None if self.magnet is None else magnet_factors(self.magnet)
-        factor = (
-            self.force_per_current
-            if factors is None or self.force_per_current is not None
-            else factors.force_per_current
-        )
+        factor, pull = self.force_per_current, self.negative_stiffness
+        if self.magnet is not None:
+            factors = magnet_factors(self.magnet)
+            factor = factors.force_per_current if factor is None else factor
+            pull = factors.negative_stiffness if pull is None else pull
         loop = self.loop if factor is None else replace(self.loop, force_per_current=factor)
         if self.static_stiffness is not None:
-            return Levitated(loop, inferred_negative_stiffness(loop, self.static_stiffness), self.mass)
-        if self.negative_stiffness is not None:
-            return Levitated(loop, self.negative_stiffness, self.mass)
-        assert factors is not None
-        return Levitated(loop, factors.negative_stiffness, self.mass)
+            pull = inferred_negative_stiffness(loop, self.static_stiffness)
+        assert pull is not None
+        return Levitated(loop, pull, self.mass)
 
     def assumptions(self) -> str:
         """Assumptions of the result, with the inferred values named."""
-        alike = (
-            ["both directions alike, without coupling"]
-            if self.loop.cross is None
-            else ["mass and magnet alike in both directions"]
-        )
-        poles = f"poles: delay by Pade approximation of order {PADE_ORDER}"
-        if self.loop.rate is not None:
-            poles = (
-                f"poles: of the loop sampled at {self.loop.rate:g} Hz, blocks of s by the bilinear transform"
-            )
-        assumptions = [*alike, poles]
+        single, rate = self.loop.cross is None, self.loop.rate
+        assumptions = [
+            "both directions alike, without coupling"
+            if single
+            else "mass and magnet alike in both directions",
+            f"poles: delay by Pade approximation of order {PADE_ORDER}"
+            if rate is None
+            else f"poles: of the loop sampled at {rate:g} Hz, blocks of s by the bilinear transform",
+        ]
         if self.static_stiffness is not None:
             assumptions.append("negative stiffness inferred from the static stiffness")
         if self.inferred:
@@ -304,7 +297,12 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
         stiffness=total.real,
         damping=total.imag / omega[0],
         notes=_notes(settings, plant, stability),
-        shares=_shares(plant, omega),
+        shares=tuple(
+            Amount(f"{letter}_{name}", float(value), unit)
+            for letter, unit in (("k", "N/m"), ("c", "N.s/m"))
+            for name, (share,) in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()
+            for value in [share.real if letter == "k" else share.imag / omega[0]]
+        ),
         poles=stability.poles,
         words={
             "stability": "unstable" if stability.unstable else "stable",
@@ -315,40 +313,27 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     )
 
 
-def _shares(plant: Levitated, omega: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[Amount, ...]:
-    """k and c of every element at one frequency [N/m, N.s/m]."""
-    shares = {
-        name: share[0]
-        for name, share in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()
-    }
-    stiffness = [Amount(f"k_{name}", float(share.real), "N/m") for name, share in shares.items()]
-    damping = [Amount(f"c_{name}", float(share.imag / omega[0]), "N.s/m") for name, share in shares.items()]
-    return (*stiffness, *damping)
-
-
 def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tuple[Amount, ...]:
     # The stiffness of an integrating controller at rest is infinite.
     at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
     static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
-    notes = [
+    peak = [
+        Amount("sensitivity_peak", stability.peak.value, "1"),
+        Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
+    ]
+    return (
         Amount("frequency", settings.motion_frequency, "Hz"),
         *static,
         Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
         Amount("force_per_current", plant.loop.force_per_current, "N/A"),
         Amount("unstable_poles", float(stability.unstable), "1"),
-    ]
-    if stability.unstable == 0:
-        notes += [
-            Amount("sensitivity_peak", stability.peak.value, "1"),
-            Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
-        ]
-    return tuple(notes)
+        *(peak if stability.unstable == 0 else []),
+    )
 
 
 def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
-    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay.
-
-    A sensitivity beyond zone B.
+    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay; a sensitivity
+    beyond zone B.
     """
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
@@ -362,12 +347,8 @@ def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
         )
     warnings = []
     if right.size:
-        warnings.append(
-            Finding(
-                "delay-approximation",
-                "the approximated delay gives poles that grow, the exact one gives none",
-            )
-        )
+        what = "the approximated delay gives poles that grow, the exact one gives none"
+        warnings.append(Finding("delay-approximation", what))
     if stability.peak.zone in ("C", "D"):
         peak = (
             f"sensitivity reaches {stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz: zone "

@@ -108,10 +108,8 @@ class ControlLoop(Settings):
     @property
     def corners(self) -> tuple[float, ...]:
         """Time constants of the amplifier's and, where it is limited, the probe's first-order lag [s]."""
-        limits = (
-            (self.bandwidth,) if self.sensor_bandwidth is None else (self.bandwidth, self.sensor_bandwidth)
-        )
-        return tuple(1 / (2 * np.pi * limit) for limit in limits)
+        limits = (self.bandwidth, self.sensor_bandwidth)
+        return tuple(1 / (2 * np.pi * limit) for limit in limits if limit is not None)
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:

@@ -1,8 +1,7 @@
-"""One direction of a levitated rotor in the time domain: mass, springs and bias field under a controller that
-samples, computes and holds.
+"""One direction of a levitated rotor in the time domain under a controller that samples, computes and holds.
 
-The frequency-domain twin is bearings/magnetic_loop: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a
-sampling interval of delay.
+The frequency-domain twin is `loop`: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a sampling interval
+of delay.
 """
 
 from __future__ import annotations

@@ -8,11 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.magnetic_bearing.loop import (
@@ -82,14 +80,14 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
     return Polynomial([(-1) ** k * term for k, term in enumerate(terms)]), Polynomial(terms)
 
 
-def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_ORDER) -> Polynomial:
+def characteristic_polynomial(plant: Levitated, time: float) -> Polynomial:
     """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the
     coefficients are of equal magnitude.
 
     Of one direction unless the controller is a matrix. Equation (mag-characteristic).
     """
     loop = plant.loop
-    ahead, behind = pade(loop.delay / time, order if loop.delay > 0 else 0)
+    ahead, behind = pade(loop.delay / time, PADE_ORDER if loop.delay > 0 else 0)
     for corner in loop.corners:
         behind = behind * Polynomial([1.0, corner / time])
     ahead = loop_stiffness(loop) * ahead
@@ -109,10 +107,7 @@ def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial,
     """Numerator and denominator of the controller x by x in s * *time*."""
     if loop.controller:
         return _polynomials(loop.controller, time)
-    differentiator, lag = (
-        Polynomial([1.0, loop.derivative_time / time]),
-        Polynomial([1.0, loop.lag_time / time]),
-    )
+    differentiator, lag = (Polynomial([1.0, t / time]) for t in (loop.derivative_time, loop.lag_time))
     pid = (
         loop.proportional * differentiator * lag
         + Polynomial([0.0, loop.derivative / time]) * lag
@@ -127,14 +122,10 @@ def _polynomials(blocks: Sequence[ControllerBlock], time: float) -> tuple[Polyno
         return Polynomial([0.0]), Polynomial([1.0])
     continuous, _ = in_series(blocks)
     above, below = (
-        Polynomial(_from_roots(np.array(roots) * time)) for roots in (continuous.zeros, continuous.poles)
+        Polynomial(np.atleast_1d(np.poly(np.array(roots) * time)).real[::-1])
+        for roots in (continuous.zeros, continuous.poles)
     )
     return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
-
-
-def _from_roots(roots: NDArray[Any]) -> FloatArray:
-    """Coefficients (n + 1,) [1] of prod(s - root), roots in conjugate pairs."""
-    return np.asarray(Polynomial.fromroots(roots).coef.real if roots.size else np.ones(1))
 
 
 def sampled(plant: Levitated, rate: float) -> FloatArray:
@@ -145,9 +136,8 @@ def sampled(plant: Levitated, rate: float) -> FloatArray:
     return sampled_loop(suspended, rate).a if plant.loop.cross is None else sampled_matrix(suspended, rate)
 
 
-def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray:
-    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation of
-    *order*.
+def closed_loop_poles(plant: Levitated) -> ComplexArray:
+    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation.
 
     With discrete blocks s = f_s ln z of the sampled loop, without approximation.
     """
@@ -155,9 +145,7 @@ def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray
     if rate is not None:
         return ordered_poles(sampled_poles(sampled(plant, rate), rate))
     time = 1e-3
-    return ordered_poles(
-        np.asarray(characteristic_polynomial(plant, time, order).roots(), np.complex128) / time
-    )
+    return ordered_poles(np.asarray(characteristic_polynomial(plant, time).roots(), np.complex128) / time)
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:

@@ -58,7 +58,9 @@ class Transfer:
 
 def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | None = None) -> Transfer:
     """From coefficients in descending powers of s or z; ConfigError for a denominator that is zero."""
-    above, below = _trimmed(numerator), _trimmed(denominator)
+    above, below = (
+        np.trim_zeros(np.atleast_1d(np.asarray(power, float)), "f") for power in (numerator, denominator)
+    )
     if not below.size:
         raise ConfigError(
             "denominator: is zero",
@@ -69,12 +71,8 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
     above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
     if not above.size:
         return Transfer((), (), 0.0, rate)
-    return Transfer(_roots(above), tuple(map(complex, poles)), float(above[0] / below[0]), rate)
-
-
-def _trimmed(coefficients: ArrayLike) -> FloatArray:
-    """Without leading zeros."""
-    return np.trim_zeros(np.atleast_1d(np.asarray(coefficients, float)), "f")
+    zeros = tuple(map(complex, np.roots(above)))
+    return Transfer(zeros, tuple(map(complex, poles)), float(above[0] / below[0]), rate)
 
 
 def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
@@ -84,10 +82,6 @@ def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
     while coefficients.size > 1 and abs(coefficients[1]) > FAR * largest * abs(coefficients[0]) > 0:
         coefficients = coefficients[1:]
     return coefficients
-
-
-def _roots(coefficients: FloatArray) -> tuple[complex, ...]:
-    return tuple(complex(root) for root in np.roots(coefficients))
 
 
 def lead_lag(zero: float, pole: float) -> Transfer:
@@ -135,18 +129,24 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
     """
     rate = _rate_of(getattr(system, "dt", None))
     if all(hasattr(system, name) for name in ("num", "den")):
-        above, below = _nested(system.num), _nested(system.den)
+        single = np.isscalar(system.num[0])
+        above, below = (
+            [[part]] if single else [list(row) for row in part] for part in (system.num, system.den)
+        )
         return [
             [of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)]
             for pair in zip(above, below, strict=True)
         ]
     if all(hasattr(system, name) for name in "ABCD"):
         a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, name), float)) for name in "ABCD")
-        return _of_states(a, b, c, d, rate)
+        columns = range(d.shape[1])
+        return [
+            [_element(a, b[:, [column]], c[[row]], d[[row]][:, [column]], rate) for column in columns]
+            for row in range(d.shape[0])
+        ]
     if all(hasattr(system, name) for name in ("zeros", "poles", "gain")) and not callable(system.zeros):
         zeros, poles = (
-            tuple(complex(root) for root in np.atleast_1d(getattr(system, name)))
-            for name in ("zeros", "poles")
+            tuple(map(complex, np.atleast_1d(getattr(system, name)))) for name in ("zeros", "poles")
         )
         return [[Transfer(zeros, poles, float(system.gain), rate)]]
     raise ConfigError(
@@ -162,22 +162,6 @@ def _rate_of(interval: Any) -> float | None:
     if isinstance(interval, bool):
         raise ConfigError("a discrete transfer function has no sampling time", hint="give dt in seconds")
     return 1 / float(interval)
-
-
-def _nested(polynomials: Any) -> list[list[ArrayLike]]:
-    """Coefficients [output][input]; a single polynomial as one element."""
-    single = np.isscalar(polynomials[0])
-    return [[polynomials]] if single else [list(row) for row in polynomials]
-
-
-def _of_states(
-    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None
-) -> list[list[Transfer]]:
-    columns = range(d.shape[1])
-    return [
-        [_element(a, b[:, [column]], c[[row]], d[[row]][:, [column]], rate) for column in columns]
-        for row in range(d.shape[0])
-    ]
 
 
 def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> Transfer:
@@ -266,15 +250,10 @@ class Form:
 def _checked_roots(block: ControllerBlock) -> Transfer:
     for name in ("zeros", "poles"):
         roots = np.array(getattr(block, name), np.complex128)
-        lonely = [
-            root
-            for root in roots
-            if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300)
-        ]
-        if lonely:
-            root = lonely[0]
-            hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
-            raise ConfigError(f"{name}: {root:g} stands without its conjugate", hint=hint, field=name)
+        for root in roots:
+            if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300):
+                hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
+                raise ConfigError(f"{name}: {root:g} stands without its conjugate", hint=hint, field=name)
     return Transfer(block.zeros, block.poles, block.gain, block.rate)
 
 
@@ -434,10 +413,8 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
 def in_series(blocks: Iterable[ControllerBlock]) -> tuple[Transfer, Transfer]:
     """All blocks in series: those of s, and those of z, which are 1 where there are none."""
     parts = [block.transfer for block in blocks]
-    continuous, discrete = (
-        Transfer(),
-        Transfer(rate=next((part.rate for part in parts if part.rate is not None), None)),
-    )
+    continuous = Transfer()
+    discrete = Transfer(rate=next((part.rate for part in parts if part.rate is not None), None))
     for part in parts:
         if part.rate is None:
             continuous = continuous.times(part)
