@@ -1,8 +1,7 @@
 """Balancing by influence coefficients: vibration z = z_0 + sum_q alpha_q w_q of every reading.
 
-Readings of one line (a sensor at a speed) are linear in the weights w_q (Goodman 1964; Darlow 1989). Their
-noise leaves z_0 and alpha uncertain; the weights are those of the least expected square of the vibration that
-is left, which do not trust an influence that is hardly known; without noise they are -pinv(alpha) z_0.
+The weights are those of the least expected square of the vibration that is left, which do not trust an
+influence that is hardly known; without noise they are -pinv(alpha) z_0.
 """
 
 from __future__ import annotations

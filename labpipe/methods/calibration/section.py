@@ -168,9 +168,6 @@ def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tup
     return (Finding("model-mismatch", message),)
 
 
-# The ``calibrate:`` section.
-
-
 @dataclass(frozen=True)
 class CalibrationSettings(Settings):
     """One straight-line fit: a table's column *y* over its column *x*, once per value of *group* if given."""
@@ -189,9 +186,6 @@ class CalibrationSettings(Settings):
     tolerance: float | None = quantity("slope change allowed in the linear range", "1", None)
     name: str = ""
     path: Path = Path()
-
-
-# calibrate: tables of set and measured values -> straight lines with their uncertainty.
 
 
 @dataclass(frozen=True)
@@ -262,10 +256,7 @@ def _shown(position: float, unit: str) -> str:
 
 
 def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
-    """A column in SI: its unit as stated in the settings, or by the table itself.
-
-    A pure number where neither says any.
-    """
+    """A column in SI: its unit as stated in the settings, or by the table itself."""
     text = stated or table.units.get(name, "1")
     try:
         unit = parse_unit(text)

@@ -23,9 +23,6 @@ def budgeted(
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
     """The parameters with their systematic part, which may be zero, and the budget; none without
     uncertainties.
-
-    A source of several independent errors, the noise of a baseline, is listed as so many, since they are
-    common to all fits on it.
     """
     parameters = tuple(quantity.parameter for quantity in valued)
     slopes = np.stack([quantity.slopes for quantity in valued])

@@ -52,8 +52,6 @@ def shown_course(
     )
 
 
-# Findings and notes of a floating-bearing fit.
-
 # Ends of the names of coefficients: force in the first direction per motion in the second.
 AXES = ("xx", "xy", "yx", "yy")
 # Standard errors of noise beyond which the shaft is said to move, and the share of the relative motion from

@@ -1,13 +1,5 @@
 """Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of
 noise and of given numbers.
-
-All lines weigh alike and the noise of the motion is not regarded, so that its errors are larger than need be
-and its intervals, from the residual, are those of noise that is the same at all lines. For comparison with
-published results; `ml` is the better estimate.
-
-BIC, for the parameters of a form within which a smaller one lies are not determined there: likelihood ratios
-are not chi-square then, and AIC takes the larger form in a third of the cases. A form that BIC chooses may
-still fail its chi-square: then none is right.
 """
 
 from __future__ import annotations
@@ -148,7 +140,7 @@ def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
 
 
 def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
-    """The baseline of given numbers, the same in x and y; else that of an earlier fit; None without any."""
+    """The baseline of given numbers, the same in x and y; else that of an earlier fit."""
     if own.baseline_stiffness is None and own.baseline_damping is None:
         return own.known
     stiffness, damping = own.baseline_stiffness or NONE, own.baseline_damping or NONE
@@ -170,8 +162,6 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
         "given numbers",
     )
 
-
-# ls: as the literature does it.
 
 # Functions of the real and of the imaginary part of H, by form.
 REAL_PARTS = {"kc": 1, "kcm": 2}
@@ -257,8 +247,6 @@ def _response(
     return respond
 
 
-# Which form the data ask for.
-
 # Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc.
 # 90:773).
 STRONG = 10.0
@@ -330,8 +318,6 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
     return tuple(findings)
 
 
-# Model dynamic-stiffness.
-
 BANDS_BY_DEFAULT = 10
 # Rounds in which what leaks by the model of the last round is taken out of the balance.
 LEAKAGE_ROUNDS = 3
@@ -357,7 +343,7 @@ class Solved:
 
 
 def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band; none of the test that the baseline itself was fitted on.
+    """One fit, or one per band.
 
     ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
     coefficients.
@@ -431,10 +417,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
 
 
 def _given(settings: FitSettings, stator: Stator) -> Given:
-    """Mass and baseline of the settings.
-
-    ConfigError where accelerations are missing, or the inertia is out already.
-    """
+    """Mass and baseline of the settings."""
     section: DynamicStiffnessSettings = settings.model_settings
     mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
     if mass is not None and mass.value == 0:
@@ -457,10 +440,7 @@ def _given(settings: FitSettings, stator: Stator) -> Given:
 
 
 def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
-    """A number of the settings, else the test's condition of that name.
-
-    ConfigError for one that cannot be read.
-    """
+    """A number of the settings, else the test's condition of that name."""
     if given is not None or condition not in spectra.conditions:
         return given
     try:

@@ -1,8 +1,8 @@
 """Forms of a dynamic stiffness over frequency: H(w) = sum_k g_k(w; theta) M_k with real matrices M_k and few
 shape parameters theta.
 
-FORMS by name. All are linear in the matrices; theta is what the functions g_k know beside the frequency: a
-relaxation time, the natural frequency of a pad. Positive shape parameters are fitted as their logarithms.
+All are linear in the matrices; theta is what the functions g_k know beside the frequency: a relaxation time,
+the natural frequency of a pad. Positive shape parameters are fitted as their logarithms.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Leakage of random data in the balance of a floating stator: the dynamic stiffness that finite blocks show.
-
-The stator rings on what holds it. A window smears its motion near that resonance over lines between which H
-and the inertia change, so that the ratio of the smeared sides is not H.
-"""
+"""Leakage of random data in the balance of a floating stator: the stiffness that finite blocks show."""
 
 from __future__ import annotations
 
@@ -112,9 +108,7 @@ class SmearedBalance:
 
 
 def _half_power(omega: FloatArray, size: FloatArray) -> tuple[float, float] | None:
-    """Frequency and half-power width [Hz] of the highest maximum of *size* (n,) at omega (n,) [rad/s]; None
-    without one.
-    """
+    """Frequency and half-power width [Hz] of the highest maximum of *size* (n,) at omega (n,) [rad/s]."""
     top = int(np.argmax(size))
     below = np.flatnonzero(size < size[top] / np.sqrt(2))
     before, after = below[below < top], below[below > top]
@@ -124,7 +118,7 @@ def _half_power(omega: FloatArray, size: FloatArray) -> tuple[float, float] | No
 
 
 def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBalance | None:
-    """What leaks into the balance; None for data that are not random, or whose kernel is not known."""
+    """What leaks into the balance."""
     blocks = stator.spectra.blocks
     if blocks is None or not has_kernel(blocks):
         return None

@@ -3,8 +3,8 @@ m.
 
 With u = [G; m] of covariance C, B = [I, -H] and S = B C B^H the likelihood of u over all true u with B u = 0
 is, but for constants, V = sum over lines and runs of e^H S^-1 e (Pintelon and Schoukens 2012, System
-Identification, sec. 9.10). No run is inverted, so that one run with one vector per line is as good as two. 2
-V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n parameters.
+Identification, sec. 9.10). 2 V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n
+parameters.
 
 A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu /
 (nu - p), and the covariance of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1)
@@ -156,7 +156,7 @@ class ErrorsInVariables:
         return real_rows(linear).T
 
     def chi2(self, parameters: FloatArray) -> float:
-        """V [1] at *parameters* (n_parameter,); infinite where it is no number. Equation (ds-likelihood)."""
+        """V [1] at *parameters* (n_parameter,). Equation (ds-likelihood)."""
         white = self.at(parameters).white
         total = float(np.sum(white.real**2 + white.imag**2))
         return total if np.isfinite(total) else float("inf")
@@ -167,8 +167,6 @@ def real_rows(rows: ComplexArray) -> FloatArray:
     return np.concatenate([rows.real, rows.imag], axis=1)
 
 
-# Where a descent begins.
-
 # Descents from the best places of a grid of shape parameters.
 MOST_DESCENTS = 3
 REWEIGHTED = 2
@@ -177,10 +175,7 @@ RIDGE = 1e-10
 
 
 def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
-    """Values (n_parameter,) [parameter units] to begin with, the most promising first.
-
-    One for a model without shape parameters.
-    """
+    """Values (n_parameter,) [parameter units] to begin with, the most promising first."""
     weights = _weights(balance, model.symmetry)
     grid = model.form.starts(balance.omega)
     linear, misfit = solved(balance, model, grid, weights)
@@ -212,8 +207,7 @@ def solved(
     """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what
     they leave (n_start,) [1].
 
-    grid (n_start, n_shape) of shape parameters. The normal equations of all starts come from the same sums
-    over runs and components, line by line, since the functions g_k are the same for all elements of a matrix.
+    grid (n_start, n_shape) of shape parameters.
     """
     moved = weights.whiten(times(model.elements[:, None, None], balance.motion))
     side = weights.whiten(balance.right)
@@ -233,8 +227,6 @@ def solved(
     linear = np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale
     return linear, float(np.sum(np.abs(side) ** 2)) - np.sum(right * linear, axis=1)
 
-
-# ml: the most likely parameters of a balance.
 
 # Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a
 # model.
@@ -390,7 +382,7 @@ def estimate(
 def _pulls(
     problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, noise: Noise
 ) -> Pulls | None:
-    """What the data say of given numbers, each 0 +- 1 standard deviation of its own; None without any.
+    """What the data say of given numbers, each 0 +- 1 standard deviation of its own.
 
     Chi-square loses what their most likely values explain by noise of the *excess* alone; the numbers that
     data ask for have the errors of estimates.

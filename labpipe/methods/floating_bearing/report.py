@@ -14,7 +14,6 @@ from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import FREQUENCY
 from labpipe.report.wording import fit_title
 
-# Limits of 95 % of a standard normal value.
 TWO_SIGMA = 1.96
 MEGA = 1e-6
 AXES = "xy"

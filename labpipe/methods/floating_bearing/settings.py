@@ -97,9 +97,6 @@ class DynamicStiffnessSettings(Settings):
             raise ConfigError("'band_width' goes with form: bands", hint="leave it out", field="band_width")
 
 
-# The model dynamic-stiffness as an entry of the table of models. What fits is imported by the first fit.
-
-
 def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.floating_bearing.fit import dynamic_stiffness_fits
 

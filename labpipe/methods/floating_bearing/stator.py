@@ -1,9 +1,5 @@
 """Forces on the stator, its motion and acceleration; the dynamic stiffness line by line; what other
 excitations would give.
-
-The information of a line about the coefficients goes with the square of its force, whatever the rest does. A
-spectrum of the same r.m.s. and crest factor shifts it among the lines; both forces at once, with the opposite
-sign of one of them in the second run, bring twice as much of it as one after the other.
 """
 
 from __future__ import annotations
@@ -195,8 +191,6 @@ def _shared(spectra: ChannelSpectra, lines: BoolArray) -> tuple[float, float]:
         np.sum(pairs * np.abs(correlation) ** 2)
     )
 
-
-# The dynamic stiffness line by line without a model.
 
 # Condition number of the motions of all runs beyond which they are one direction.
 ONE_DIRECTION = 1e3

@@ -45,8 +45,7 @@ class Whirl:
     """x = w^2 [(rad/s)^2] of the whirl frequency w, its slopes (n_parameter,) [per parameter unit] and its 95
     % interval (Fieller).
 
-    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,). Ends of the interval are
-    infinite where it has none.
+    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,).
     """
 
     square: float
@@ -92,10 +91,7 @@ def _sizes(values: FloatArray) -> FloatArray:
 def _polynomial(
     model: StiffnessModel, values: ComplexArray | FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Coefficients (3,) of the quadratic in x, highest first, and (2,) of k = k_0 + k_1 x.
-
-    Complex for complex values.
-    """
+    """Coefficients (3,) of the quadratic in x, highest first, and (2,) of k = k_0 + k_1 x."""
     # Linear in the values, so that complex steps pass.
     matrices: NDArray[Any] = model.matrices(values)  # type: ignore[arg-type]
     k, c = matrices[0], matrices[1]
@@ -145,8 +141,6 @@ def _fieller(
     below, above = real[real <= square], real[real >= square]
     return float(below[-1]) if below.size else -np.inf, float(above[0]) if above.size else np.inf
 
-
-# Effective stiffness and damping of a forward circular orbit.
 
 # Frequencies at which a change of sign is looked for: from this share of the lowest line to that of the
 # highest.
@@ -237,8 +231,6 @@ def _zero(omega: FloatArray, values: FloatArray, at: int) -> float:
     step = values[at + 1] - values[at]
     return float(omega[at] - values[at] * (omega[at + 1] - omega[at]) / step) if step else float(omega[at])
 
-
-# What people read of a fitted dynamic stiffness.
 
 # Ratio of the whole standard error to that of noise below which they are the same.
 SAME = 1 + 1e-9
@@ -375,7 +367,7 @@ def _whirl_of(found: FittedStiffness) -> Whirl | None:
 
 
 def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
-    """Whirl frequency ratio and onset speed; none where there is no whirl."""
+    """Whirl frequency ratio and onset speed."""
     if turning is None or turning.square <= 0 or not shaft.speed:
         return []
     speed = 2 * np.pi * abs(shaft.speed)
@@ -477,14 +469,12 @@ def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> lis
     return values
 
 
-# Coefficients without dimension.
-
 LETTERS = "kcm"
 
 
 @dataclass(frozen=True)
 class Bearing:
-    """Radial *clearance* [m], *load* [N], viscosity [Pa s], diameter and length [m]; None where not given."""
+    """Radial *clearance* [m], *load* [N], viscosity [Pa s], diameter and length [m]."""
 
     clearance: float | None = None
     load: float | None = None
@@ -535,7 +525,7 @@ def _scaled(valued: Valued, factor: float) -> Valued:
 
 
 def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:
-    """Of numbers that are given as exact; none unless all are."""
+    """Of numbers that are given as exact."""
     needed = (bearing.viscosity, bearing.length, bearing.diameter)
     if bearing.clearance is None or bearing.load is None or any(number is None for number in needed):
         return ()

@@ -2,9 +2,7 @@
 accelerometers see it move.
 
 Stator: (Z_s + H) X_s - H X_r = F, shaft: -H X_s + (Z_r + H) X_r = F_r, with H the film, Z_s = -w^2 m_s + j w
-C_b + K_b the stator on its hoses and soft supports, Z_r the same of the shaft. Measured are F, D = X_s - X_r
-less the runout of the shaft's surface, and A = -w^2 X_s, so that F - m_s A - (K_b + j w C_b) X_s = H D,
-whatever the shaft does.
+C_b + K_b the stator on its hoses and soft supports, Z_r the same of the shaft.
 """
 
 from __future__ import annotations
@@ -115,7 +113,7 @@ class FloatingNoise(Settings):
     drive: float = quantity("recorded drives", "V", 1e-4)
 
     def of(self, quantity: str) -> float:
-        """Standard deviation of a channel of this quantity [SI]; zero for the tacho."""
+        """Standard deviation of a channel of this quantity [SI]."""
         return {
             "force": self.force,
             "displacement": self.displacement,
@@ -441,7 +439,7 @@ def _coefficients_by_name(rig: FloatingRig, condition: Condition) -> Truth:
 
 
 def _parameters(rig: FloatingRig, runs: Sequence[str]) -> Truth:
-    """Coefficients of the condition of the runs; ConfigError where they are of several."""
+    """Coefficients of the condition of the runs."""
     conditions = dict.fromkeys(run.rpartition("-")[0] for run in runs)
     if len(conditions) != 1:
         raise ConfigError(

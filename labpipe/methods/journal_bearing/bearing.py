@@ -3,9 +3,6 @@ Ocvirk's closed forms.
 
 Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per
 displacement in z: K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
-
-The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`,
-load along -z.
 """
 
 from __future__ import annotations
@@ -53,7 +50,7 @@ class FilmState:
     journal (2,), Newton steps.
 
     stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step. coarse:
-    roughly, the state of the same film on half the cells each way; None where it was not needed.
+    roughly, the state of the same film on half the cells each way.
     """
 
     displacement: FloatArray
@@ -99,11 +96,7 @@ def film_equilibrium(
 
 
 def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
-    """The state *near*, changed as the equilibrium on half the cells changes from that film to this.
-
-    Newton's method moves the front of the film by about a cell each step: over many cells it is cheaper to
-    follow it on few of them.
-    """
+    """The state *near*, changed as the equilibrium on half the cells changes from that film to this."""
     coarse = film.coarser() if film.mesh.around * film.mesh.across >= MANY_CELLS else None
     if (
         coarse is None
@@ -222,8 +215,6 @@ def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> f
     return min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
 
 
-# Journal bearings with a finite-length oil film, healthy or worn.
-
 DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
 WIDEST_GROOVE = 2 * np.pi / 3
@@ -286,10 +277,7 @@ class JournalBearing:
         return self.pressure_scale(speed) * self.diameter / 2 * self.length
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
-        """Coefficients (2, 2) in y and z [N/m, N.s/m].
-
-        An oil film's depend on load and speed, not on the frequency of the motion.
-        """
+        """Coefficients (2, 2) in y and z [N/m, N.s/m]."""
         film = journal_equilibrium(self, point.load, point.speed)
         return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
@@ -478,9 +466,6 @@ def converged_equilibrium(
 def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
     pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
     return max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs)
-
-
-# Short journal bearing (Ocvirk).
 
 
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:

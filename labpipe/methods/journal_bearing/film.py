@@ -8,10 +8,9 @@ Lengths over the radial clearance c, angle theta around and zeta = 2 z / L in ax
 
 The pressure is never below the cavitation pressure: with gap = p - p_cav and surplus = A p + dh/dtheta + 2
 dh/d(Omega t), A the discrete operator, gap >= 0, surplus >= 0 and gap * surplus = 0 in every cell
-(complementarity). A front that jumps from cell to cell makes stiffness and damping rough functions of load,
-wear depth and angle. Therefore the equivalent condition gap = max(0, gap - c * surplus) uses a maximum
-rounded over a width proportional to the diverging wedge and to the square of the mesh, so that the front
-crosses about two cells gradually; away from it the equations hold exactly.
+(complementarity). Therefore the equivalent condition gap = max(0, gap - c * surplus) uses a maximum rounded
+over a width proportional to the diverging wedge and to the square of the mesh, so that the front crosses
+about two cells gradually; away from it the equations hold exactly.
 
 Axial grooves over the whole length are at ambient pressure and separate the film before them from that after
 them.
@@ -57,8 +56,7 @@ def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
     """`worn_depth` averaged over an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact.
 
-    On a mesh the bare profile, with its kink at both edges, makes results jump as an edge moves from cell to
-    cell; the mean over one cell does not, and preserves the worn volume. Equation (jour-wear-mean).
+    Equation (jour-wear-mean).
     """
     if depth <= 0:
         return np.zeros_like(theta)
@@ -69,8 +67,6 @@ def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float)
     mean = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
     return np.maximum(mean, 0.0)
 
-
-# Cells of the oil film.
 
 FEWEST_AROUND = 24
 FEWEST_ACROSS = 4
@@ -129,7 +125,7 @@ class FilmGrid:
 
 @lru_cache(maxsize=16)
 def film_grid(mesh: FilmMesh) -> FilmGrid:
-    """The grid of a mesh; cached, since an identification uses the same one thousands of times."""
+    """The grid of a mesh."""
     centre = (np.arange(mesh.around) + 0.5) * mesh.arc
     face = (np.arange(mesh.around) + 1.0) * mesh.arc
     at_centre = -np.stack([np.cos(centre), np.sin(centre)])
@@ -169,8 +165,6 @@ def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatAr
 def _strips(mesh: FilmMesh) -> FloatArray:
     return (np.arange(mesh.across // 2) + 0.5) * mesh.strip
 
-
-# The Reynolds equation of a journal bearing by finite volumes and its exact linearisation.
 
 # The front: compliance in units of a cell's own, and the part of the wedge over which the maximum is rounded.
 # Together they make coefficients smooth to .1 % over the angle of wear at 120 x 30 cells and move them by
@@ -377,9 +371,6 @@ def _out(flow: FloatArray) -> FloatArray:
     return out
 
 
-# Banded Cholesky factors of the film's equations.
-
-
 @dataclass(frozen=True)
 class FactoredFilm:
     """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded
@@ -409,10 +400,7 @@ class FactoredFilm:
 
 
 def band_room(mesh: FilmMesh) -> FloatArray:
-    """Memory (n_room,) [-] for the band of a film, used again by every step of its solution.
-
-    Fresh pages would cost as much as the factors.
-    """
+    """Memory (n_room,) [-] for the band of a film, used again by every step of its solution."""
     n_half = mesh.across // 2
     return np.empty(mesh.around * n_half * (n_half + 1))
 
@@ -447,10 +435,7 @@ def _diagonal(equations: FilmEquations, curvature: FloatArray) -> FloatArray:
 
 
 def _open_ring(cavitated: BoolArray) -> IntArray | None:
-    """Columns from the end of the longest cavitated arc to its start.
-
-    None when no column is completely cavitated.
-    """
+    """Columns from the end of the longest cavitated arc to its start."""
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
         return None

@@ -1,11 +1,10 @@
 """Coefficients of a worn journal bearing as a smooth table over wear and operating point, with exact
 derivatives.
 
-An identification evaluates coefficients thousands of times. A bearing of given L / D under a load of fixed
-direction has scaled coefficients K c / W and C c Omega / W that depend on sqrt(depth / c), the wear angle, ln
-S (Sommerfeld) and p_cav L D / W only; the table is a tensor product of cubic splines over these. The root of
-the depth resolves shallow wear; the splines are even in it, so that at zero depth the angle has no influence
-and the derivative by depth vanishes.
+A bearing of given L / D under a load of fixed direction has scaled coefficients K c / W and C c Omega / W
+that depend on sqrt(depth / c), the wear angle, ln S (Sommerfeld) and p_cav L D / W only; the table is a
+tensor product of cubic splines over these. The root of the depth resolves shallow wear; the splines are even
+in it, so that at zero depth the angle has no influence and the derivative by depth vanishes.
 """
 
 from __future__ import annotations
@@ -43,9 +42,8 @@ LEAST_ROOT = 1e-4
 class TableRange:
     """Ranges and numbers of nodes: depth from zero to *depth* [m] (zero: no wear, no axes of depth and
     angle), angle +-*angle* [rad], viscosity by a factor up and down, clearance likewise, cavitation pressures
-    down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis. Derivatives
-    by depth change sharply where the wear divides the film into two, hence the many nodes. *tolerance* [-] of
-    the equilibria, as in `journal_equilibrium`.
+    down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis. *tolerance*
+    [-] of the equilibria, as in `journal_equilibrium`.
     """
 
     depth: float = 50e-6
@@ -235,7 +233,7 @@ class _Sheet:
 def _sheet(sheet: _Sheet) -> FloatArray:
     """Scaled coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at one depth.
 
-    The angle changes the film most, so that it varies slowest; every equilibrium starts from its neighbours.
+    The angle changes the film most, so that it varies slowest.
     """
     angles, places = sheet.nodes[1], list(product(sheet.nodes[2], sheet.nodes[3]))
     rows = []
@@ -253,10 +251,7 @@ def _sheet(sheet: _Sheet) -> FloatArray:
 def _start(
     here: list[JournalEquilibrium], before: list[JournalEquilibrium], number: int
 ) -> JournalEquilibrium | None:
-    """The last equilibrium, moved as its neighbours at the angle *before* differ.
-
-    That neighbour where there is no last one.
-    """
+    """The last equilibrium, moved as its neighbours at the angle *before* differ."""
     if not here:
         return before[number] if before else None
     if not before:

@@ -1,7 +1,7 @@
 """The bench: averages in, after each the wanted coefficients with intervals that hold at this moment.
 
 Stopping on the width of a corrected interval keeps its coverage, stopping on the value does not: a rule of
-`--until` names a width. What speaks against a stop (a misfit, a change during the test) comes before it.
+`--until` names a width.
 """
 
 from __future__ import annotations

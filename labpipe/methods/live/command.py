@@ -169,7 +169,7 @@ def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterat
 
 
 def _console() -> Any:
-    """A display of the package rich on a terminal; None elsewhere, or where the extra is not installed."""
+    """A display of the package rich on a terminal."""
     if not sys.stdout.isatty():
         return None
     try:

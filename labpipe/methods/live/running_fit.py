@@ -1,8 +1,7 @@
 """A fit that follows the averages of a running test, with intervals that hold at the moment of stopping.
 
-Nothing is kept but sums, so that memory stays flat however long the test. The equation of motion e = B F - Z
-X of one average is linear in the coefficients; its weighted squares have an exact gradient, and a warm start
-needs few Gauss-Newton steps per average.
+The equation of motion e = B F - Z X of one average is linear in the coefficients; its weighted squares have
+an exact gradient, and a warm start needs few Gauss-Newton steps per average.
 """
 
 from __future__ import annotations
@@ -78,8 +77,7 @@ class PeriodSums:
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
-    An average counts by the energy of its force. Satisfies the same interface as PeriodSums: the mean is
-    [H; 1], its covariance that of H.
+    An average counts by the energy of its force. 1], its covariance that of H.
     """
 
     def __init__(self) -> None:

@@ -45,7 +45,7 @@ PAUSE = 0.1
 
 @dataclass(frozen=True)
 class Prefix:
-    """The samples so far, on disk. Satisfies SampleSource."""
+    """The samples so far, on disk."""
 
     channels: tuple[Channel, ...]
     sample_rate: float

@@ -35,9 +35,9 @@ class Levitation:
 
     omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel,
     n_channel) [SI units]; to_axes (2 n, n_channel) [1]: currents [A], then displacements at the magnets [m],
-    are to_axes @ channels. mass (n, n) [kg] of the rotor at the magnets. currents: their channels; planes:
-    numbers of the axes of every plane. labels (n,) of the axes; bearing (n,): number of the bearing of each.
-    shared, shared_power as for `Noise`.
+    are to_axes @ channels. mass (n, n) [kg] of the rotor at the magnets. Planes: numbers of the axes of every
+    plane. labels (n,) of the axes; bearing (n,): number of the bearing of each. shared, shared_power as for
+    `Noise`.
     """
 
     omega: FloatArray
@@ -184,10 +184,7 @@ def _plane(channel: Channel) -> float | str:
 
 
 def _places(channels: Sequence[Channel]) -> FloatArray:
-    """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope.
-
-    ConfigError where they are not known.
-    """
+    """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope."""
     places = [channel.position for channel in channels]
     for channel, place in zip(channels, places, strict=True):
         if place is None:
@@ -256,7 +253,6 @@ def _shared(spectra: ChannelSpectra, n: int) -> dict[str, float]:
 # Powers of A T^2, the square of the pole times the sampling interval, beyond which rounding is larger.
 POWERS = 6
 NODES = 24
-# Relative step of differences.
 STEP = 1e-5
 UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
 

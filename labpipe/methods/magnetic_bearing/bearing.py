@@ -134,8 +134,7 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
     """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the
     bias flux of a pole.
 
-    Neither x nor i changes the total flux of the ring to first order, so the permanent magnet acts through
-    phi_0 alone. Equation (mag-factors).
+    Equation (mag-factors).
     """
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
@@ -162,8 +161,6 @@ def inferred_pole_area(turns: int, gap: float, force_per_current: float, negativ
     """
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
-
-# Magnetic bearings as a kind of bearing.
 
 MAGNETIC = "magnetic-bearing"
 DOFS = ("x", "y")
@@ -277,7 +274,7 @@ class Verdict:
 
 @lru_cache(maxsize=32)
 def verdict(plant: Levitated) -> Verdict:
-    """Poles and sensitivity; cached, since a sweep over frequency needs them at every value."""
+    """Poles and sensitivity."""
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
 
 

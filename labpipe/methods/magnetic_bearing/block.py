@@ -96,7 +96,7 @@ class _Problem:
         return np.column_stack([(ahead - behind) / (2 * STEP) for ahead, behind in pairs])
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] at *parameters* (n,) [1]; infinite where it is no number."""
+        """Sum of squares [1] at *parameters* (n,) [1]."""
         return sum_of_squares(self.residual, parameters)
 
 
@@ -139,7 +139,7 @@ def _fit(measured: Measured, response: FrequencyResponse, settings: FitSettings)
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:
-    """The best of the descents from several corner frequencies; none where no descent ends."""
+    """The best of the descents from several corner frequencies."""
     sign = float(np.sign(measured.matrix[0, 0, 0].real)) or 1.0
     problem = _Problem(measured, Block(order, sign, float(measured.omega[-1])))
     level = float(np.log(np.abs(measured.matrix[0, 0, 0])))

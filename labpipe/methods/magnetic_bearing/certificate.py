@@ -1,9 +1,5 @@
 """Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its
 interval, and a verdict.
-
-Without a model S is measured line by line, of one loop or of several that are coupled. With a bearing file
-its unknowns are fitted to all that was recorded, and what the fitted loop says holds between the lines and
-beyond the measured band as well.
 """
 
 from __future__ import annotations
@@ -250,8 +246,6 @@ def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: 
     return amounts
 
 
-# Certificate of a closed loop.
-
 # Modes are looked for up to this multiple of the measured band.
 BEYOND = 1.5
 
@@ -259,7 +253,7 @@ BEYOND = 1.5
 def certificate(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """The certificate of the loops of one test; with a bearing *file* by its fitted unknowns as well.
+    """The certificate of the loops of one test.
 
     ConfigError for channels and settings that do not fit together, FitError without a covariance.
     """
@@ -445,11 +439,7 @@ def _why_rejected(fit: LoopFit) -> str:
 
 
 def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None) -> Limit:
-    """Probability that the peak of |S| lies within the demanded zone, by its logarithm; of a sound model that
-    of the fitted loop.
-
-    The measured peak at an edge of the band is the least that it can be.
-    """
+    """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
     peak, error, whose = worst.value, worst.combined, "measured"
     by_model = (
         model is not None
@@ -472,10 +462,7 @@ def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None
 
 
 def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> list[Limit]:
-    """Probability that the least damped mode has its decrement.
-
-    None where neither a model nor a decrement was asked for.
-    """
+    """Probability that the least damped mode has its decrement."""
     if model is None and own.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected

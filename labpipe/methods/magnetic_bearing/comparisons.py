@@ -49,7 +49,7 @@ def _file_of(settings: CompareSettings, evidence: Evidence) -> MagneticFile | No
 
 
 def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | None:
-    """The theory that was given, else the bearing file that the settings name; None without either."""
+    """The theory that was given, else the bearing file that the settings name."""
     given: MagneticTheory | None = evidence.theory
     return (
         magnetic_theory(evidence.folder, settings.theory)

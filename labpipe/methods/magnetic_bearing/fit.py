@@ -49,8 +49,7 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
     """The band of radius |G^ - G_nominal| + r, r of the measured scatter, which holds the true plant at all
     lines with *confidence*.
 
-    |G^ - G|^2 / var is F with 2 and 2 nu degrees of freedom, of which the quantile of one line is that of all
-    by their number (Sidak). *dof* nu: complex ones behind the variance.
+    *dof* nu: complex ones behind the variance.
     """
     assert curve.variance is not None
     radius = np.abs(curve.measured - curve.fitted) + np.sqrt(curve.variance) * scatter_radius(
@@ -265,9 +264,6 @@ def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) 
     return np.asarray(np.einsum("lrk,lrm->lkm", noise, np.abs(inverse) ** 2))
 
 
-# Model magnet: force per current and stiffness of magnetic bearings from a levitated rotor of known mass.
-
-
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     """One fit, or one per band.
 
@@ -387,10 +383,7 @@ def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -
 
 
 def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
-    """The parameters with their slopes.
-
-    Intervals by the *whole* covariance (n_parameter, n_parameter) [their units].
-    """
+    """The parameters with their slopes."""
     vifs = inflation_factors(best.design)
     parameters = []
     for place, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):

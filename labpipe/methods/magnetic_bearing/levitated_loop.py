@@ -235,15 +235,13 @@ def _whole(number: float, what: str) -> None:
         raise ConfigError(what, field="sample_rate")
 
 
-# The virtual levitated rig as matrices.
-
 # Times in an interval of the controller at which motion and current are known.
 BETWEEN = 8
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q); tilts in kg.m^2 and so on.
+    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q).
 
     at_bearings, at_sensors (n_axis, n_q) [1, m]: displacement there per coordinate; at_unbalance
     (n_direction, n_q).

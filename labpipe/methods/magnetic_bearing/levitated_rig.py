@@ -1,9 +1,5 @@
 """A virtual levitated rotor in the time domain: an unstable plant that a sampled controller holds, with
 injection in the loop.
-
-Recorded are the currents, the readings of the sensors and what is injected. The force k_i i that moves the
-rotor is fed back from its displacement, so an FRF from current to displacement is that of the rotor only by
-way of the injection.
 """
 
 from __future__ import annotations
@@ -148,10 +144,7 @@ def _random(
 
 
 def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
-    """What sensors see of the turning surface (n_sample, n_axis) [m].
-
-    The sensor in y sees it a quarter of a turn later.
-    """
+    """What sensors see of the turning surface (n_sample, n_axis) [m]."""
     quarters = np.resize(np.array([0.0, np.pi / 2])[: len(AXES[rig.axes])], len(rig.labels))
     seen = np.zeros((angle.size, quarters.size))
     for order, amplitude in enumerate(rig.runout, 1):
@@ -174,7 +167,7 @@ def _logged(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int
 
 
 def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
-    """Currents are what drives the rotor unless a shaker does; readings, injections."""
+    """Currents are what drives the rotor unless a shaker does."""
     quantity, letter = ("force", "f") if rig.force_recorded else ("current", "i")
     added = "current" if rig.injection.place == "output" else "displacement"
     kinds = [
@@ -235,10 +228,7 @@ def truth(rig: LevitatedRig) -> dict[str, Any]:
 
 
 def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
-    """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement; k_x_x ...
-
-    of two axes of one bearing.
-    """
+    """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement."""
     values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass, **_magnets(rig)}
     if rig.rotor is not None:
         return values

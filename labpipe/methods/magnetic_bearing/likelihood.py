@@ -109,7 +109,7 @@ def start(problem: MagnetLikelihood) -> FloatArray:
     weights that it gives.
 
     The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with
-    k_i = 0, since the noise of w^2 x grows with frequency. The best of all repeats counts.
+    k_i = 0, since the noise of w^2 x grows with frequency.
     """
     rotor, model = problem.rotor, problem.model
     smooth = MagnetModel(model.names, model.places, model.mass)
@@ -147,8 +147,6 @@ def real_rows(rows: ComplexArray) -> FloatArray:
     """Complex rows (n, m) [any unit] as real parts, then imaginary parts, (n, 2 m)."""
     return np.concatenate([rows.real, rows.imag], axis=1)
 
-
-# The most likely K_i and K_s.
 
 NEAR, MOST_STEPS = 1e-4, 60
 # Relative noise below which a covariance is rounding.
@@ -254,8 +252,6 @@ def errors_by_given(
 ) -> list[tuple[Uncertainty, ComplexArray]]:
     """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
     source once.
-
-    The mass, and numbers of the rig that stand in sums of channels or calibrate them.
     """
     rotor, model = problem.rotor, problem.model
     smoothed = problem.at(values).smoothed

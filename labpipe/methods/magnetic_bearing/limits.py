@@ -21,7 +21,6 @@ from labpipe.uncertainty.settings import CompareSettings
 
 # Zones that a peak of the sensitivity may have to lie in; D has no upper end.
 ZONE_NAMES = ("A", "B", "C")
-# The limit of a decrement where none is given.
 LEAST_DECREMENT = 0.1
 
 
@@ -189,7 +188,7 @@ REJECTING = ("feedback", "no-convergence", "model-mismatch")
 
 
 def _why_undecided(fit: Fit, several: bool) -> str:
-    """Why the decrements of a fit decide nothing; empty where they do."""
+    """Why the decrements of a fit decide nothing."""
     of_test = f" of test '{fit.test}'" if several and fit.test else ""
     codes = list(
         dict.fromkeys(

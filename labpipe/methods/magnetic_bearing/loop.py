@@ -27,10 +27,9 @@ class ControlLoop(Settings):
 
     Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag
     reduces damping below 21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone
-    is unstable; with -0.25 a static load is released as in zero-power levitation: stiffness rises from its
-    static value and damping is positive. Delay: one sampling interval of 20 kHz for computation, half of one
-    for the hold. Bandwidth and sign are a choice of this project. A *controller* of blocks in series takes
-    the place of the PID, any transfer function of s or z; *cross* makes it a matrix of x and y.
+    is unstable. Delay: one sampling interval of 20 kHz for computation, half of one for the hold. A
+    *controller* of blocks in series takes the place of the PID, any transfer function of s or z; *cross*
+    makes it a matrix of x and y.
     """
 
     proportional: float = quantity("proportional gain k_p", "1", 1.0)
@@ -269,10 +268,7 @@ def margins(loop: LoopTransfer, highest: float) -> Margins:
 
 
 def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
-    """Factors that bring L onto -1, where it crosses the negative real axis.
-
-    At rest it lies on the real axis.
-    """
+    """Factors that bring L onto -1, where it crosses the negative real axis."""
     gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
     for place in _roots(lambda w: loop(w).imag, omega, values.imag):
         at = loop(np.array([place]))[0].real

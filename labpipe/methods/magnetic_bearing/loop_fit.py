@@ -79,10 +79,7 @@ def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
 
 
 def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
-    """The minimum with the unknowns at zero that a descent stopped at.
-
-    *minimum* as it is where it stopped for another reason.
-    """
+    """The minimum with the unknowns at zero that a descent stopped at."""
     if minimum.converged:
         return minimum
     at_zero = at_edge(problem, minimum.values)
@@ -178,8 +175,7 @@ class LoopMinimum:
         """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance*
         combined standard errors away.
 
-        None where none is found. The step of Gauss-Newton from the truth to its estimate is normal whatever
-        the course of the response between the two. Equation (comp-end).
+        None where none is found. Equation (comp-end).
         """
         here: LoopMinimum = self
         for stage in range(1, STAGES + 1):
@@ -208,7 +204,7 @@ class LoopMinimum:
         return here, False
 
     def moved(self, move: FloatArray) -> LoopMinimum | None:
-        """The problem *move* (n_parameter,) [1] away, as much of it as is possible; None where nothing is."""
+        """The problem *move* (n_parameter,) [1] away, as much of it as is possible."""
         for halving in range(MOST_HALVINGS):
             try:
                 return LoopMinimum.of(self.problem, self.u + move / 2**halving)
@@ -220,7 +216,7 @@ class LoopMinimum:
         """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
         away.
 
-        covariance (n_parameter, n_parameter) [1] of u, combined. Equation (comp-bent).
+        Equation (comp-bent).
         """
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
@@ -235,8 +231,6 @@ class LoopMinimum:
                 bends = np.maximum(bends, np.abs(shift / errors)[: bends.size] / REACH)
         return bends
 
-
-# Fit of a control loop's unknowns to measured responses, and goodness of fit of the loop.
 
 # Distance to the minimum in standard errors at which a descent that can go no further has ended.
 SETTLED = 0.5
@@ -281,7 +275,7 @@ class LoopFit:
 
     @property
     def changes(self) -> FloatArray:
-        """Changes (n_source, n) [units of the unknowns] by the sources of the budget; (0, n) without one."""
+        """Changes (n_source, n) [units of the unknowns] by the sources of the budget."""
         return np.zeros((0, len(self.parameters))) if self.budget is None else self.budget.changes
 
     def values(self) -> dict[str, float]:
@@ -399,8 +393,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by
     both.
 
-    *curved*: ends of intervals follow the response where it bends; of a model that the response rejects there
-    is nothing to follow, unless an unknown stands at zero, where its interval has one side only.
+    *curved*: ends of intervals follow the response where it bends.
     """
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
@@ -434,9 +427,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
 def _curved(
     parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool
 ) -> Parameter:
-    """The unknown with an interval that follows the response; as it is where an end is not found. *at_zero*:
-    an unknown is held there.
-    """
+    """The unknown with an interval that follows the response. *at_zero*: an unknown is held there."""
     factor = parameter.coverage_factor or limit
     ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
     if ends[0] is None or ends[1] is None:

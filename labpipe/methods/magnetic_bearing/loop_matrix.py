@@ -112,8 +112,6 @@ def _port(spectra: ChannelSpectra, number: int) -> Port:
     return Port(channel.name, channel.name, channel.dof, channel.angle, left)
 
 
-# Sensitivity of one loop or of several that are coupled.
-
 SAME_SIGNAL = 1e-9
 
 

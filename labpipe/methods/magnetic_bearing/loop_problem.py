@@ -140,9 +140,6 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     return replace(changed, magnet=replace(file.magnet, **magnet))  # type: ignore[arg-type]
 
 
-# Systematic errors of a recorded loop.
-
-
 def response_errors(
     response: FrequencyResponse, rows: Sequence[int], columns: Sequence[int]
 ) -> tuple[MatrixError, ...]:
@@ -189,8 +186,6 @@ def directions_left_out(ports: Iterable[Port]) -> list[str]:
     )
 
 
-# Measured responses of a control loop beside the prediction of a bearing file.
-
 STEP = 1e-5
 
 # Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
@@ -205,7 +200,7 @@ class LoopObservation:
     the bearings.
 
     *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of channels, and of
-    numbers that the prediction rests on; the support is no part of them.
+    numbers that the prediction rests on.
     """
 
     measured: Measured
@@ -295,8 +290,6 @@ class LoopProblem:
     def changes(self, u: FloatArray) -> FloatArray:
         """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
         each source beside the support.
-
-        A source of several responses changes all of them.
         """
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
@@ -347,12 +340,9 @@ class LoopProblem:
             return None
 
     def chi2(self, u: FloatArray) -> float:
-        """Sum of squares [1] at u (n_parameter,) [1]; infinite for values that no bearing can have."""
+        """Sum of squares [1] at u (n_parameter,) [1]."""
         residual = self.residual_within(u)
         return float("inf") if residual is None else float(residual @ residual)
-
-
-# Response of a rig with a magnetic bearing.
 
 
 @dataclass(frozen=True)
@@ -461,9 +451,8 @@ def view_errors(
     """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard
     uncertainty of every source.
 
-    Channels and sums change what is *measured*. A given mass changes the prediction, and so does a direction,
-    unless other sensors tell the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation
-    (comp-loop-change).
+    A given mass changes the prediction, and so does a direction, unless other sensors tell the motion across
+    it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
     # Of the prediction: in proportion to the measurement a gain would shrink its noise with it.
@@ -507,7 +496,7 @@ def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:
     """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are
-    known; else zero.
+    known.
     """
     sines = np.zeros((len(measured.outputs), len(measured.inputs)))
     for row, output in enumerate(measured.outputs):

@@ -152,8 +152,7 @@ class Smooth:
     def of(self, margin: Margin, n: int) -> Found:
         """A margin between the places n and n + 1, its standard error and its changes.
 
-        Half of the covariance (n_place, n_place) [1] of a response is of its real and half of its imaginary
-        part. Equation (comp-margins-change).
+        Equation (comp-margins-change).
         """
         part = slice(n, n + 2)
         pair, places, total = self.values[part], self.omega[part], 0.0
@@ -185,9 +184,7 @@ def measured_margins(
     changes L by *changes* (n_source, n_line) [1]. noise: complex degrees of freedom behind the variance, and
     standard errors to either side of a 95 % interval. *frequency* (n_line,) [Hz].
 
-    L follows a polynomial over neighbouring lines, since noise makes it cross several times; where it does so
-    all the same, one parabola over all these crossings and as much again, since the least of several would be
-    too small. Equation (comp-margins).
+    Equation (comp-margins).
     """
     dof, quantile = noise
     if frequency.size < LOCAL:
@@ -308,8 +305,7 @@ def crest_of(course: Course) -> Crest | None:
     """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
     lies at an end of the lines.
 
-    Place and curvature are those of the parabola where that follows the lines; from there the polynomial of
-    fourth degree tells the rest. Equation (comp-peak).
+    Equation (comp-peak).
     """
     count = course.omega.size
     if count < FEWEST:
@@ -376,7 +372,7 @@ def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> floa
     """Distance [rad/s] between the maximum of |S| and the minimum of |1/S| by polynomials of fourth degree
     through the same lines, a step of Newton each: what lines far apart leave of the place.
 
-    1/S = 1 + L has no resonance of the closed loop and bends far less. Equation (comp-peak-truncation).
+    Equation (comp-peak-truncation).
     """
     places = of_place.omega[top - 1 : top + 2]
     step = float(np.log(places[1] / places[0]))

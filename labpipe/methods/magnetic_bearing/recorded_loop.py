@@ -33,8 +33,7 @@ def recorded_loop(
     """All recorded signals and their prediction.
 
     With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so
-    that neither gain nor delay of the recorded excitation counts; a quotient by the noisy difference of both
-    sides would be biased.
+    that neither gain nor delay of the recorded excitation counts.
     """
     rate = own.rate or file.loop.rate
     named = {
@@ -99,8 +98,6 @@ def cause_of(
 ) -> str:
     """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
     empty without one.
-
-    Of all changes those that leave the least chi-square by the file as it stands are fitted.
     """
     changes = []
     for what, changed_own, changed in _changes(own, response):

@@ -114,10 +114,7 @@ def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
 
 
 def straight(omega: FloatArray, rate: float) -> FloatArray:
-    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-].
-
-    Samples are divided by it.
-    """
+    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-]."""
     return np.sinc(omega / (2 * np.pi * rate)) ** 2
 
 

@@ -138,11 +138,9 @@ class Peak:
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
     """S = H_after / (H_after - H_before), both against the excitation that is added between them.
 
-    after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain
-    nor delay of the recorded excitation. To first order dS = (H_after dH_before - H_before dH_after) /
-    (H_after - H_before)^2; half of E|dS|^2 is along |S|. Systematic errors of both go the same way, so that
-    what they have in common cancels. ConfigError for unknown points, FitError without a covariance or where
-    both points are the same. Equation (mag-measured-sensitivity).
+    after = before + e and before = -L after give S = 1 / (1 + L) = after / e. To first order dS = (H_after
+    dH_before - H_before dH_after) / (H_after - H_before)^2. ConfigError for unknown points, FitError without
+    a covariance or where both points are the same. Equation (mag-measured-sensitivity).
     """
     rows, columns = select_ports(response, (), (before, after))
     if len(rows) != 2 or len(columns) != 1:
@@ -179,7 +177,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     """The maximum of |S| by a polynomial through the lines around it; at an edge of the band the highest line
     itself.
 
-    The highest line alone would be biased upwards by its noise. Equation (comp-peak-change).
+    Equation (comp-peak-change).
     """
     frequency, error = measured.frequency, measured.error
     changes = np.array([one.change[:, 0, 0] for one in measured.errors]).reshape(-1, frequency.size)

@@ -79,9 +79,6 @@ class BlockSettings(Settings):
     )
 
 
-# The models magnet and block as entries of the table of models. What fits is imported by the first fit.
-
-
 def _fit_magnet(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.magnetic_bearing.fit import magnet_fits
 

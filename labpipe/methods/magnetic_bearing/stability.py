@@ -54,10 +54,7 @@ class Levitated:
 
 @dataclass(frozen=True)
 class SensitivityPeak:
-    """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3.
-
-    At 0 Hz where the static value is the largest.
-    """
+    """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3."""
 
     value: float
     frequency: float
@@ -249,8 +246,6 @@ def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
     return SensitivityPeak(float(size[place]), float(frequency[place]), zone_of(float(size[place])))
 
 
-# A magnetic-bearing loop cut open.
-
 # Signals of a loop that an injection e moves; the units are per volt at either place.
 SIGNALS = ("before", "after", "output", "displacement", "current")
 INPUT, OUTPUT = "input", "output"
@@ -289,7 +284,7 @@ class OpenLoop:
         """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it
         (output).
 
-        before and after are the two sides of the sum where it is added; output is the command behind it.
+        before and after are the two sides of the sum where it is added.
         """
         s = self.sensitivity
         command = self.controller * s if place == INPUT else s

@@ -52,7 +52,7 @@ class Transfer:
         return value.real if np.isfinite(value) else float("inf")
 
     def times(self, other: Transfer) -> Transfer:
-        """Both in series; they must be of one variable."""
+        """Both in series."""
         return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain, self.rate)
 
 
@@ -284,7 +284,7 @@ FORMS: dict[str, Form] = {
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerBlock(Settings):
-    """One block of a controller in series with the others; which entries it has depends on its form."""
+    """One block of a controller in series with the others."""
 
     form: str = setting("choice", "what the block is given by", choices=tuple(FORMS))
     zeros: tuple[complex, ...] = setting(

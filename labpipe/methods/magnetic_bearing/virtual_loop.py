@@ -1,5 +1,5 @@
 """Runs on the virtual magnetic-bearing rig closed by its loop in the time domain: recordings that hold the
-loop. LOOP_RUNS by name.
+loop.
 """
 
 from __future__ import annotations
@@ -67,10 +67,7 @@ def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods.
-
-    X, y, current and controller output.
-    """
+    """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods."""
     loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
     plant = suspended(rig, loop)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
@@ -119,8 +116,7 @@ def _radial_truth(rig: VirtualMagneticRig, plant: Suspended, force: Multisine) -
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """The rotor alone.
 
-    A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded; 1 + 5
-    periods.
+    A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded.
     """
     plant = rotor_alone(rig)
     added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
@@ -202,10 +198,7 @@ def _straight_force(force: Multisine) -> FloatArray:
 
 
 def _inputs(force: FloatArray, noise: FloatArray) -> FloatArray:
-    """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise.
-
-    Nothing injected.
-    """
+    """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise."""
     return np.stack([force[:-1], force[1:], noise, np.zeros_like(noise)], axis=2)
 
 

@@ -23,9 +23,8 @@ class Levitation(Settings):
     """One magnetic bearing: static stiffness k_0, and the law by which it changes with frequency.
 
     relaxation: k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive,
-    and like the measured bearings soft at 2 Hz and stiffer by far at 250 Hz. It stands for control loop and
-    eddy currents together. control-loop: the loop alone, k_0 + K (G(jw) - G(0)); K = probe * amplifier *
-    force-current factor [N/m].
+    and like the measured bearings soft at 2 Hz and stiffer by far at 250 Hz. control-loop: the loop alone,
+    k_0 + K (G(jw) - G(0)); K = probe * amplifier * force-current factor [N/m].
     """
 
     law: str = setting("choice", "how stiffness changes with frequency", choices=LAWS, default="relaxation")
@@ -81,8 +80,6 @@ class VirtualMagneticRig(Settings):
         )
 
 
-# Truth of the virtual rig.
-
 # Two force directions are tested on coefficients that differ in every place, as a fluid-film bearing's do.
 COUPLED_STIFFNESS = np.array([[180e3, 25e3], [-18e3, 210e3]])
 COUPLED_DAMPING = np.array([[120.0, 15.0], [-10.0, 150.0]])
@@ -122,8 +119,7 @@ def control_loop(levitation: Levitation, omega: FloatArray) -> ComplexArray:
     """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,)
     [N/m].
 
-    Lim et al. (2009), eq. 7 and table 1; the negative stiffness k_n is what leaves the static stiffness k_0
-    at rest.
+    Lim et al. (2009), eq. 7 and table 1.
     """
     return dynamic_stiffness(levitation.loop, negative_stiffness(levitation), omega)
 

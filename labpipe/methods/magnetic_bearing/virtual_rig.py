@@ -1,4 +1,4 @@
-"""Runs on the virtual magnetic-bearing rig: recordings and tables with their truth. RUNS by name."""
+"""Runs on the virtual magnetic-bearing rig: recordings and tables with their truth."""
 
 from __future__ import annotations
 
@@ -172,10 +172,7 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric.
-
-    1-250 Hz every 1 Hz.
-    """
+    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric."""
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = linear.line_frequencies(force)
@@ -308,7 +305,7 @@ def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
 
 
 def _std_errors(rig: VirtualMagneticRig, runs: Sequence[str], band: tuple[float, float]) -> Truth:
-    """Of k and c of a one-dof run whose mass is known; none for others."""
+    """Of k and c of a one-dof run whose mass is known."""
     return expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {}
 
 

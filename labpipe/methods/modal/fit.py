@@ -107,8 +107,6 @@ def _weights(measured: Measured) -> ComplexArray:
         return equal_weights(measured)
 
 
-# Findings and notes of a modal identification.
-
 # Lines in the half-power width below which a window is as wide as the mode.
 LEAST_LINES = 2.0
 
@@ -250,8 +248,6 @@ def modal_notes(
         )
     return tuple(notes)
 
-
-# Model modal: the modes of a band from any number of FRFs.
 
 # Share of the band by which lines on either side are looked at as well.
 BEYOND = 0.15
@@ -415,7 +411,7 @@ def _beyond(
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
     """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each
-    relative to its mean; else 1.
+    relative to its mean.
     """
     if not has_noise(measured):
         return np.ones(measured.omega.size)

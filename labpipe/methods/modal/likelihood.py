@@ -61,8 +61,7 @@ class ResidualTerms:
     s^power.
 
     The upper ones are Chebyshev polynomials of omega^2 over the band: the same space, without the powers'
-    likeness. Their error falls like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the
-    band is [-1, 1]. Equation (modal-terms).
+    likeness. Equation (modal-terms).
     """
 
     lines: Lines
@@ -101,8 +100,6 @@ class ResidualTerms:
         """Sum over the lines of |remainder|^2, (n_output, n_input) [square of the FRF's unit]."""
         return np.asarray(np.sum(np.abs(self.remainder) ** 2, axis=0))
 
-
-# Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
 
 MOST_STEPS = 40
 # A step below this part of every standard error ends the descent.
@@ -189,7 +186,7 @@ def refine(
 
 
 def _moved(state: _State, step: FloatArray) -> _State | None:
-    """The state after the largest of the halved steps that lowers the misfit; None without one."""
+    """The state after the largest of the halved steps that lowers the misfit."""
     before = state.chi2
     for halving in range(MOST_HALVINGS):
         other = state.after(step / 2**halving)
@@ -239,7 +236,7 @@ class _State:
         )
 
     def after(self, step: FloatArray) -> _State | None:
-        """The state at the parameters moved by *step* (n,); None with an unstable pole."""
+        """The state at the parameters moved by *step* (n,)."""
         poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
         if np.any(poles.real >= 0) or np.any(poles.imag <= 0):
             return None

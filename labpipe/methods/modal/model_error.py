@@ -219,8 +219,7 @@ def _apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str,
     """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves from
     point to point loads it.
 
-    mean +- t s sqrt(1 + 1/n), for another point; of points that see the mode. Empty where all agree, or too
-    few see it.
+    mean +- t s sqrt(1 + 1/n), for another point; of points that see the mode.
     """
     if len(seen) < FEWEST_POINTS:
         return {}
@@ -289,7 +288,7 @@ def _widened(measured: Measured, pole: complex) -> tuple[float, float] | None:
 def _scatter(measured: Measured, estimate: ModalEstimate, near: BoolArray) -> FloatArray | None:
     """E|n|^2 of every FRF (n_frf,) [m^2/N^2] between neighbours of the lines *near* (n_line,) [-].
 
-    It is that of the residual; None where the noise is measured.
+    It is that of the residual.
     """
     if measured.variance is not None and not estimate.unused and np.all(measured.variance > 0):
         return None

@@ -1,8 +1,7 @@
 """Poles that are one mode: a hammer or a sensor that moves loads the structure, so that every point has a
 frequency of its own.
 
-The points are taken to the mean pole of each mode, each through its own fit; all that follows is fitted to
-these FRFs, and the points' own frequencies are what f_n and zeta scatter by.
+The points are taken to the mean pole of each mode, each through its own fit.
 """
 
 from __future__ import annotations

@@ -37,8 +37,7 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
 
     residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has
     the variance 1 / n_line, so that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of
-    freedom (portmanteau test of Box and Pierce 1970, complex form). Each line counts relative to the noise
-    around it, which need not be the same everywhere. Equation (modal-whiteness).
+    freedom (portmanteau test of Box and Pierce 1970, complex form). Equation (modal-whiteness).
     """
     n_line = residual.shape[0]
     flat = _even(residual.reshape(n_line, -1))
@@ -67,8 +66,6 @@ def loudest_line(residual: ComplexArray, noise: FloatArray, width: int) -> int:
     *width* lines.
 
     It is taken relative to its noise (n_output, n_input) [square of the FRF's unit].
-
-    The sum is coherent: noise cancels, what is alike on neighbouring lines does not.
     """
     scaled = (residual / np.sqrt(noise)).reshape(residual.shape[0], -1)
     kernel = np.ones(max(width, 1))
@@ -126,8 +123,6 @@ def _larger(terms: ResidualTerms) -> list[ResidualTerms]:
         if lower <= MOST_LOWER and upper <= MOST_UPPER
     ]
 
-
-# Modes after the refinement.
 
 MOST_ADDED = 4
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
@@ -227,8 +222,7 @@ def completed(
     """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports
     them.
 
-    They are kept only if the residual then is noise. If it is not, as where every point loads the structure
-    otherwise, a further mode would be the poles' scatter by another name.
+    They are kept only if the residual then is noise.
     """
     first = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
     while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
@@ -248,10 +242,7 @@ def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Complete
 
 
 def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
-    """With a mode where the residual is loudest.
-
-    None where AIC does not support it, or it leaves the band.
-    """
+    """With a mode where the residual is loudest."""
     refined = done.refined
     residual = remaining(lines, done.terms, refined)
     spacing = float(np.mean(np.diff(lines.omega)))

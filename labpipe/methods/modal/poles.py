@@ -57,8 +57,7 @@ class NormalEquations:
     def poles(self, order: int, *, stable_noise: bool = False) -> Poles:
         """Poles of a model of *order*; *stable_noise*: constraint A_0 = I in place of A_n = I.
 
-        With A_n = I poles of noise are unstable and the poles of the structure biased; with A_0 = I the bias
-        is least, and poles of noise are stable too. Equation (modal-poles).
+        Equation (modal-poles).
         """
         n = self.n_input
         matrix = self.matrices[order - 1]
@@ -81,9 +80,8 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
     """Normal matrices of all orders up to *highest* from FRFs *matrix* (n_line, n_output, n_input) at *omega*
     (n_line,) [rad/s].
 
-    Every output and every reference has the weight of the reciprocal of its root mean square. With R = L L^T
-    of the highest order, order n is the leading block of T - sum over the first n + 1 rows of L^-1 S, so that
-    one factor serves all orders. Equation (modal-lscf).
+    Every output and every reference has the weight of the reciprocal of its root mean square. Equation
+    (modal-lscf).
     """
     n_line, _n_output, n_input = matrix.shape
     scale = 1 / np.sqrt(np.mean(np.abs(matrix) ** 2, axis=(0, 1)))
@@ -155,8 +153,6 @@ def _roots(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     largest = np.argmax(np.sum(np.abs(blocks) ** 2, axis=1), axis=0)
     return roots.astype(np.complex128), blocks[largest, :, np.arange(roots.size)].T.astype(np.complex128)
 
-
-# Choice of the physical poles from those of all orders.
 
 # Two poles of different orders are one mode where they differ by less than half the decay rate and a share of
 # the frequency, and act on the references alike.

@@ -52,9 +52,6 @@ class ModalSettings(Settings):
             raise ConfigError("'poles' must be positive", field="poles")
 
 
-# The model modal as an entry of the table of models. What fits is imported by the first fit.
-
-
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.modal.fit import modal_fit
 

@@ -64,8 +64,6 @@ def phase_collinearity(shapes: ComplexArray) -> FloatArray:
     return np.asarray(((xx - yy) ** 2 + 4 * xy**2) / (xx + yy) ** 2)
 
 
-# What people read of refined modes.
-
 Function = Callable[[FloatArray], float]
 # Of the pole x_0 + j x_1; with a loss factor its square is -w_n^2 (1 + j eta).
 VISCOUS: tuple[tuple[str, str, Function], ...] = (

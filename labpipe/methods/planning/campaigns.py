@@ -79,9 +79,7 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
     """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one,
     power (n_line, 2) [N^2].
 
-    Two vectors on ONE line would add up to a single one, which tells four numbers; on neighbouring lines, of
-    equal size and opposite sign, they tell what the powers of both shakers do: h h^H + g g^H is diagonal for
-    h = (a, b), g = (a, -b). Equation (plan-together).
+    Equation (plan-together).
     """
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
@@ -101,10 +99,7 @@ def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> t
 
 
 def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs.
-
-    A last line without a partner gives its power to its pair.
-    """
+    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs."""
     first = np.arange(0, lines.size - 1, 2)
     return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
 
@@ -123,7 +118,6 @@ SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERL
 # Samples per period of the highest line, while searching.
 SEARCHED = 8
 HALF_NORMS, STEPS = (4, 16, 64, 256), 200
-# The same for a first look.
 QUICK_NORMS, QUICK_STEPS = (4, 32), 40
 
 

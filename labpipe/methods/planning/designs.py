@@ -1,7 +1,5 @@
 """Optimum designs: criteria, shares of the power on candidates, and the certificate that none is better.
 
-What makes a design good, and the certificate that none is better. CRITERIA by name.
-
 With d_a = tr(W I_a) of a candidate of unit cost, by the equivalence theorem (Kiefer and Wolfowitz 1960;
 Fedorov 1972, Theory of Optimal Experiments): D-optimality with W = I^-1 has efficiency at least n / max d; a
 weighted sum f = sum q_i v_i of the variances with W = I^-1 diag(q) I^-1 at least f / max d; and the largest
@@ -111,8 +109,6 @@ def _scores(weights: FloatArray, information: FloatArray) -> FloatArray:
     """d_a = tr(W I_a), (n_candidate,)."""
     return np.asarray(np.einsum("ij,aij->a", weights, information))
 
-
-# Optimum designs.
 
 START_STEPS = 300
 ROUNDS = 40

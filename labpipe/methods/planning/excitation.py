@@ -161,10 +161,7 @@ def _channel(name: str, quantity: str, dof: str) -> dict[str, str]:
 
 
 def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
-    """The pipeline in *folder* that evaluates the test, the planned lines passed to it.
-
-    Recordings are looked for in recordings/.
-    """
+    """The pipeline in *folder* that evaluates the test, the planned lines passed to it."""
     settings, tests = evaluation.settings, evaluation.tests
     recordings: list[Any] = [f"recordings/{test.name}.csv" for test in tests]
     moved = _moved_force(evaluation)
@@ -255,9 +252,6 @@ def uncertain_text(number: Uncertain, unit: str) -> str:
     return f"{number.value!r} {unit} +- {number.std_error * SHAPES[number.shape]!r} {unit}{behind}"
 
 
-# The uncertainty budget of a test that is still planned.
-
-
 def rig_path(file: PlanFile) -> Path | None:
     """The rig file that a plan names, if any."""
     settings: PlanSettings = file.settings
@@ -327,7 +321,7 @@ def _rehearsed_fit(
 
 
 def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
-    """The budget of the coefficients of those *names*; None where no source changes any."""
+    """The budget of the coefficients of those *names*."""
     if fit.budget is None:
         return None
     columns = [fit.budget.names.index(name) for name in names]
@@ -336,8 +330,6 @@ def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
         tuple(names), whole.random[columns], whole.random_dof, whole.sources, whole.changes[:, columns]
     )
 
-
-# plan of an excitation.
 
 REPORT = "report.html"
 

@@ -1,9 +1,8 @@
 """What is expected of a rig, how sure that is, and whether an excitation determines all coefficients.
 
-An earlier result with covariance V counts in two ways. Where it is to be combined with the new test, its
-information V^-1 adds to that of the new one: the errors of both are those of (V^-1 + I)^-1. And the new test
-runs on the rig as it is, not as it was expected: its errors are those at coefficients drawn from V about the
-expected ones, the planned forces being applied all the same.
+Where it is to be combined with the new test, its information V^-1 adds to that of the new one: the errors of
+both are those of (V^-1 + I)^-1. And the new test runs on the rig as it is, not as it was expected: its errors
+are those at coefficients drawn from V about the expected ones, the planned forces being applied all the same.
 """
 
 from __future__ import annotations
@@ -29,10 +28,7 @@ OTHER = 0.25
 
 @dataclass(frozen=True)
 class Excitation:
-    """Force vectors (n_vector, n_dof) [N] at frequencies (n_vector,) [Hz].
-
-    Vectors of one test or of several.
-    """
+    """Force vectors (n_vector, n_dof) [N] at frequencies (n_vector,) [Hz]."""
 
     frequency: FloatArray
     forces: ComplexArray

@@ -201,7 +201,7 @@ def _matrix_elements(letters: str) -> FloatArray:
 
 
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:
-    """The expected values in the order of *names*; ConfigError for one that is missing or unknown."""
+    """The expected values in the order of *names*."""
     missing = [name for name in names if name not in expected]
     if missing:
         raise ConfigError(
@@ -297,8 +297,7 @@ def relative_errors(information: FloatArray) -> FloatArray:
     """Smallest standard errors sqrt((I^-1)_ii) (n_coefficient,) [1]; infinite where the information (n, n)
     [1] is singular.
 
-    Rows are scaled to unit diagonal before the inverse; a coefficient without information, or a condition
-    beyond 1e13, is not determined. Equation (plan-errors).
+    A coefficient without information, or a condition beyond 1e13, is not determined. Equation (plan-errors).
     """
     diagonal = np.diagonal(information)
     if np.any(diagonal <= 0):

@@ -190,7 +190,7 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 
 def _scheme(settings: PlanSettings) -> str:
-    """The scheme that is asked for; one by one where the rig file has one force for two shakers."""
+    """The scheme that is asked for."""
     forces = (
         []
         if settings.sensors is None
@@ -233,10 +233,7 @@ def _with_budget(
 
 
 def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
-    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1].
-
-    None where no time is enough.
-    """
+    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1]."""
     least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
     needed = max(time_needed(timed, allowed, duration), least)
     return needed if np.isfinite(needed) else None
@@ -247,8 +244,7 @@ def _over_draws(
 ) -> Plan:
     """The plan with the ranges of its prediction over draws from the covariance of what is expected.
 
-    common: sources of error that the new test has as well. With the same wrong mass the earlier coefficients
-    give the response that was measured, and that is what the plan rests on.
+    common: sources of error that the new test has as well.
     """
     rig, wanted = question.rig, question.wanted
     covariance = earlier.covariance_of(rig.model, common)

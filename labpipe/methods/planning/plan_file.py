@@ -51,11 +51,7 @@ class PlanFile:
 
 
 def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
-    """The content of a plan file; ConfigErrors with every fault at its place.
-
-    It is a file of its own: a pipeline is run again with every new recording, and what was planned before the
-    test is not to change then.
-    """
+    """The content of a plan file; ConfigErrors with every fault at its place."""
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
@@ -90,7 +86,7 @@ def _sort_theory(node: Marked) -> None:
 
 
 def _kind(node: Marked, faults: Faults) -> PlanKind | None:
-    """What the entry `model` asks for; None and a fault where there is none of that name."""
+    """What the entry `model` asks for."""
     entries = faults.mapping(node, "plan")
     kinds = PLANS.names()
     if "model" not in entries or entries["model"].text == DECIDE:
@@ -102,8 +98,6 @@ def _kind(node: Marked, faults: Faults) -> PlanKind | None:
         return None
     return PLANS.load(name)
 
-
-# plan.json: a planned test, or planned runs, as they were predicted.
 
 NAME = "plan.json"
 # Of an excitation, and of runs.
@@ -140,8 +134,6 @@ def read_any_plan(path: Path) -> Plan | RunPlan:
     return plan
 
 
-# Files of planned runs, of whatever kind.
-
 REPORT, PIPELINE, ROTOR = "report.html", "pipeline.yaml", "rotor.yaml"
 
 
@@ -162,11 +154,8 @@ def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputF
     return [NAME, REPORT, "runs.csv", "runs.md", *settings_files]
 
 
-# plan: a plan file -> the plan of its kind, and the files that carry it out and evaluate it.
-
-
 def plan_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan and write; sentences on the plan, and the files' names. LabpipeError names the plan file."""
+    """Plan and write; sentences on the plan, and the files' names."""
     try:
         sentences, names = file.kind.files(file, output)
     except LabpipeError as error:

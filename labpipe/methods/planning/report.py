@@ -99,7 +99,7 @@ def sentence(plan: Plan) -> str:
 
 
 def goal_sentence(plan: Plan) -> str:
-    """Whether the goals are met, and the time they need; empty without goals."""
+    """Whether the goals are met, and the time they need."""
     if not plan.with_goals:
         return ""
     if plan.needed is None:
@@ -261,7 +261,7 @@ def _spectrum(plan: Plan) -> Figure:
 
 
 def _over_goal(coefficient: PlannedCoefficient) -> float:
-    """Error over goal, of noise or expanded, whichever is further; by noise where nothing is wanted of it."""
+    """Error over goal, of noise or expanded, whichever is further."""
     parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
     parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
     return max(parts, default=0.0)
@@ -270,8 +270,6 @@ def _over_goal(coefficient: PlannedCoefficient) -> float:
 def _time(seconds: float) -> str:
     return f"{seconds / 60:.3g} min" if seconds >= 120 else f"{seconds:.3g} s"
 
-
-# Planned runs as people read them.
 
 NUMBERS = ("number", "expected", "goal", "std. error", "runs shared alike", "known before", "never below")
 MODELS = {

@@ -248,12 +248,9 @@ def logarithm(name: str, value: float) -> float:
     return value if name in EXPONENTS else float(np.log(value))
 
 
-# plan of run-ups.
-
 METHOD = "joint"
 # Standard error of the logarithm of what is known.
 KNOWN = 1e-5
-# Half of a difference, in logarithms.
 STEP = 1e-4
 # The second load that is tried, over the highest.
 OTHER_LOAD = 1.5
@@ -305,7 +302,7 @@ def _earlier(file: PlanFile) -> dict[str, float]:
 
 
 def pipeline_entries(plan: RunPlan, settings: RunUpPlanSettings) -> dict[str, Any]:
-    """The pipeline that evaluates the runs; tables are looked for in recordings/."""
+    """The pipeline that evaluates the runs."""
     runs = [{"file": f"recordings/{name}.csv"} for run in plan.runs for name in run_names(run)]
     section: dict[str, Any] = {"rotor": ROTOR, "methods": [METHOD], "runs": runs}
     if settings.known:
@@ -498,10 +495,7 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
 
 
 def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
-    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms.
-
-    None where there is none.
-    """
+    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms."""
 
     def speed(values: FloatArray) -> float | None:
         at = expected.family.at_load(values, load)

@@ -113,7 +113,7 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
 
 def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: FloatArray) -> Design | None:
     """The optimum among runs each of which tells of parameters of its own, *whole* (n_run, n, n) [1] in all
-    the time; None for others.
+    the time.
 
     With the variances v of what is wanted of a run in all the time, its share goes as max v, as the root of
     sum v, or as its number of parameters: the Lagrange conditions of minimax, A and D.
@@ -201,10 +201,7 @@ def _exchanged(
 
 
 def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
-    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances.
-
-    Infinite where it is singular.
-    """
+    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances."""
     root = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     values = np.full(len(information), np.inf)
     regular = np.all(root > 0, axis=1)
@@ -244,8 +241,6 @@ def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
 def undetermined(choices: RunChoices) -> FloatArray:
     """Combinations (n, n_unseen) [1] of parameters that no run of the choices tells anything of, without what
     is known before.
-
-    Each has a parameter that the others do not have.
     """
     n = len(choices.prior)
     free = np.arange(n) if choices.known is None else np.flatnonzero(~choices.known)

@@ -69,8 +69,6 @@ def candidates(
     return Candidates(line, direction, cost, information)
 
 
-# The search for a plan.
-
 # Shares of the displacement in the cost of a line that are tried where it is limited.
 DISPLACEMENT_SHARES = (0.0, 0.5, 1.0)
 # Candidates that are looked at closely, of those that did best at a first look.
@@ -176,9 +174,6 @@ def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
 def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
     """All lines and shakers at a *share* [1] of the displacement in the cost, with what is known before
     inside each of them.
-
-    The cost that the limits will allow is taken from a flat multisine: an information of that size is what an
-    earlier one adds to.
     """
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
     candidates_of_lines = candidates(

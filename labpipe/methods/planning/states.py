@@ -154,9 +154,6 @@ class StatePlanSettings(Settings):
         )
 
 
-# A bearing at several loads and speeds.
-
-
 @dataclass(frozen=True)
 class Common:
     """A number of the bearing that all states have in common: value [unit], standard error known before, None
@@ -278,8 +275,6 @@ def _quantities(
                 f"{name}[{test.state.name}]", UNITS[name[0]], float(value), row, goal, float(scale)
             )
 
-
-# plan of a floating bearing at several loads and speeds.
 
 # Half of a difference, relative to the number.
 STEP = 1e-2
@@ -415,10 +410,7 @@ def _evaluation(settings: StatePlanSettings, title: str, test: StateTest) -> Eva
 def _pipeline(
     title: str, evaluations: dict[PlannedRun, Evaluation], tests: dict[str, StateTest], folder: Path
 ) -> dict[str, Any]:
-    """The pipeline of all states, one test each with the lines of its own.
-
-    Recordings are looked for in recordings/.
-    """
+    """The pipeline of all states, one test each with the lines of its own."""
     listed, entries = [], {}
     for run, evaluation in evaluations.items():
         entries, state = pipeline_entries(evaluation, folder), tests[run.name].state

@@ -2,8 +2,7 @@
 
 Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on every line. Over the periods
 these have the mean zero and are orthogonal to each other, so that the average is what the rig does, and its
-covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor. What evaluates a recording,
-and its uncertainty budget, then give what is expected of the real one.
+covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor.
 
 The changes of the coefficients by one standard uncertainty of every source, c, come from the budget of the
 fit that will evaluate the test. Where an earlier result counts beside it, with information I_0 and changes
@@ -103,8 +102,6 @@ def _direction(channel: Channel, n_dof: int) -> ComplexArray:
     return np.array([np.cos(angle), np.sin(angle)], complex)
 
 
-# Predicted uncertainty budgets.
-
 COVERAGE = 0.95
 # Share of the variance that is systematic from which on longer measuring hardly helps: less than a tenth of
 # the combined uncertainty.
@@ -150,8 +147,7 @@ def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArra
     """Relative standard errors by noise (n_coefficient,) [1] that meet all goals beside the systematic part;
     zero where none does.
 
-    scales (n_coefficient,) [units of the coefficients]: what errors are relative to. All one where nothing is
-    wanted in particular. Equation (plan-limits).
+    scales (n_coefficient,) [units of the coefficients]: what errors are relative to. Equation (plan-limits).
     """
     if not goals.any:
         return np.ones(len(scales))

@@ -277,8 +277,6 @@ def information(
     return np.asarray(np.einsum("ilt,lt,jlt->ij", flat.conj(), weight, flat).real)
 
 
-# plan of wear tests.
-
 RIG = "rig.yaml"
 # Lines about a speed that are left out, either way [blocks].
 BESIDE = 2.5

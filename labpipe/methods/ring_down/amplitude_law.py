@@ -191,9 +191,6 @@ class Stretches:
 def stretches(piece: Piece, fitted: Decayed, number: int, mode: int, output: int) -> Stretches:
     """Amplitudes of a mode of the piece of this *number* on stretches of its rows in time, everything else
     subtracted as fitted.
-
-    Each is a least-squares fit of C e^(lambda t) with the fitted lambda to one stretch: what differs from a
-    constant C is what one exponential does not say.
     """
     solved, pole = fitted.pieces[number], fitted.poles_of(number)[mode]
     n = piece.time.size

@@ -49,8 +49,7 @@ def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float 
     """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less
     than three peaks.
 
-    rate, frequency [Hz]. The largest value of every period is sought, down to a tenth of the first: noise
-    makes small peaks too large, and the decrement too small. Equation (decay-peaks).
+    rate, frequency [Hz]. Equation (decay-peaks).
     """
     period = rate / frequency
     count = int(samples.size / period)
@@ -63,8 +62,6 @@ def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float 
     slope = np.polynomial.polynomial.polyfit(np.arange(peaks.size), np.log(peaks), 1)[1]
     return -float(slope)
 
-
-# Long records as few points that look the same when they are drawn.
 
 MOST_STRETCHES = 700
 
@@ -84,9 +81,6 @@ def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
         parts = values[:whole].reshape(-1, length)
         shown.append(np.stack([parts.min(axis=1), parts.max(axis=1)], axis=1).reshape(-1))
     return (middle, *shown)
-
-
-# What people read of decaying modes.
 
 
 def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...]:
@@ -189,8 +183,6 @@ def pole_correlation(fitted: Decayed) -> FloatArray:
     return correlation(slopes @ fitted.covariance @ slopes.T)
 
 
-# What the uncertainties of sensors and of a given mass do to decays.
-
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
 
 
@@ -201,7 +193,6 @@ def decay_sources(
     from 0, was read by.
 
     An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large.
-    Poles do not know it.
     """
     uncertainties: dict[str, Uncertainty] = {}
     changes: dict[str, FloatArray] = {}
@@ -225,8 +216,6 @@ def decay_sources(
         *((uncertainties[source], change) for source, change in changes.items()),
     ]
 
-
-# Model decay: the modes of free decays by maximum likelihood, judged by what they leave.
 
 # Rows for each parameter of the poles below which intervals are not those of a large sample.
 FEW_DOF = 30
@@ -339,10 +328,7 @@ def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
 def _laws(
     pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]
 ) -> dict[int, FittedLaw]:
-    """The laws of modes whose damping or frequency depends on the amplitude.
-
-    None where the residual does not show it.
-    """
+    """The laws of modes whose damping or frequency depends on the amplitude."""
     if tested.amplitude >= MISMATCH_P or not fitted.converged:
         return {}
     laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
@@ -350,10 +336,7 @@ def _laws(
 
 
 def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int, FittedLaw]:
-    """The laws that leave noise, or less than EXPLAINED of what the decay without them leaves.
-
-    Wind, or any force that goes on, bends a decay as well: a law follows a little of it, and leaves the rest.
-    """
+    """The laws that leave noise, or less than EXPLAINED of what the decay without them leaves."""
     rows = sum(piece.rows.shape[0] for piece in pieces)
     return {
         mode: law
@@ -371,7 +354,7 @@ def _missing(
     strongest: dict[int, tuple[int, int]],
     settings: FitSettings,
 ) -> MissingMode | None:
-    """One mode more, where it explains better than the *laws* what the fit leaves; None without laws."""
+    """One mode more, where it explains better than the *laws* what the fit leaves."""
     if not laws or fitted.poles.size == MOST_MODES:
         return None
     try:

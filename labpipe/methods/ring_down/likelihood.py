@@ -98,8 +98,6 @@ def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> 
     return Piece(piece.time[:n_sample], piece.rows[:n_sample], None, piece.nuisance[:n_sample])
 
 
-# Maximum likelihood of decaying oscillations.
-
 MOST_STEPS = 60
 MOST_HALVINGS = 12
 # The descent ends where a further step is this small against the standard errors.
@@ -278,7 +276,7 @@ def _chain(amplitudes: ComplexArray) -> FloatArray:
 def _shorter_until_better(
     pieces: Sequence[Piece], solved: Sequence[Solved], poles: ComplexArray, step: FloatArray
 ) -> tuple[ComplexArray, list[Solved]] | None:
-    """The poles after the step, halved until they are more likely; None where none is."""
+    """The poles after the step, halved until they are more likely."""
     before = _misfit(solved)
     change = step[: poles.size] + 1j * step[poles.size :]
     for _ in range(MOST_HALVINGS):
@@ -298,8 +296,6 @@ def _misfit(solved: Sequence[Solved]) -> float:
         for part in solved
     )
 
-
-# Start values of a free decay.
 
 # Samples of the decimated record, series of them, and how many ranks beyond that of the modes are tried.
 MOST_SAMPLES, MOST_SERIES = 600, 4
@@ -425,7 +421,7 @@ def _decimated(
 
 
 def _filtered(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> FloatArray:
-    """The samples within a band, without the ends that the filter spoils; all of them without one."""
+    """The samples within a band, without the ends that the filter spoils."""
     if band is None:
         return samples
     frequency = fft.rfftfreq(samples.size, 1 / rate)

@@ -16,7 +16,6 @@ from labpipe.report.document import Figure
 from labpipe.report.figures import scale_of
 from labpipe.report.wording import fit_title, unit_text
 
-# Limits of 95 % of a standard normal value.
 TWO_SIGMA = 1.96
 LAW_POINTS = 60
 MODE_HEIGHT = 3.4

@@ -31,9 +31,6 @@ class DecaySettings(Settings):
             raise ConfigError(f"'modes' is {self.modes}", hint=f"1 to {MOST_MODES}", field="modes")
 
 
-# The model decay as an entry of the table of models. What fits is imported by the first fit.
-
-
 def _fit(decays: FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.ring_down.fit import decay_fit
 

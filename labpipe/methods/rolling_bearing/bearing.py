@@ -91,17 +91,12 @@ def ball_passage(
     )
 
 
-# Ball and roller bearings as kinds of bearing.
-
 UNITS = ("m", "m", "m", "rad", "rad")
 LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
-    """Coefficients of all settings, in order.
-
-    Those of one bearing with the same fixed dofs are solved together.
-    """
+    """Coefficients of all settings, in order."""
     groups: dict[object, list[int]] = {}
     for number, entry in enumerate(settings):
         groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)

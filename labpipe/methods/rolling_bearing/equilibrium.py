@@ -238,9 +238,7 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     """Next position u + t p, (n_case, 5) [m], from t = 1, reduced until the potential decreases or its slope
     along p is not positive.
 
-    A convex potential decreases as long as its slope at the end of the step is not positive; that test also
-    works where differences of the potential are below rounding. A reduction goes to the zero of the secant of
-    the slope.
+    A reduction goes to the zero of the secant of the slope.
     """
     descent = np.einsum("nf,nf->n", trial.residual, step[:, problem.free])
     length = np.ones(len(step))
@@ -269,7 +267,7 @@ def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
     """A position in which all elements carry, (n_case, 5) [m]: the axial equilibrium under the sum of the
     loads; rollers at 0 deg: radial.
 
-    *fixed* (n_case, 5): fixed displacements. At q = 0 a bearing with contact angle 0 has no stiffness.
+    *fixed* (n_case, 5): fixed displacements.
     """
     bearing, u = problem.bearing, fixed.copy()
     size = np.linalg.norm(problem.load, axis=1)
@@ -305,8 +303,6 @@ def _axial_approach(bearing: RollingBearing, size: FloatArray, side: FloatArray)
     return side * axial - a0 * sin0
 
 
-# Equilibrium of a rolling bearing under prescribed loads and displacements.
-
 # Load cases solved together: many enough for a small overhead of numpy, few enough for the cache.
 CASES_AT_ONCE = 512
 
@@ -338,7 +334,7 @@ class Equilibrium:
         """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite
         contact angle.
 
-        The equations allow it; a bearing with one shoulder does not.
+        The equations allow it.
         """
         opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
         return np.any(

@@ -80,8 +80,6 @@ class RollingBearing:
     def reach(self) -> float:
         """Largest deflection of the model [m]: the groove centres' distance, about 5 % of a ball; 2 % of the
         pitch radius for rollers.
-
-        Hertzian contacts are small against the element.
         """
         return self.groove_distance or ROLLER_REACH * self.pitch_radius
 

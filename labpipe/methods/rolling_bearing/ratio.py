@@ -4,7 +4,7 @@ tests.
 A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still.
 Therefore the theory's stiffness matrix is multiplied by a factor and put in series with the shaft, its curve
 is fitted on the measured lines with the measured weights, and factor and damping are changed until that fit
-gives the measured k and c. Neighbouring modes affect both alike.
+gives the measured k and c.
 """
 
 from __future__ import annotations
@@ -130,10 +130,7 @@ def match(
 def _solved(
     function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The root of function(u) = target and the slopes (2, 2) near it.
-
-    FitError where there is none within reach.
-    """
+    """The root of function(u) = target and the slopes (2, 2) near it."""
     u, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
         here = function(u)
@@ -291,8 +288,6 @@ def _arm(rig: Rig, place: int) -> float:
         )
     return rig.arm
 
-
-# Ratio measured / theory over all tests with its interval, and test of damping proportional to stiffness.
 
 NORMAL_95 = 1.959963984540054
 SERIES = "; corrected for the bending shaft"
@@ -458,8 +453,6 @@ def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> 
     ratio = from_log("ratio", "1", float(log - np.log(beta)), float(error), NORMAL_95)
     return replace(point, theory=point.value / ratio.value, ratio=ratio.value, ratio_ci95=ratio.ci95)
 
-
-# The comparisons ratio and rayleigh.
 
 # The condition is raised by this share for the slope of the theory.
 CONDITION_STEP = 1e-3

@@ -173,8 +173,6 @@ def in_series(constants: tuple[float, ...], exponent: float) -> float:
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)
 
 
-# Settings of ball-bearing and roller-bearing files.
-
 BALL, ROLLER = "ball-bearing", "roller-bearing"
 LOAD_OF_DOF = {"x": "x", "y": "y", "z": "z", "bx": "mx", "by": "my"}
 

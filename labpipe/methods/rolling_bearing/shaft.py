@@ -132,8 +132,6 @@ def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool
     return apparent if known_inertia else apparent / shaft_modes.share[range(len(DOFS)), main]
 
 
-# Theoretical transfer matrix of a shaft that bends between its bearing and the place of excitation.
-
 RADIAL = (0, 1)
 
 
@@ -141,8 +139,7 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and
     y, (..., 5, 5).
 
-    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. An uncoupled radial
-    coefficient becomes k k_s / (k + k_s), the series formula. Infinite k_s has no effect. ConfigError for k_s
+    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. ConfigError for k_s
     not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
@@ -176,8 +173,6 @@ def bent_transfer_matrix(
         ) from None
     return receptance
 
-
-# Bending shaft in series with its bearing.
 
 NORMAL_95 = normal_quantile(0.975)
 
@@ -285,8 +280,7 @@ def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain
     """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three
     uncertainties to first order.
 
-    The damper is in the bearing, whose motion is k_total / k_b of the measured one: (k_total + j w c_total)
-    in series. Equation (roll-series-damping).
+    Equation (roll-series-damping).
     """
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2

@@ -191,8 +191,6 @@ def condensed_rotor(
     return CondensedRotor(speed, at_bearing, force, motion[:, dofs, 0], per_journal)
 
 
-# Stability of a pinned rotor on one bearing whose coefficients change with speed.
-
 # Least share of the journal in a mode's squared deflections.
 LEAST_PARTICIPATION = 1e-8
 # To which a speed of resonance is found [rad/s].
@@ -220,9 +218,8 @@ class LeastStable:
 
 @dataclass(frozen=True)
 class Stability:
-    """A pinned *rotor* and the node of its *bearing*.
-
-    *inverse_mass* (n_dof, n_dof) [1/kg] is stored for repeated eigenvalue problems.
+    """A pinned *rotor* and the node of its *bearing*; inverse_mass (n_dof, n_dof) [1/kg] is stored for
+    repeated eigenvalue problems.
     """
 
     rotor: PinnedRotor

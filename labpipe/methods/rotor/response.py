@@ -132,9 +132,6 @@ def onset_speed(
     return None
 
 
-# Steady vibration of a rotor on its bearings.
-
-
 def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
     """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in
     [rad/s].
@@ -210,9 +207,6 @@ def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
     Equation (rotor-orbit).
     """
     return displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
-
-
-# Reduced rotor: the free rotor is solved once per speed between chosen nodes.
 
 
 @dataclass(frozen=True)

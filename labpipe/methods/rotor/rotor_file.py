@@ -127,8 +127,6 @@ class UnbalanceSettings(Settings):
     phase: float = quantity("phase from the keyphasor, with the spin", "rad", 0.0)
 
 
-# Reading a rotor file.
-
 MATERIALS = {"steel": STEEL, "aluminium": ALUMINIUM}
 
 Owner = TypeVar("Owner")
@@ -306,10 +304,7 @@ def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, Bea
 
 
 def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace | None:
-    """A bearing of any kind on its node.
-
-    Its load and speed follow from the rotor, so their entries are refused.
-    """
+    """A bearing of any kind on its node."""
     key, before = f"bearings.{number}", len(faults)
     entries = faults.mapping(entry, key)
     kind = kind_of(entry, key, faults) if entries else None

@@ -36,7 +36,6 @@ from labpipe.report.chart import (
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.sections import PipelineSection
 
-# The rotor of worn-bearing fits as a sketch.
 
 MM = 1e3
 HEIGHT = 2.9
@@ -236,8 +235,6 @@ def disc_dimensions(disc: Mapping[str, Any], bore: float) -> tuple[float, float,
     return bore, max(float(outer), 1.2 * bore), float(length)
 
 
-# The response to unbalance as people read it.
-
 UM = 1e6
 HEADER = ("case", "depth [um]", "angle [deg]", "forward [um]", "at [Hz]", "backward [um]", "at [Hz]", "ratio")
 EXPLAINED = (
@@ -319,15 +316,9 @@ def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
             yield ListedParameter(fit="unbalance", parameter=parameter, test=case.name, model="unbalance")
 
 
-# The section unbalance.
-
-
 def run_unbalance(settings: UnbalanceSettings, work: Work) -> UnbalanceRuns:  # noqa: ARG001 (one signature for all sections)
     """The response of every state of wear at every speed."""
     return unbalance_runs(settings)
-
-
-# Holding the response to unbalance against rules.
 
 
 def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNumber) -> RuleOutcome:

@@ -72,8 +72,6 @@ class UnbalanceRuns:
         return peaks
 
 
-# Response to unbalance over speed in forward and backward circles, for states of wear of one bearing.
-
 MOST_SPEEDS = 2000
 STEP_OF_SPEED = "step of the speeds"
 

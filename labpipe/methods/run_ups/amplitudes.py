@@ -3,16 +3,14 @@ pattern search.
 
 Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the
 objective is evaluated at all 2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the
-mesh m doubles, otherwise m halves. Neighbours beyond a bound are moved onto it. No gradients, and no standard
-errors of the minimum. COBYQA of scipy is the alternative by name.
+mesh m doubles, otherwise m halves.
 
 Per point the factors f on the coefficients of the rotor file's bearing, 1 - bound <= f <= 1 + bound, minimise
 
     F = sum over planes (a_measured - a_computed)^2,   a: largest displacement of the orbit,
 
 (their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks
-perfect wherever it starts, and the coefficients that it returns are those next to its start. `StartSpread`
-states it.
+perfect wherever it starts, and the coefficients that it returns are those next to its start.
 """
 
 from __future__ import annotations
@@ -65,8 +63,6 @@ class SearchLimits:
 class SearchHistory:
     """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh
     [-] (NaN without a mesh).
-
-    A problem that has ended keeps its last row.
     """
 
     evaluations: IntArray
@@ -148,8 +144,8 @@ def cobyqa_search(
     """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region
     has no mesh (NaN).
 
-    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. The objective is scaled by its value
-    at the start, parameters by the box. ConfigError without COBYQA in the installed scipy.
+    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError without COBYQA in the
+    installed scipy.
     """
     limits = limits or SearchLimits()
     values, width = _checked(start, lower, upper)
@@ -234,8 +230,6 @@ def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[F
     return np.array(start, np.float64), upper - lower
 
 
-# Eight coefficients per load and speed from the planes' amplitudes alone.
-
 BOUND = 0.3
 SEED = 20260101
 # Distance from a bound, as a part of the box, below which a factor counts as at its bound.
@@ -250,7 +244,7 @@ class AmplitudeFit:
     amplitudes alone; objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2];
     chi2, n_datum: over the amplitudes' own errors. Of the search: evaluations, mesh, capped (n_speed,), its
     history; every start's factors (n_start, n_speed, 8) and objectives (n_start, n_speed), the rotor file's
-    coefficients first. No standard errors: the amplitudes do not determine the coefficients.
+    coefficients first.
     """
 
     load: float

@@ -2,11 +2,7 @@
 predictions.
 
 |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / spread)^2 over the family's parameters p; r is the
-residual of the responses over their standard errors. Thresholds are computed by Newton's method from the
-measured speeds, their slopes by the modes' left and right eigenvectors.
-
-By Levenberg-Marquardt with analytic slopes (see `problem`); priors determine the combinations that run-ups do
-not (see `film_family`).
+residual of the responses over their standard errors.
 """
 
 from __future__ import annotations
@@ -196,8 +192,6 @@ def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: 
     )
 
 
-# Result of the joint fit and its predictions at any load.
-
 # Chi-square probability below which the family is rejected.
 REJECTED = 1e-3
 # Tolerance of the range of fitted loads, relative.
@@ -349,8 +343,6 @@ class JointFit:
                 ) ** 2
         return Uncertain(predict(self.values), float(np.sqrt(variance)))
 
-
-# One fit of the film's twelve physical parameters to all complex responses at all loads and speeds.
 
 MOST_REFITS = 12
 # Tolerance of the second attempt, in standard errors: a bearing far outside the family converges slowly.

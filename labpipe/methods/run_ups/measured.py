@@ -6,9 +6,7 @@ Near a critical speed all outputs are dominated by the same two modes and have o
 
 fitted to the complex amplitudes by linear least squares, reweighted with the last denominator (Sanathanan &
 Koerner 1963). The largest displacement of the fitted orbit gives the speed; its error is that of refits under
-the stated noise, together with what two points fewer and the uncertainties of the probes change. Polynomials
-through the amplitudes alone miss the peak by one to two per cent at steps of 100 rpm, twenty times their own
-errors.
+the stated noise, together with what two points fewer and the uncertainties of the probes change.
 """
 
 from __future__ import annotations
@@ -120,8 +118,6 @@ def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: F
     top = solution[0:-2:2] + solution[1:-2:2] * place[:, None]
     return top / (1 + solution[-2] * place + solution[-1] * place**2)[:, None]
 
-
-# Records of measured run-ups.
 
 GRAM_MM = 1e6
 

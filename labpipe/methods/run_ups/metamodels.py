@@ -1,8 +1,6 @@
 """Metamodels of the journal coefficients: surrogates of k_xx ... c_yy over load and speed.
 
-METAMODELS are fitted to coefficients on a grid (see `Grid`); the physical fit is the joint fit itself. All
-have one interface, are written as plain entries and read back, and are compared by leave-one-load-out
-validation.
+METAMODELS are fitted to coefficients on a grid (see `Grid`).
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ coefficient maximise the marginal likelihood times their log-normal priors (HYPE
 
 Network: two inputs, one hidden layer of tanh, eight outputs, trained by L-BFGS with weight decay. Predictions
 are the mean over repeats with different seeds, and their standard error is the spread of the repeats, the
-effect of the start weights only. A network is read back without scikit-learn.
+effect of the start weights only.
 """
 
 from __future__ import annotations
@@ -96,10 +96,7 @@ class GaussianProcess:
 
     @property
     def statement(self) -> str:
-        """Statement on lengths and noise of maximum marginal likelihood.
-
-        Medians over the eight coefficients.
-        """
+        """Statement on lengths and noise of maximum marginal likelihood."""
         (first, last), (low, high) = self.extent.loads, self.extent.speeds
         load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [
             (last - first) / 2,

@@ -172,8 +172,6 @@ def _step(
 ) -> FloatArray:
     """A Gauss-Newton step within the box: coefficients beyond a bound are set to it, and the others are
     solved again.
-
-    Values on a bound that the gradient pushes outwards stay there from the outset.
     """
     gradient = (slopes.swapaxes(1, 2) @ residual[..., None])[..., 0] + parts / ridge**2
     fixed_mask = ((parts >= bound) & (gradient < 0)) | ((parts <= -bound) & (gradient > 0))

@@ -1,8 +1,7 @@
 """Weighted residuals of run-ups with analytic slopes, and what a set of run-ups can tell apart.
 
 A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two
-complex equations. Amplitudes alone give one number per disc. Only a force that does not turn with the shaft
-moves the journal along another vector.
+complex equations. Only a force that does not turn with the shaft moves the journal along another vector.
 """
 
 from __future__ import annotations
@@ -198,8 +197,6 @@ def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS)
     )
 
 
-# Identifiability of the eight coefficients from run-ups at one load and speed.
-
 AMPLITUDES = "amplitudes at the planes"
 COMPLEX = "amplitude and phase in both directions"
 SECOND = "the same, with a second unbalance run"
@@ -222,8 +219,7 @@ def rank_statements(
     """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load*
     [N] and *speed* [rad/s].
 
-    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is
-    needed.
+    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given.
     """
     place = np.array([speed])
     eight = (

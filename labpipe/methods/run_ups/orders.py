@@ -46,7 +46,7 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
     """Amplitude with two standard deviations and phase of every response over the speed; forward and backward
     of every plane below.
 
-    The whole motion stands beside the amplitudes, dashed. Over the time where the speed stays what it is.
+    The whole motion stands beside the amplitudes, dashed.
     """
     across, along = _across(track)
     unit, factor = _unit(quantity)
@@ -170,8 +170,6 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> Panel:
     )
     return Panel(Axis("x", unit), Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True)
 
-
-# orders: a recording with its shaft speed -> amplitude and phase of an order over the run.
 
 Column = tuple[str, FloatArray]
 
@@ -349,9 +347,6 @@ def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Col
     )
 
 
-# What the command orders does.
-
-
 def track_and_write(
     recording: Path,
     output: Path,
@@ -393,10 +388,7 @@ def track_and_write(
 
 
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
-    """Load and known unbalances of a run-up, which a recording does not hold.
-
-    ConfigError for missing ones.
-    """
+    """Load and known unbalances of a run-up, which a recording does not hold."""
     newtons = _value("--load", load, "N")
     if newtons is None or not unbalance:
         raise ConfigError(

@@ -148,8 +148,6 @@ def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     ).reshape(-1, 2)
 
 
-# Result of the joint fit with smooth factors and its predictions at any load.
-
 # Half-width of the differences about a peak, as a part of its speed.
 PEAK_STEP = 5e-3
 
@@ -284,8 +282,6 @@ class ProcessFit:
         return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
 
 
-# The joint fit times smooth factors.
-
 # Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load
 # and speed.
 HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
@@ -339,7 +335,7 @@ def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
 
 
 def _ranges(places: FloatArray) -> FloatArray:
-    """Ranges of load and speed; of a single load the load itself."""
+    """Ranges of load and speed."""
     extent = np.ptp(places, axis=0)
     return np.where(extent > 0, extent, places[0])
 

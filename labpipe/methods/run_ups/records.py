@@ -139,8 +139,6 @@ class RunUp:
         return self.speed * 30 / np.pi
 
 
-# Results of run-ups.
-
 TRAINED, HELD_OUT = "trained", "held-out"
 # Verdict of a method whose family chi-square rejects: its speeds are values without an interval.
 REJECTED = "rejected"

@@ -226,10 +226,7 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
 
 
 def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Rank, condition, bounds and chi-square of every method; undetermined combinations.
-
-    Recommended experiment.
-    """
+    """Rank, condition, bounds and chi-square of every method."""
     fitted = [method for method in result.methods if method.rank is not None]
     header = (
         "method",
@@ -374,11 +371,6 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
         ("metamodel", "load [N]", "of the others", *NAMES, "all"), tuple(rows), caption, tuple(range(3, 12))
     )
 
-
-# Journal coefficients as figures.
-
-
-# Report of run-ups.
 
 FRAME = (
     "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of "

@@ -160,8 +160,6 @@ def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
     )
 
 
-# All methods on the run-ups of a rotor, compared on every run.
-
 Tell = Callable[[str], None]
 
 
@@ -313,8 +311,6 @@ def _advice(result: RunUpResult) -> list[Finding]:
     advice = next((row.advice for row in result.ranks if row.advice), "")
     return [note("experiment", f"{fewest}; {advice}")]
 
-
-# Parameters, critical and threshold speeds of run-ups for lists of results.
 
 MEASURED = "run_ups.measured"
 

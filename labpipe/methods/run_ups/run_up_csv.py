@@ -116,7 +116,7 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
 
 
 def _refuse_misspelt(key: str, where: str) -> None:
-    """DataError for a key similar to a known one; other comments (of a logger) are ignored."""
+    """DataError for a key similar to a known one."""
     if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
         raise DataError(f"unknown entry '{key}'", where=where, hint=nearest(key, PLAIN_KEYS))
 

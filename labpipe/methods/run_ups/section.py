@@ -1,7 +1,4 @@
-"""The section run_ups: tables or tracked recordings -> journal coefficients by several methods.
-
-Its rules and lines.
-"""
+"""The section run_ups: tables or tracked recordings -> journal coefficients by several methods."""
 
 from __future__ import annotations
 
@@ -155,8 +152,6 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
     )
 
 
-# run_ups: the run-ups of a rotor -> journal coefficients by several methods.
-
 Tell = Callable[[str], None]
 
 
@@ -182,9 +177,6 @@ def identify_run_ups(
         [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs],
         tell,
     )
-
-
-# Holding run-ups against rules.
 
 
 MEASURED = "measured"
@@ -250,10 +242,7 @@ def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]
 def _of_method(
     rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
-    """Rank, condition, chi-square, share at bounds, verdict of a method.
-
-    The largest left-out error of a metamodel.
-    """
+    """Rank, condition, chi-square, share at bounds, verdict of a method."""
     predictors = _predictors(result)
     if address.method not in predictors:
         raise _fault(
@@ -282,10 +271,7 @@ def _rms(errors: Sequence[float]) -> float:
 
 
 def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
-    """A critical or threshold speed of one run, or of every run that has it.
-
-    The value shown is the first that fails, or the first.
-    """
+    """A critical or threshold speed of one run, or of every run that has it."""
     if address.attribute and address.attribute not in ATTRIBUTES:
         raise _fault(rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
     runs = [run for run in result.runs if address.run in ("", run.name)]
@@ -329,10 +315,7 @@ def _attribute(
 
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
-    """Critical and threshold speed of every run, measured and by every method, in rpm.
-
-    Then how far each method is determined.
-    """
+    """Critical and threshold speed of every run, measured and by every method, in rpm."""
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
     names = [
         "measured",

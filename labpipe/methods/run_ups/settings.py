@@ -64,8 +64,6 @@ def turning(uncertainty: Uncertainty, n_plane: int) -> tuple[ProbeError, ...]:
     return (ProbeError(uncertainty, np.tile(1j * np.eye(2), (n_plane, 1, 1))),)
 
 
-# Settings of run-ups.
-
 # From rotor, trained runs and settings to a Solved: labpipe.methods.run_ups.methods.
 METHODS = Registry(
     "run-up method",

@@ -4,8 +4,7 @@ run-ups under known unbalances.
 Falah and Khorshid print the bearing, the span, the shaft and the loads. The other parameters are chosen here:
 discs of 4.3 kg and 50 mm radius at 190 mm from the pinned ends, two axial grooves of 20 deg at the horizontal
 split, 50 and 30 g.mm of unbalance, 27 speeds, 1 % and 1 deg of noise, thresholds within .2 %; the bearing
-differs from the rotor file's in one of three ways (TRUTHS). Where a rotor is unstable it has no steady
-amplitude, and the table has no row.
+differs from the rotor file's in one of three ways (TRUTHS).
 """
 
 from __future__ import annotations
@@ -271,10 +270,7 @@ def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, comp
 def _threshold(
     virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator
 ) -> Uncertain | None:
-    """The threshold with its noise, on the first run-up of a load.
-
-    None where there is none within the search.
-    """
+    """The threshold with its noise, on the first run-up of a load."""
     if name.endswith(("-second", "-shaker")):
         return None
     exact = virtual.nominal.threshold(coefficients)

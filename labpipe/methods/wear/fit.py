@@ -148,8 +148,6 @@ def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMes
     )
 
 
-# Model worn-bearing.
-
 # Number of further minima that are refined as the best one is, and their largest excess of chi-square,
 # relative.
 MOST_RIVALS, NEAR = 3, 0.5
@@ -438,7 +436,7 @@ def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
 
 
 def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region, ...]:
-    """The joint region of depth and angle; none for a healthy rig or where the angle is not identifiable."""
+    """The joint region of depth and angle."""
     model = solved.misfit.model
     if (
         DEPTH not in model.names

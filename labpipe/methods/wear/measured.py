@@ -172,7 +172,7 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
 
 
 def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
-    """Mask of the lines nearest to *wanted* [Hz]; ConfigError where none is within half a line spacing."""
+    """Mask of the lines nearest to *wanted* [Hz]."""
     nearest = np.array([int(np.argmin(np.abs(frequency - line))) for line in wanted])
     spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
     for line, line_hz in zip(wanted, frequency[nearest], strict=True):
@@ -186,8 +186,6 @@ def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
     return chosen
 
 
-# Objectives of a wear identification.
-
 # From (modelled terms, their slopes) to (residual, its slopes), both as real columns.
 Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 
@@ -197,9 +195,8 @@ class Misfit:
     """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once
     *size* is known.
 
-    The last point is cached, because optimisers ask for residual and Jacobian one after the other. size:
-    standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known. The
-    prior's rows stand last.
+    size: standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known.
+    The prior's rows stand last.
     """
 
     model: WornModel
@@ -288,7 +285,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017).
 
-    Phases do not enter. Equation (wear-log).
+    Equation (wear-log).
     """
     matrix = measured.chosen.matrix
 

@@ -59,16 +59,13 @@ class WornModel:
         """The mesh of the films that refine a minimum: four times the tables' cells around the journal, twice
         those across.
 
-        Around it they follow the film's front and the edges of wear; twice as many err by up to .3 um where
-        wear divides the film.
+        Around it they follow the film's front and the edges of wear.
         """
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
         """The model with the films' coefficients and slopes at scaled parameters (n,) [1], on the films' own
         mesh.
-
-        A table cannot follow every bend of the coefficients: its error moves a deep wear by a micrometre.
         """
         values, mesh = self.values(parameters), self.film_mesh
         return replace(

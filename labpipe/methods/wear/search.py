@@ -1,9 +1,7 @@
 """Minima of the misfit, profile intervals and joint regions, the probability of a healthy bearing.
 
-Noise is not the only uncertainty: where the film divides, coefficients bend sharply over the depth, and the
-cells round the bend. The change of the coefficients from half the cells moves the estimate; a third of it is
-the standard deviation of the mesh's own error. Films err independently: a mesh that suits one may not suit
-the other.
+The change of the coefficients from half the cells moves the estimate; a third of it is the standard deviation
+of the mesh's own error.
 """
 
 from __future__ import annotations
@@ -181,8 +179,6 @@ def refined(
     return misfit, replace(minimum, converged=False)
 
 
-# Profile intervals and joint confidence region of depth and angle.
-
 PROFILE_STEPS = 10
 # Tolerance of the profile's distance from the limit, in standard deviations.
 CLOSE = 0.02
@@ -276,8 +272,6 @@ def joint_region(
         outline.append(np.clip(best.parameters[:2] + length * ray, low, high))
     return np.array(outline)
 
-
-# Probability of a healthy bearing against one with wear.
 
 # Increase of chi-square beyond which the integral over wear is that of one narrow peak.
 NARROW = 20.0

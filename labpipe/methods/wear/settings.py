@@ -171,8 +171,6 @@ class WearSettings(Settings):
         return {name: nuisance.value for name, nuisance in fixed.items() if nuisance is not None}
 
 
-# Posterior of a healthy rig's tuning, the prior of the wear fit.
-
 # Standard error of a parameter at its bound, relative to its value.
 LEAST_SHARE = 1e-3
 
@@ -222,9 +220,6 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
     return Gaussian(
         tuple(parameter.name for parameter in chosen), tuple(parameter.value for parameter in chosen), rows
     )
-
-
-# The model worn-bearing as an entry of the table of models. What fits is imported by the first fit.
 
 
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

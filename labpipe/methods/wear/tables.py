@@ -3,8 +3,6 @@ rotor with them.
 
 With Z = K + j w C of the bearings and H the receptance of the rotor on them, dH/dp = -H_ob (dZ/dp) H_bf:
 exact, and from the few dofs of the reduced rotor only.
-
-Tables are cached per bearing, load, speed, range and mesh: the fits of a pipeline share them.
 """
 
 from __future__ import annotations
@@ -118,8 +116,6 @@ def worn_response(
     response, slopes = response_with_slopes(rig.rotor, [rig.bearing(depth, angle)], rig.output, rig.force)
     return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
 
-
-# Coefficients of the bearings of a rotor as functions of wear.
 
 # Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the
 # films.

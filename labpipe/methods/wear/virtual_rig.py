@@ -1,8 +1,5 @@
 """A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an
 unbalance line.
-
-The rig differs from its rotor file, as a real one does: other viscosity and clearance, and oil films on a
-finer mesh than an identification uses.
 """
 
 from __future__ import annotations
