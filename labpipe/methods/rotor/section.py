@@ -36,7 +36,6 @@ from labpipe.report.chart import (
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.sections import PipelineSection
 
-
 MM = 1e3
 HEIGHT = 2.9
 # Number and opacity of the colour of every part.
