@@ -352,18 +352,14 @@ def derived_values(
 
     Omega (n_line,) [rad/s] of the fit.
     """
-    turning = _whirl_of(found)
+    full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
+    turning = whirl(found.model, found.values, found.whole) if full else None
     parts = [
         *_whirl_values(found, turning, shaft),
         *_crossover(found, omega, shaft),
         *_synchronous(found, omega, shaft),
     ]
     return tuple(parts), turning
-
-
-def _whirl_of(found: FittedStiffness) -> Whirl | None:
-    full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
-    return whirl(found.model, found.values, found.whole) if full else None
 
 
 def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -> list[Valued]:

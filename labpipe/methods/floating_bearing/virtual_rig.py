@@ -376,15 +376,11 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
     return total
 
 
-def _multisine(rig: FloatingRig) -> Multisine:
-    return design_multisine(rig.band, rig.spacing, rig.force)
-
-
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
     """Amplitudes (n_sample // 2 + 1, 2) [N]: the multisine times *shares* in x and y, or its lines to x and y
     in turn.
     """
-    design = _multisine(rig)
+    design = design_multisine(rig.band, rig.spacing, rig.force)
     size = (design.lines * design.spacing) ** rig.slope
     amplitude = size * np.exp(1j * design.phases)
     both = amplitude[:, None] * np.array(shares)

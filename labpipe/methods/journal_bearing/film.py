@@ -416,7 +416,8 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
     columns, band = (
         _folded_band(equations) if columns is None else (columns, _open_band(equations, columns, room))
     )
-    diagonal = _diagonal(equations, curvature)
+    around = equations.around + np.roll(equations.around, 1)
+    diagonal = around[:, None] + equations.across[:, None] * np.diagonal(curvature) + equations.diagonal
     band[:, :, 0] = diagonal[columns]
     band[:, :-1, 1] = equations.across[columns, None] * np.diagonal(curvature, 1)
     from scipy.linalg import lapack
@@ -427,11 +428,6 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
             "the equations of the oil film are singular", hint="check load, speed, viscosity and clearance"
         )
     return FactoredFilm(columns, factors, diagonal)
-
-
-def _diagonal(equations: FilmEquations, curvature: FloatArray) -> FloatArray:
-    around = equations.around + np.roll(equations.around, 1)
-    return around[:, None] + equations.across[:, None] * np.diagonal(curvature) + equations.diagonal
 
 
 def _open_ring(cavitated: BoolArray) -> IntArray | None:

@@ -358,7 +358,9 @@ class RunningFit:
         inflation = smoothed**2 / ((smoothed - n_output) ** 2 - 1)
         covariance_of_values = inflation * inverse
         std_error = np.sqrt(np.diag(covariance_of_values))
-        dof = _satterthwaite(counts, slopes @ inverse, weighted @ inverse)
+        shares = moving_mean(2 * np.sum(((slopes @ inverse).conj() * (weighted @ inverse)).real, axis=2))
+        spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
+        dof = np.asarray(2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0))
         freedom = 2 * residual.size - n_parameter
         reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
         misfit = bool(stats.f.sf(reduced, freedom, smoothed) < MISFIT_P)
@@ -397,10 +399,3 @@ def _solved(information: FloatArray, gradient: FloatArray) -> FloatArray:
     return np.asarray(
         np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
     )
-
-
-def _satterthwaite(counts: IntArray, moved: ComplexArray, weighted: ComplexArray) -> FloatArray:
-    """Degrees of freedom of each standard error: how evenly its lines share the variance, (n_parameter,)."""
-    shares = moving_mean(2 * np.sum((moved.conj() * weighted).real, axis=2))
-    spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
-    return np.asarray(2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0))

@@ -132,7 +132,7 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
     """
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
-    unstable = unstable_of(plant, rate)
+    unstable = unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
     poles = modes_of(loop_poles(plant, rate), highest_mode)
 
     def at(changed: Mapping[str, float]) -> dict[str, float]:
@@ -203,11 +203,6 @@ def bent_findings(loop: ClosedLoop) -> list[Finding]:
 def loop_poles(plant: Levitated, rate: float | None) -> ComplexArray:
     """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
     return closed_loop_poles(plant) if rate is None else sampled_poles(sampled(plant, rate), rate)
-
-
-def unstable_of(plant: Levitated, rate: float | None) -> int:
-    """Number of poles that grow."""
-    return unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
 
 
 def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:

@@ -404,7 +404,7 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
     interval = 1 / control.rate
     terms = [
         tustin(control.derivative, 0.0, control.derivative_time, interval),
-        _integrator(control.integral, interval),
+        (control.integral * interval / 2, control.integral * interval / 2, -1.0),
     ]
     mixing = np.eye(n_axis) if control.mixing is None else np.array(control.mixing, float)
 
@@ -426,11 +426,6 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
 
     n_state = n_plant + 2 * n_axis + control.delay * n_axis
     return LevitatedLoop(*step_matrices(advance, n_state, 2 * n_q + 3 * n_axis), control.rate, n_axis)
-
-
-def _integrator(gain: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) of gain / s by the bilinear transform."""
-    return gain * interval / 2, gain * interval / 2, -1.0
 
 
 def _sampled_plant(

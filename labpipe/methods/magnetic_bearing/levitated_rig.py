@@ -44,7 +44,11 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
     n_sample, n_axis = _n_sample(rig, name), len(rig.labels)
     length = n_sample * rig.decimation + round((SETTLING + MARGIN) * rig.control.rate)
     angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
-    added, push = _injected(rig, name, length, rng), _pushed(rig, name, length + 1, rng)
+    shape = ((length + 1), len(rig.labels))
+    added, push = (
+        _injected(rig, name, length, rng),
+        (_random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)),
+    )
     seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(
         rig, angle[:-1]
     )
@@ -118,12 +122,6 @@ def _injected(rig: LevitatedRig, name: str, length: int, rng: np.random.Generato
         axes = [rig.labels.index(label)] if label else list(range(n_axis))
         added[:, axes] = _random(rig, level, (length, len(axes)), rng, straight_lines=False)
     return added
-
-
-def _pushed(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
-    """Forces of shakers at the bearings (length, n_axis) [N]."""
-    shape = (length, len(rig.labels))
-    return _random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)
 
 
 def _random(

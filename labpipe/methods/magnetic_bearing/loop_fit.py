@@ -349,7 +349,12 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
         _identifiable(problem, at_end.jacobian[:, : problem.n_shared]) if problem.unknowns else (1.0, ())
     )
     whole = LoopFit(
-        parameters=_last_step(problem, minimum),
+        parameters=(
+            tuple(
+                Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
+                for number, entry in enumerate(problem.unknowns)
+            )
+        ),
         correlations=(),
         chi2_reduced=reduced,
         chi2_p=uncertainty.p_value(reduced, dof),
@@ -459,14 +464,6 @@ def _weighed(observation: LoopObservation) -> Measured:
         replace(observation.measured, matrix=observation.measured.matrix[:, taken:])
         if taken
         else observation.measured
-    )
-
-
-def _last_step(problem: LoopProblem, minimum: Minimum) -> tuple[Parameter, ...]:
-    """The values of the last step without standard errors."""
-    return tuple(
-        Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
-        for number, entry in enumerate(problem.unknowns)
     )
 
 

@@ -111,12 +111,6 @@ def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
     return getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
 
 
-def _with_block(blocks: tuple[ControllerBlock, ...], name: str, value: float) -> tuple[ControllerBlock, ...]:
-    place, _, entry = name.removeprefix(BLOCK).partition(".")
-    number = int(place) - 1
-    return (*blocks[:number], replace(blocks[number], **{entry: value}), *blocks[number + 1 :])  # type: ignore[arg-type]
-
-
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
     """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
     loop: dict[str, Any] = {}
@@ -125,7 +119,14 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     for name, value in values.items():
         field = ALIASES.get(name, name)
         if field.startswith(BLOCK):
-            loop["controller"] = _with_block(loop.get("controller", file.loop.controller), name, value)
+            blocks = loop.get("controller", file.loop.controller)
+            place, _, entry = name.removeprefix(BLOCK).partition(".")
+            number = int(place) - 1
+            loop["controller"] = (
+                *blocks[:number],
+                replace(blocks[number], **{entry: value}),
+                *blocks[number + 1 :],
+            )
         elif field in (*FACTORS, "static_stiffness"):
             factors[field] = value
         elif field in _LOOP:

@@ -213,8 +213,10 @@ def loop_sensitivity(
     measured_amounts, budget = _measured_amounts(measured, peak, predicted)
     amounts, budgets = list(measured_amounts), [budget]
     if theory is not None and predicted is not None:
+        holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
+        pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
         amounts += [
-            *_predicted_amounts(measured, predicted),
+            *tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items()),
             *goodness(theory.fitted),
             *theory.fitted.parameters,
         ]
@@ -285,15 +287,6 @@ def _measured_amounts(
         np.array(changes).T,
         dof if np.isfinite(dof) else None,
     )
-
-
-def _predicted_amounts(measured: MeasuredSensitivity, predicted: FloatArray) -> tuple[Parameter, ...]:
-    """The predicted peak within the measured band, and the share of lines whose interval holds the
-    prediction.
-    """
-    holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
-    pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
-    return tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items())
 
 
 def _statement(

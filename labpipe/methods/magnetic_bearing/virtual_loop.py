@@ -74,7 +74,11 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     periods, rate = 1 + PERIODS, 2000.0
     closed = sampled_loop(plant)
     length = _length(periods / force.spacing)
-    force_samples = np.resize(_straight_force(force), length + 1) * np.cos(np.pi / 4)
+    spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
+    spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
+    force_samples = np.resize(
+        np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing)), length + 1
+    ) * np.cos(np.pi / 4)
     noise = _probe_noise(rig, rate, (length, 2), rng)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _logged(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
@@ -91,26 +95,22 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
             Channel(f"u{dof}", "voltage", "reference", f"u{dof}"),
         ]
         columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
-    return SimulatedRun(
-        name,
-        _radial_truth(rig, plant, force),
-        Recording(tuple(channels), np.column_stack(columns), rate, name),
-    )
-
-
-def _radial_truth(rig: VirtualMagneticRig, plant: Suspended, force: Multisine) -> dict[str, Any]:
     omega = line_frequencies(force)
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
-    return {
-        "mass": rig.rotor_mass,
-        "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
-        "proportional": plant.loop.proportional,
-        "delay": plant.loop.delay,
-        "negative_stiffness_per_bearing": plant.negative_stiffness,
-        "frequency_hz": (omega / (2 * np.pi)).tolist(),
-        "k_per_bearing": bearing.real.tolist(),
-        "c_per_bearing": (bearing.imag / omega).tolist(),
-    }
+    return SimulatedRun(
+        name,
+        {
+            "mass": rig.rotor_mass,
+            "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
+            "proportional": plant.loop.proportional,
+            "delay": plant.loop.delay,
+            "negative_stiffness_per_bearing": plant.negative_stiffness,
+            "frequency_hz": (omega / (2 * np.pi)).tolist(),
+            "k_per_bearing": bearing.real.tolist(),
+            "c_per_bearing": (bearing.imag / omega).tolist(),
+        },
+        Recording(tuple(channels), np.column_stack(columns), rate, name),
+    )
 
 
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -188,13 +188,6 @@ def _unbalance_force(
 
 def _length(seconds: float) -> int:
     return round((seconds + MARGIN) * CONTROL_RATE)
-
-
-def _straight_force(force: Multisine) -> FloatArray:
-    """One period at the controller's rate whose straight lines between samples have the multisine's lines."""
-    spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
-    spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
-    return np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing))
 
 
 def _inputs(force: FloatArray, noise: FloatArray) -> FloatArray:

@@ -182,9 +182,16 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     clean = clean + linear.free_decay(clean, timing.sample_rate, 70.0, 0.2)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for quarter in (0.0, np.pi / 2):
-        displacement = clean + _hover(rig, timing, rng)
+        wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)[
+            timing.n_sample :
+        ]
+        displacement = clean + (rig.noise.hover * wander / np.sqrt(np.mean(wander**2)))
         if rotating:
-            displacement = displacement + _rotation(rig, timing, quarter)
+            t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
+            angle = 2 * np.pi * rig.speed * t - quarter
+            displacement = displacement + (
+                rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
+            )
         samples.append(_noisy(displacement, rig.noise.displacement, rng))
     bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
     truth: dict[str, Any] = {
@@ -200,19 +207,6 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         truth["negative_stiffness_per_bearing"] = mechanics.negative_stiffness(rig.levitation)
     channels = [_force_channel("45 deg", np.pi / 4), _displacement_channel("x"), _displacement_channel("y")]
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
-
-
-def _hover(rig: VirtualMagneticRig, timing: Timing, rng: np.random.Generator) -> FloatArray:
-    """Slow random wander of the levitated rotor, with the stated rms."""
-    wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)[timing.n_sample :]
-    return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
-
-
-def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> FloatArray:
-    """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
-    t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
-    angle = 2 * np.pi * rig.speed * t - quarter
-    return rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:

@@ -67,7 +67,9 @@ def model_errors(
     values = {parameter.name: parameter.value for parameter in parameters}
     errors_by_mode: dict[int, ModelError] = {}
     for number, mode in enumerate(order, start=1):
-        if not (misfit or moving or moved) and not _fills(measured, refined.poles[mode]):
+        if not (misfit or moving or moved) and not bool(
+            measured.omega[-1] - measured.omega[0] < 2 * REACH * -2 * refined.poles[mode].real
+        ):
             continue
         try:
             pole = complex(refined.poles[mode])
@@ -269,11 +271,6 @@ def _near(measured: Measured, pole: complex) -> BoolArray:
         near = np.zeros(frequency.size, np.bool_)
         near[np.argsort(away)[:FEWEST]] = True
     return np.asarray(near)
-
-
-def _fills(measured: Measured, pole: complex) -> bool:
-    """Whether the band is no wider than a mode's own one."""
-    return bool(measured.omega[-1] - measured.omega[0] < 2 * REACH * -2 * pole.real)
 
 
 def _widened(measured: Measured, pole: complex) -> tuple[float, float] | None:

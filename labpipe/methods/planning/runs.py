@@ -93,7 +93,7 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
     separate = _separate(criterion, whole, choices, wanted)
     design = separate or optimum(criterion, whole, wanted)
-    begun = _down(choices, design.shares, duration)
+    begun = np.floor(design.shares * duration / choices.cost + 1e-9).astype(int)
     if separate:
         begun = _one_each(choices, begun, duration)
     counts = _exchanged(
@@ -140,10 +140,6 @@ def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: Fl
     shares = sizes / sizes.sum()
     together = np.tensordot(shares, whole, 1)
     return Design(shares, together, certificate(criterion, whole, together, wanted))
-
-
-def _down(choices: RunChoices, shares: FloatArray, duration: float) -> IntArray:
-    return np.floor(shares * duration / choices.cost + 1e-9).astype(int)
 
 
 def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArray:

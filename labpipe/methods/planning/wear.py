@@ -319,7 +319,12 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
     files: dict[str, Any] = {}
     for run in planned.plan.runs:
         point = planned.points[run.name]
-        files[_rotor_name(run)] = rotor_entries(rotor, settings, point)
+        others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
+        files[_rotor_name(run)] = {
+            **rotor,
+            "speed": f"{point.speed!r} Hz",
+            "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
+        }
         files[f"virtual-{run.name}.yaml"] = virtual_entries(settings, run, point)
     files |= {RIG: rig_entries(settings), PIPELINE: pipeline_entries(planned, settings)}
     names = write_runs(planned.plan, files, output)
@@ -497,16 +502,6 @@ def _term_notes(
 
 def _rotor_name(run: PlannedRun) -> str:
     return f"rotor-{run.name}.yaml"
-
-
-def rotor_entries(rotor: dict[str, Any], settings: WearPlanSettings, point: WearPoint) -> dict[str, Any]:
-    """The rotor file at another speed, and with another static force at the loaded node."""
-    others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
-    return {
-        **rotor,
-        "speed": f"{point.speed!r} Hz",
-        "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
-    }
 
 
 def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoint) -> dict[str, Any]:

@@ -78,14 +78,9 @@ def _piece(samples: FloatArray, rate: float, band: tuple[float, float] | None) -
     if lines.size < 4 * SMOOTH_TERMS:
         what = f"{lines.size} lines of a decay of {n / rate:g} s lie in the band {band[0]:g}-{band[1]:g} Hz"
         raise FitError(what, hint=f"widen the band to {4 * SMOOTH_TERMS} lines or more")
-    return Piece(time, _rows(samples, lines), lines, _smooth_terms(lines.size))
-
-
-def _smooth_terms(n_line: int) -> FloatArray:
-    """Real and imaginary polynomials along the lines, (2 n_line, 2 SMOOTH_TERMS) [1]."""
-    powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, n_line), SMOOTH_TERMS - 1)
+    powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, lines.size), SMOOTH_TERMS - 1)
     empty = np.zeros_like(powers)
-    return np.block([[powers, empty], [empty, powers]])
+    return Piece(time, _rows(samples, lines), lines, np.block([[powers, empty], [empty, powers]]))
 
 
 def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:

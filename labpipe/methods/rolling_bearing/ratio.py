@@ -108,7 +108,11 @@ def match(
 
     def fitted(log: FloatArray, stiffness: FloatArray, shaft_stiffness: float) -> FloatArray:
         beta = float(np.exp(log[1]))
-        return _log_fit(curve, theory.shaft, float(np.exp(log[0])) * stiffness, beta, shaft_stiffness)
+        matrix = _theory_curve(
+            curve, theory.shaft, (float(np.exp(log[0])) * stiffness), beta, shaft_stiffness
+        )[:, None, None]
+        (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
+        return np.log([_positive(fit, "k"), _positive(fit, "c")])
 
     measured = np.log([_positive(fit, "k"), _positive(fit, "c")])
     start = np.array([0.0, measured[1] - measured[0]])
@@ -208,15 +212,6 @@ def _theory_curve(
     return receptance * receptance_factor(curve.response.form, frequency)
 
 
-def _log_fit(
-    curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
-) -> FloatArray:
-    """ln(k, c) of the fit on the theory's curve."""
-    matrix = _theory_curve(curve, shaft, stiffness, beta, bending)[:, None, None]
-    (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
-    return np.log([_positive(fit, "k"), _positive(fit, "c")])
-
-
 def _curve(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
 ) -> _Curve:
@@ -305,6 +300,7 @@ def stiffness_ratio(
     mean = weighted_mean(logs, covariance)
     ratio = from_log("ratio", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
+    assert ratio.ci95 is not None
     return Comparison(
         name=campaign.settings.name,
         kind="ratio",
@@ -312,7 +308,13 @@ def stiffness_ratio(
         unit=campaign.unit,
         points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
         amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
-        verdict=_ratio_verdict(ratio.ci95),
+        verdict=(
+            "as theory"
+            if ratio.ci95[0] <= 1 <= ratio.ci95[1]
+            else "stiffer than theory"
+            if ratio.ci95[0] > 1
+            else "softer than theory"
+        ),
         statement=_ratio_statement(
             campaign,
             ratio.value,
@@ -346,17 +348,6 @@ def joint_covariance(
     )
     common = common.reshape(len(sources), len(matched))
     return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
-
-
-def _ratio_verdict(interval: tuple[float, float] | None) -> str:
-    assert interval is not None
-    return (
-        "as theory"
-        if interval[0] <= 1 <= interval[1]
-        else "stiffer than theory"
-        if interval[0] > 1
-        else "softer than theory"
-    )
 
 
 def _ratio_statement(

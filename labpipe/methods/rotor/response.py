@@ -276,13 +276,8 @@ def _bearing_forces(
     loaded = np.empty_like(rows)
     for number, support in enumerate(supports):
         place = slice(2 * number, 2 * number + 2)
-        loaded[:, place] = support_stiffness(support, omega) @ rows[:, place]
+        loaded[:, place] = (support.stiffness + 1j * omega[:, None, None] * support.damping) @ rows[:, place]
     return solved(np.eye(len(at)) + loaded[:, :, at], loaded)
-
-
-def support_stiffness(support: Support, omega: FloatArray) -> ComplexArray:
-    """Z = K + j w C of a bearing, (n_line, 2, 2) [N/m]."""
-    return support.stiffness + 1j * omega[:, None, None] * support.damping
 
 
 def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, speed: float) -> ReducedRotor:

@@ -308,7 +308,8 @@ def fit_with_process(
     groups = tuple(runs_by_load(rig, runs))
     thresholds = measured_thresholds(groups) if use_thresholds else ()
     places = _places(groups, thresholds)
-    ranges = _ranges(places)
+    extent = np.ptp(places, axis=0)
+    ranges = np.where(extent > 0, extent, places[0])
     family = joint.family if joint is not None else family_about(rig, groups)
 
     def problem_of(kernel: SquaredExponential) -> RunUpProblem[ProcessFamily]:
@@ -332,12 +333,6 @@ def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
     return np.concatenate(
         [*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)]
     )
-
-
-def _ranges(places: FloatArray) -> FloatArray:
-    """Ranges of load and speed."""
-    extent = np.ptp(places, axis=0)
-    return np.where(extent > 0, extent, places[0])
 
 
 def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:

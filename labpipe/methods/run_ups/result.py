@@ -80,7 +80,11 @@ def metamodels(
     results = []
     for name in settings.metamodels:
         model = _fitted(name, grid, joint, settings.seed)
-        rows = tuple(_left_out_row(method) for method in left_out if method.kind == KINDS[name])
+        rows = tuple(
+            LeftOut(method.load, column(method.errors), method.beyond, method.failed)
+            for method in left_out
+            if method.kind == KINDS[name]
+        )
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
         uncertainty = (
             (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
@@ -119,17 +123,6 @@ def _fitted(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
         raise
 
 
-def _left_out_row(validation: LeftOutOf) -> LeftOut:
-    return LeftOut(validation.load, column(validation.errors), validation.beyond, validation.failed)
-
-
-def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
-    """Beyond the measured speeds K and Omega C stay constant, except for the physical fit, which computes the
-    film there.
-    """
-    return carried_beyond(partial(model.predict, load), *model.speeds)
-
-
 def _prediction(
     model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, uncertainty: tuple[str, ...]
 ) -> RunPrediction:
@@ -143,7 +136,11 @@ def _prediction(
     eight = model.predict(run.load, run.speed)
     error = None if uncertainty else model.std_error(run.load, run.speed)
     return predict(
-        run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False
+        run_rig,
+        run,
+        AtLoad(carried_beyond(partial(model.predict, run.load), *model.speeds), eight, error, notes=notes),
+        plane,
+        curves=False,
     )
 
 
@@ -175,7 +172,13 @@ def run_up_result(
     for name in [START, *(name for name in METHODS if name in settings.methods)]:
         tell(f"run-ups   {name}")
         solved.append(_solved(name, rig, trained, settings))
-    methods = [_with_predictions(item, rig, runs, settings.plane) for item in solved]
+    methods = [
+        replace(
+            item.method,
+            predictions=tuple(prediction(item.predictor, rig, run, settings.plane) for run in runs),
+        )
+        for item in solved
+    ]
     if settings.metamodels:
         tell("run-ups   metamodels")
     ranks = _ranks(rig, trained)
@@ -203,12 +206,6 @@ def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunU
     except LabpipeError as error:
         error.where = error.where or f"run_ups, method {name}"
         raise
-
-
-def _with_predictions(method: Solved, rig: RunUpRotor, runs: Sequence[RunUp], plane: str) -> RunUpMethod:
-    return replace(
-        method.method, predictions=tuple(prediction(method.predictor, rig, run, plane) for run in runs)
-    )
 
 
 def prediction(
