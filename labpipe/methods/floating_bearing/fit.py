@@ -180,7 +180,8 @@ def least_squares(
             "least squares is for form kc or kcm without symmetry", hint="estimator: ml", field="estimator"
         )
     lines = line_stiffness(balance)
-    designs = _designs(model, lines.omega)
+    basis = model.form.basis(np.empty(0), lines.omega)
+    designs = basis[_rows_of(model, 0)].real.T, basis[_rows_of(model, 1)].imag.T
     for design in designs:
         if design.shape[0] <= design.shape[1]:
             raise FitError(
@@ -207,24 +208,13 @@ def _rows_of(model: StiffnessModel, part: int) -> list[int]:
     return [1] if part else [number for number in range(len(model.form.matrices)) if number != 1]
 
 
-def _designs(model: StiffnessModel, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Functions of the real and of the imaginary part, (n_line, n) [1, 1/s, 1/s^2]."""
-    basis = model.form.basis(np.empty(0), omega)
-    return basis[_rows_of(model, 0)].real.T, basis[_rows_of(model, 1)].imag.T
-
-
-def _elements(model: StiffnessModel, stiffness: ComplexArray) -> ComplexArray:
-    """(..., n_line, n_element) [N/m] of H (..., n_line, 2, 2)."""
-    return np.einsum("...ij,cij->...c", stiffness, model.elements)
-
-
 def _solved(
     model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary
     part.
     """
-    measured = _elements(model, stiffness)
+    measured = np.einsum("...ij,cij->...c", stiffness, model.elements)
     solution = np.empty((len(model.form.matrices), measured.shape[-1]))
     variance = np.empty((2, measured.shape[-1]))
     for part, (design, side) in enumerate(zip(designs, (measured.real, measured.imag), strict=True)):

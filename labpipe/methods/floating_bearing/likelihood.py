@@ -188,17 +188,12 @@ def _weights(balance: Balance, symmetry: str) -> Whitened:
     out.
     """
     model = StiffnessModel(FORMS["kcm"], symmetry)
-    weights = _alike(balance)
+    ones = np.ones(balance.right.shape[:2])
+    weights = Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
     for _ in range(REWEIGHTED):
         values = solved(balance, model, np.empty((1, 0)), weights)[0][0]
         weights = whitened(balance, model.stiffness(values, balance.omega))
     return weights
-
-
-def _alike(balance: Balance) -> Whitened:
-    """Weights that are the same for all lines."""
-    ones = np.ones(balance.right.shape[:2])
-    return Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
 
 
 def solved(

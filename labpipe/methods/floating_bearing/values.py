@@ -328,7 +328,9 @@ def _finite(low: float, high: float) -> tuple[float, float] | None:
 def _tied(valued: Valued) -> Valued:
     """k_yy = k_xx and k_yx = -k_xy."""
     parameter = valued.parameter
-    letter, suffix, *rest = _parts(parameter.name)
+    parts = parameter.name.split("_")
+    place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
+    letter, suffix, *rest = ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
     name = "_".join([letter, {"xx": "yy", "xy": "yx"}[suffix], *rest])
     if suffix == "xx":
         return Valued(replace(parameter, name=name, derived=True), valued.slopes)
@@ -336,13 +338,6 @@ def _tied(valued: Valued) -> Valued:
     ratio = None if parameter.t_ratio is None else -parameter.t_ratio
     turned = replace(parameter, name=name, value=-parameter.value, ci95=interval, t_ratio=ratio, derived=True)
     return Valued(turned, -valued.slopes)
-
-
-def _parts(name: str) -> list[str]:
-    """Letters, suffix and number of a band: k_p_xx gives k_p, xx; k_xx_1 gives k, xx, 1."""
-    parts = name.split("_")
-    place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
-    return ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
 
 
 def derived_values(

@@ -303,8 +303,13 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     """
     condition = rig.condition(name)
     inside, lines = rig.lines_in_band
+    shape = (lines.size, 2)
+    draws = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     forces = np.concatenate(
-        [SHAKERS[name.rpartition("-")[2]](rig, rng)[inside], _white(rig.shaft_noise, (lines.size, 2), rng)],
+        [
+            SHAKERS[name.rpartition("-")[2]](rig, rng)[inside],
+            np.asarray(draws * rig.shaft_noise / np.sqrt(shape[0])),
+        ],
         axis=1,
     )
     stator, shaft = motions(rig, condition, lines, forces)
@@ -314,7 +319,12 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     )
     phase = rng.uniform(0, 2 * np.pi)
     samples = _in_time(rig, inside, amplitudes) + _synchronous(rig, condition, phase)
-    channels = _channels()
+    kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
+    channels = [
+        Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis])
+        for letter, quantity, role in kinds
+        for axis in AXES
+    ]
     if rig.drives:
         samples = np.concatenate(
             [samples, _in_time(rig, inside, np.asarray(forces[:, :2] / rig.gain))], axis=1
@@ -327,26 +337,11 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     return Recording((*channels, TACHO), np.column_stack([samples, tacho]), rig.sample_rate, name)
 
 
-def _channels() -> list[Channel]:
-    kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
-    return [
-        Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis])
-        for letter, quantity, role in kinds
-        for axis in AXES
-    ]
-
-
 def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
     """(n_sample, n) of amplitudes (n_line, n), 0 to peak, at lines of the whole run."""
     spectrum = np.zeros((rig.n_sample // 2 + 1, amplitudes.shape[1]), np.complex128)
     spectrum[lines] = amplitudes * (rig.n_sample / 2)
     return np.asarray(fft.irfft(spectrum, rig.n_sample, axis=0))
-
-
-def _white(rms: float, shape: tuple[int, int], rng: np.random.Generator) -> ComplexArray:
-    """Amplitudes (n_line, n) of white noise with this rms in all lines together."""
-    draws = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
-    return np.asarray(draws * rms / np.sqrt(shape[0]))
 
 
 def _angle(rig: FloatingRig, speed: float) -> FloatArray:

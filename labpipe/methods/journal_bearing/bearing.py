@@ -191,13 +191,15 @@ def film_at(
         pressure = pressure + changes[0]
         if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):
             force, slopes = (film.force_weights @ field.sum(axis=-1).T for field in (pressure, changes[1:]))
-            return FilmState(displacement, pressure, force, -slopes, _damping(film, factors), step)
+            return FilmState(
+                displacement,
+                pressure,
+                force,
+                -slopes,
+                film.force_weights @ factors.solve(_squeeze(film)).sum(axis=2).T,
+                step,
+            )
     raise FitError("the pressure in the oil film did not converge", hint="check displacement and wear")
-
-
-def _damping(film: Film, factors: FactoredFilm) -> FloatArray:
-    """-dF/d(e'/Omega): the squeeze term through the same factors; symmetric, because they are."""
-    return film.force_weights @ factors.solve(_squeeze(film)).sum(axis=2).T
 
 
 def _squeeze(film: Film) -> FloatArray:
@@ -453,7 +455,8 @@ def converged_equilibrium(
     coarse = journal_equilibrium(bearing, load, speed, half)
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
-        error = _change(coarse, fine) / 3
+        pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
+        error = max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs) / 3
         if error <= tolerance:
             return JournalEquilibrium(bearing, speed, fine.load, mesh, fine.state, error)
         coarse, mesh = fine, FilmMesh(2 * mesh.around, 2 * mesh.across)
@@ -461,11 +464,6 @@ def converged_equilibrium(
         f"the oil film needs more than {MOST_CELLS_AROUND} cells around",
         hint=f"allow a larger error than {tolerance:g}",
     )
-
-
-def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
-    pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
-    return max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs)
 
 
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:

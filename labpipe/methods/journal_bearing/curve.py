@@ -135,17 +135,11 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
     for place in places[::-1]:
         weight = bearing.force_scale(1.0) / (6 * np.pi * float(np.exp(place)))
         near = journal_equilibrium(bearing, (0.0, -weight), 1.0, mesh, near)
-        rows.append(_row(near, weight))
+        scale = near.bearing.clearance / weight
+        turned = (
+            TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale for matrix in (near.stiffness, near.damping)
+        )
+        rows.append(
+            np.concatenate([*(matrix.ravel() for matrix in turned), [near.eccentricity_ratio, near.attitude]])
+        )
     return np.array(rows[::-1])
-
-
-def _row(equilibrium: JournalEquilibrium, weight: float) -> FloatArray:
-    """The spline's values at one equilibrium at 1 rad/s."""
-    scale = equilibrium.bearing.clearance / weight
-    turned = (
-        TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale
-        for matrix in (equilibrium.stiffness, equilibrium.damping)
-    )
-    return np.concatenate(
-        [*(matrix.ravel() for matrix in turned), [equilibrium.eccentricity_ratio, equilibrium.attitude]]
-    )

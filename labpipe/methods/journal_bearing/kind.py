@@ -125,39 +125,27 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
     load = (settings.side_load, -settings.load)
     state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
     film = PressureField(state.theta, state.axial, state.pressure, state.film_thickness)
+    y, z = state.position
+    assert state.error is not None
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=state.stiffness,
         damping=state.damping,
-        rest=_rest(state),
-        notes=_notes(state),
+        rest=(
+            Amount("eccentricity_ratio", state.eccentricity_ratio, "1"),
+            Amount("attitude_angle", state.attitude, "rad"),
+            Amount("sommerfeld", state.sommerfeld, "1"),
+            Amount("y", float(y), "m"),
+            Amount("z", float(z), "m"),
+            Amount("film_thickness_min", float(state.film_thickness.min()), "m"),
+            Amount("pressure_max", float(state.pressure.max()), "Pa"),
+        ),
+        notes=(
+            Amount("cells_around", float(state.mesh.around), "1"),
+            Amount("cells_across", float(state.mesh.across), "1"),
+            Amount("mesh_error", state.error, "1"),
+        ),
         film=film,
-    )
-
-
-def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:
-    """Eccentricity over clearance, attitude from the load with the spin, Sommerfeld number, displacement,
-    thinnest film.
-    """
-    y, z = state.position
-    return (
-        Amount("eccentricity_ratio", state.eccentricity_ratio, "1"),
-        Amount("attitude_angle", state.attitude, "rad"),
-        Amount("sommerfeld", state.sommerfeld, "1"),
-        Amount("y", float(y), "m"),
-        Amount("z", float(z), "m"),
-        Amount("film_thickness_min", float(state.film_thickness.min()), "m"),
-        Amount("pressure_max", float(state.pressure.max()), "Pa"),
-    )
-
-
-def _notes(state: JournalEquilibrium) -> tuple[Amount, ...]:
-    """The mesh and its estimated error relative to the largest coefficient."""
-    assert state.error is not None
-    return (
-        Amount("cells_around", float(state.mesh.around), "1"),
-        Amount("cells_across", float(state.mesh.across), "1"),
-        Amount("mesh_error", state.error, "1"),
     )
 
 

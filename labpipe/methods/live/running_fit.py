@@ -299,7 +299,12 @@ class RunningFit:
         for _ in range(steps):
             _, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
             information, gradient = _normal(slopes, weighted, multiplier)
-            step = _solved(information, gradient)
+            scale = np.sqrt(np.diag(information))
+            scale[scale == 0] = 1.0
+            step = np.asarray(
+                np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0]
+                / scale
+            )
             share = 1.0
             while share > 1e-3:
                 trial = values - share * step
@@ -390,12 +395,3 @@ def _normal(
     flat = slopes.reshape(-1, n_parameter)
     information = 2 * (flat.conj().T @ weighted.reshape(-1, n_parameter)).real
     return information, 2 * (flat.conj().T @ multiplier.reshape(-1)).real
-
-
-def _solved(information: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Newton's step with the information scaled to a diagonal of one; what no line tells is not moved."""
-    scale = np.sqrt(np.diag(information))
-    scale[scale == 0] = 1.0
-    return np.asarray(
-        np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
-    )

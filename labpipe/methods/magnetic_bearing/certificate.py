@@ -273,6 +273,8 @@ def certificate(
             [*budgets, model.fit.budget],
         )
     verdict = verdict_of(limits, certificate_settings.confidence)
+    parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
+    parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
     return Comparison(
         name=settings.name,
         kind="certificate",
@@ -281,7 +283,10 @@ def certificate(
         points=(),
         amounts=tuple(amounts),
         verdict=verdict,
-        statement=_statement(verdict, limits, worst, model),
+        statement=(
+            f"{verdict.capitalize()}: "
+            f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
+        ),
         curves=_curves(matrix, model),
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
@@ -483,15 +488,6 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
         f"with {words(probability)}"
     )
     return [Limit("log_decrement", probability, said)]
-
-
-def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, model: FittedModel | None) -> str:
-    parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
-    parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
-    return (
-        f"{verdict.capitalize()}: "
-        f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
-    )
 
 
 def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:

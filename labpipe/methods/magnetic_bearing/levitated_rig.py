@@ -41,7 +41,15 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
     """Currents i_ or forces f_, readings, injections r_ or forces s_ of shakers, and the tacho n of a shaft
     that turns.
     """
-    n_sample, n_axis = _n_sample(rig, name), len(rig.labels)
+    period = round(rig.sample_rate / rig.injection.spacing)
+    n_sample, n_axis = (
+        (
+            rig.injection.periods * period
+            if name.startswith(MULTISINE)
+            else round(rig.injection.duration * rig.sample_rate)
+        ),
+        len(rig.labels),
+    )
     length = n_sample * rig.decimation + round((SETTLING + MARGIN) * rig.control.rate)
     angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
     shape = ((length + 1), len(rig.labels))
@@ -74,15 +82,6 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
             [samples, pulses(angle[round(SETTLING * rig.control.rate) :: rig.decimation][:n_sample])]
         )
     return Recording(tuple(channels), samples, rig.sample_rate, name)
-
-
-def _n_sample(rig: LevitatedRig, name: str) -> int:
-    period = round(rig.sample_rate / rig.injection.spacing)
-    return (
-        rig.injection.periods * period
-        if name.startswith(MULTISINE)
-        else round(rig.injection.duration * rig.sample_rate)
-    )
 
 
 def _inputs(

@@ -414,7 +414,11 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     # say little of it, what they ask for is far off by chance.
     pulls = at_end.pulls
     changes = steps[:, :n] * values * np.where(pulls.far, pulls.sizes, 1.0)[:, None]
-    parameters, budget = with_budget(plain, *_by_name(problem.sources, changes), dof)
+    first = {source.source: source for source in reversed(problem.sources)}
+    rows = [changes[[origin.source == name for origin in problem.sources]].sum(axis=0) for name in first]
+    parameters, budget = with_budget(
+        plain, *(list(first.values()), np.array(rows).reshape(len(first), changes.shape[1])), dof
+    )
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
@@ -448,13 +452,6 @@ def _curved(
             max(high, parameter.value + reach),
         )
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
-
-
-def _by_name(sources: Sequence[Uncertainty], changes: FloatArray) -> tuple[list[Uncertainty], FloatArray]:
-    """Sources of one name as one, their changes (n_source, n) added up."""
-    first = {source.source: source for source in reversed(sources)}
-    rows = [changes[[origin.source == name for origin in sources]].sum(axis=0) for name in first]
-    return list(first.values()), np.array(rows).reshape(len(first), changes.shape[1])
 
 
 def _weighed(observation: LoopObservation) -> Measured:

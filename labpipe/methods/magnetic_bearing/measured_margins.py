@@ -231,7 +231,13 @@ def _crossings(
     signed = function(smooth.values)
     error = np.sqrt(np.diag(smooth.covariance) / 2)
     sure = np.abs(signed) > SURE * error
-    for first, last in _together(_changes(signed), sure):
+    groups: list[tuple[int, int]] = []
+    for n in _changes(signed):
+        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
+            groups[-1] = (groups[-1][0], n)
+        else:
+            groups.append((n, n))
+    for first, last in groups:
         # Not where noise crosses up to an end of the lines, or a function that only touches zero.
         before, after = np.flatnonzero(sure[: first + 1]), np.flatnonzero(sure[last + 1 :])
         if before.size == 0 or after.size == 0 or signed[before[-1]] * signed[last + 1 + after[0]] > 0:
@@ -247,17 +253,6 @@ def _crossings(
             if len(again) == 1:
                 yield near, again[0]
                 break
-
-
-def _together(crossings: Sequence[int], sure: BoolArray) -> list[tuple[int, int]]:
-    """First and last of the *crossings* between which no line is *sure* (n_line,) of its sign."""
-    groups: list[tuple[int, int]] = []
-    for n in crossings:
-        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
-            groups[-1] = (groups[-1][0], n)
-        else:
-            groups.append((n, n))
-    return groups
 
 
 def _changes(values: FloatArray) -> list[int]:

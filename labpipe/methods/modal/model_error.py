@@ -175,8 +175,10 @@ class _Band:
         residues = (refined.shapes[:, None, :] * refined.participation.T[None]).reshape(
             -1, refined.poles.size
         )
-        data = measured.matrix[near].reshape(-1, residues.shape[0]) - _others(
-            refined, mode, 1j * measured.omega[near], residues
+        (a, b), _ = pole_functions((1j * measured.omega[near]), refined.poles, refined.hysteretic)
+        a[:, mode] = b[:, mode] = 0.0
+        data = measured.matrix[near].reshape(-1, residues.shape[0]) - np.asarray(
+            a @ residues.T + b @ residues.T.conj()
         )
         neighbours = np.flatnonzero(
             (np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode)
@@ -253,13 +255,6 @@ def unloaded(
         mean = repeat_mean(values[:, place], errors[:, place] ** 2, scales[place], square)
         pieces[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
     return pieces
-
-
-def _others(refined: Refined, mode: int, s: ComplexArray, residues: ComplexArray) -> ComplexArray:
-    """What all other modes make of the FRFs, (n_line, n_frf) [m/N]."""
-    (a, b), _ = pole_functions(s, refined.poles, refined.hysteretic)
-    a[:, mode] = b[:, mode] = 0.0
-    return np.asarray(a @ residues.T + b @ residues.T.conj())
 
 
 def _near(measured: Measured, pole: complex) -> BoolArray:

@@ -253,7 +253,9 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     if abs(pole - refined.poles[near]) < decay / 2:
         # On top of a mode: the two begin on either side of the place.
         pole += 1j * decay
-    participation = _strongest(residual, refined, line, max(3, round(2 * decay / spacing)))
+    width = max(3, round(2 * decay / spacing))
+    part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
+    participation = np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     sound = (
@@ -273,9 +275,3 @@ def _distinct(refined: Refined) -> bool:
     apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
     is_same = (apart < DISTINCT) & (similarity(refined.participation, refined.participation) > ALIKE)
     return bool(np.count_nonzero(is_same) == refined.poles.size)
-
-
-def _strongest(residual: ComplexArray, refined: Refined, line: int, width: int) -> ComplexArray:
-    """Participation (n_input,) that holds most of the residual around a line."""
-    part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
-    return np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])

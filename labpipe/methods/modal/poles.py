@@ -190,7 +190,12 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
     Equation (modal-stable).
     """
     orders = range(highest, 1, -(1 + highest // MANY_ORDERS))
-    poles = _joined([_inside(equations.poles(order), band) for order in orders])
+    parts = [_inside(equations.poles(order), band) for order in orders]
+    poles = Poles(
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.participation for part in parts]),
+        np.concatenate([part.orders for part in parts]),
+    )
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
     group, share = _groups(poles, counted)
     modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
@@ -233,14 +238,6 @@ def _inside(poles: Poles, band: tuple[float, float]) -> Poles:
     frequency = np.abs(poles.values)
     keep = (frequency >= band[0]) & (frequency <= band[1]) & (damping_ratio(poles.values) < MOST_DAMPING)
     return Poles(poles.values[keep], poles.participation[keep], poles.orders[keep])
-
-
-def _joined(parts: list[Poles]) -> Poles:
-    return Poles(
-        np.concatenate([part.values for part in parts]),
-        np.concatenate([part.participation for part in parts]),
-        np.concatenate([part.orders for part in parts]),
-    )
 
 
 def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:

@@ -99,7 +99,7 @@ def modal_parameters(
     (modal-loss-factor). *inflation*: factor on the standard errors where the residual exceeds the noise.
     Equation (modal-frequency).
     """
-    weigh = _at_driving_point(refined.hysteretic) if mass is None else _given(mass)
+    weigh = _at_driving_point(refined.hysteretic) if mass is None else (lambda _: mass)
     functions: list[tuple[str, str, Function]] = []
     if (mass is not None or driving) and refined.hysteretic:
         functions = [("k", "N/m", lambda x: weigh(x) * float(x[1] ** 2 - x[0] ** 2))]
@@ -167,10 +167,6 @@ def _value(
     return derived(
         name, unit, function(values), float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0))), dof
     )
-
-
-def _given(mass: float) -> Function:
-    return lambda _: mass
 
 
 def _at_driving_point(hysteretic: bool) -> Function:

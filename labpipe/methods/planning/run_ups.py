@@ -321,7 +321,14 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     question = RunQuestion(
         parameters=PARAMETERS,
         units=PRIOR,
-        prior=_prior(given),
+        prior=(
+            np.diag(
+                [
+                    (KNOWN if name in given else float(spread)) ** -2.0
+                    for name, spread in zip(PARAMETERS, PRIOR, strict=True)
+                ]
+            )
+        ),
         conditions=tuple(_condition(settings, expected, candidate) for candidate in candidates),
         quantities=tuple(_quantities(settings, expected)),
         duration=settings.duration,
@@ -345,16 +352,6 @@ def _expected(settings: RunUpPlanSettings, earlier: dict[str, float]) -> Expecte
     noise = settings.noise
     reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
     return ExpectedRig(rig, family, settings.values(earlier), reading)
-
-
-def _prior(known: Sequence[str]) -> FloatArray:
-    """Information (12, 12) of the joint fit's prior, and of what is known."""
-    return np.diag(
-        [
-            (KNOWN if name in known else float(spread)) ** -2.0
-            for name, spread in zip(PARAMETERS, PRIOR, strict=True)
-        ]
-    )
 
 
 def _candidates(

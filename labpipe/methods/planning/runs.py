@@ -384,10 +384,10 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
     choices = question.choices()
     quantities = question.quantities
     aimed = [quantity for quantity in quantities if quantity.goal is not None] or list(quantities)
-    rows = _rows(quantities, question.units)
+    rows = np.stack([quantity.row * question.units for quantity in quantities])
     wanted = np.stack(
         [
-            row / _size(quantity, row)
+            row / (quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0)
             for quantity, row in zip(quantities, rows, strict=True)
             if quantity in aimed
         ]
@@ -414,17 +414,6 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
         notes=tuple(notes),
     )
     return Answered(plan, np.linalg.inv(design.information) * np.outer(question.units, question.units))
-
-
-def _rows(quantities: Sequence[Quantity], units: FloatArray) -> FloatArray:
-    return np.stack([quantity.row * units for quantity in quantities])
-
-
-def _size(quantity: Quantity, row: FloatArray) -> float:
-    """What an error of a number is compared by [its unit]: its goal, else its scale, else its change by one
-    unit of the parameters.
-    """
-    return quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0
 
 
 def _check_open(

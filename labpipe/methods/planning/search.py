@@ -149,7 +149,10 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
     close = [_looked(rig, lines, wanted, source, CLOSE_STARTS) for source in looked[:CLOSE]]
     limit = rig.limits.crest_factor
     if limit is not None:
-        crests = [_crest(candidate) for candidate in (*close, *looked)]
+        crests = [
+            max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
+            for candidate in (*close, *looked)
+        ]
         allowed = [
             candidate for candidate, crest in zip((*close, *looked), crests, strict=True) if crest <= limit
         ]
@@ -283,10 +286,6 @@ def _looked(
         campaign(rig, large, wanted.criterion, wanted.goals),
         source.floor,
     )
-
-
-def _crest(candidate: Candidate) -> float:
-    return max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
 
 
 def schemes_of(n_shaker: int, wanted: str) -> tuple[str, ...]:

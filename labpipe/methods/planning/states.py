@@ -374,12 +374,10 @@ def _states(
         model = MODELS[FLOATING].model(
             dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass
         )
-        states.append(BearingState(_name(load, speed), load, speed, model, slopes))
+        states.append(
+            BearingState(f"{load:g}N-{60 * speed:g}rpm".replace(".", "p"), load, speed, model, slopes)
+        )
     return states
-
-
-def _name(load: float, speed: float) -> str:
-    return f"{load:g}N-{60 * speed:g}rpm".replace(".", "p")
 
 
 def _settings(bearing: BearingFile, load: float, speed: float, change: tuple[Common, float] | None) -> Any:

@@ -73,7 +73,8 @@ def rehearsed(
 def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
     """Of what a channel measures, (n_line,) [SI]."""
     if channel.quantity == "force":
-        return _force(rig, test, channel)
+        shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
+        return np.asarray(test.forces[:, shaker])
     along = rig.motion(test) @ _direction(channel, rig.model.n_dof)
     if channel.quantity == "displacement":
         return np.asarray(along)
@@ -84,15 +85,6 @@ def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
         hint="displacement or acceleration",
         field="rig",
     )
-
-
-def _force(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
-    """That of the shaker whose direction the channel has, or of a pedestal's only one.
-
-    Zero where that does not run.
-    """
-    shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
-    return np.asarray(test.forces[:, shaker])
 
 
 def _direction(channel: Channel, n_dof: int) -> ComplexArray:

@@ -309,7 +309,7 @@ def missing_mode(
         output = strongest[mode][1]
         count = sum(piece.rows.shape[0] for piece in pieces)
         left = sum(
-            _squares(solved.residual[:, output], fitted.variance[n, output])
+            (float(np.sum(solved.residual[:, output] ** 2)) / float(fitted.variance[n, output]))
             for n, solved in enumerate(richer.pieces)
         )
         better = count * float(np.log(law.squares / left)) - 2 * len(pieces) * float(np.log(count))
@@ -319,7 +319,3 @@ def missing_mode(
                 mode, tuple(sorted(float(abs(richer.poles[n])) / (2 * np.pi) for n in near)), better, white
             )
     return None
-
-
-def _squares(residual: FloatArray, variance: float) -> float:
-    return float(np.sum(residual**2)) / float(variance)

@@ -254,18 +254,12 @@ def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[F
     for part, variances in zip(solved, variance, strict=True):
         gram, products = part.tangent.T @ part.tangent, part.tangent.T @ part.residual
         for output, of_output in enumerate(variances):
-            chain = _chain(part.amplitudes[:, output])
+            amplitudes = part.amplitudes[:, output]
+            p, q = np.diag(amplitudes.real), np.diag(-amplitudes.imag)
+            chain = np.block([[p, q], [q, -p]])
             information += chain.T @ gram @ chain / of_output
             slope += chain.T @ products[:, output] / of_output
     return information, slope
-
-
-def _chain(amplitudes: ComplexArray) -> FloatArray:
-    """What multiplies the tangent columns for d/dRe and d/dIm of every pole: Re(C t e^(lambda t)), Re(jC t
-    e^(lambda t)).
-    """
-    p, q = np.diag(amplitudes.real), np.diag(-amplitudes.imag)
-    return np.block([[p, q], [q, -p]])
 
 
 def _shorter_until_better(

@@ -122,6 +122,16 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         onset = onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)
     except FitError:
         onset = 2 * np.pi * float(speeds[0])
+    crossings = []
+    for mode in range(frequency.shape[1]):
+        excess = frequency[:, mode] - speeds
+        for n in np.flatnonzero(np.sign(excess[:-1]) * np.sign(excess[1:]) < 0):
+            share = excess[n] / (excess[n] - excess[n + 1])
+            mixed = [
+                (1 - share) * row[n] + share * row[n + 1]
+                for row in (speeds, decrement[:, mode], whirl[:, mode])
+            ]
+            crossings.append((float(mixed[0]), float(mixed[1]), float(mixed[2])))
     theory = RotorTheory(
         rig,
         speeds,
@@ -129,7 +139,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         decrement,
         whirl,
         None if onset is None else onset / (2 * np.pi),
-        _crossings(speeds, frequency, decrement, whirl),
+        tuple(sorted(crossings)),
     )
     return _with_response(theory, at) if rig.unbalances else theory
 
@@ -173,23 +183,6 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
     alike = overlap / (np.sum(np.abs(others) ** 2, axis=1) * np.sum(np.abs(shape) ** 2))
     near = np.log(np.abs(roots) / np.abs(root)) / FREQUENCY_STEP
     return np.asarray(alike * np.exp(-(near**2) / 2))
-
-
-def _crossings(
-    speeds: FloatArray, frequency: FloatArray, decrement: FloatArray, whirl: FloatArray
-) -> tuple[tuple[float, float, float], ...]:
-    """(speed [Hz], logarithmic decrement, whirl) where a mode's frequency is that of the speed, ascending."""
-    crossings = []
-    for mode in range(frequency.shape[1]):
-        excess = frequency[:, mode] - speeds
-        for n in np.flatnonzero(np.sign(excess[:-1]) * np.sign(excess[1:]) < 0):
-            share = excess[n] / (excess[n] - excess[n + 1])
-            mixed = [
-                (1 - share) * row[n] + share * row[n + 1]
-                for row in (speeds, decrement[:, mode], whirl[:, mode])
-            ]
-            crossings.append((float(mixed[0]), float(mixed[1]), float(mixed[2])))
-    return tuple(sorted(crossings))
 
 
 def _with_response(theory: RotorTheory, at: _SupportsBetween) -> RotorTheory:

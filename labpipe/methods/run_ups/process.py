@@ -307,7 +307,10 @@ def fit_with_process(
     rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
     thresholds = measured_thresholds(groups) if use_thresholds else ()
-    places = _places(groups, thresholds)
+    measured = [places_of(group.load, group.speed) for group in groups]
+    places = np.concatenate(
+        [*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)]
+    )
     extent = np.ptp(places, axis=0)
     ranges = np.where(extent > 0, extent, places[0])
     family = joint.family if joint is not None else family_about(rig, groups)
@@ -326,13 +329,6 @@ def fit_with_process(
         values, more = _minimum(problem, _carried(values, linear.field, problem.family.field))
         steps += more
     return _result(problem, values, steps)
-
-
-def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
-    measured = [places_of(group.load, group.speed) for group in groups]
-    return np.concatenate(
-        [*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)]
-    )
 
 
 def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:

@@ -391,12 +391,16 @@ def run_up_sections(result: RunUpResult, _identification: Identification) -> tup
     """Sections on measurements, both speeds, identifiability, coefficients, metamodels, and the response of
     every run.
     """
+    searches: list[Block] = []
+    for method in result.methods:
+        searches += [convergence_figure(method, search) for search in method.convergence]
+        searches += [spread_figure(method, spread) for spread in method.spreads]
     return (
         Section(f"Run-ups: {result.rotor}", _measured(result)),
         Section(
             "Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))
         ),
-        Section("Identifiability of the coefficients", _uncertainty(result)),
+        Section("Identifiability of the coefficients", (*uncertainty_blocks(result), *searches)),
         Section("Journal coefficients", _coefficients(result)),
         *([Section("Metamodels", _metamodels(result))] if result.metamodels else []),
         Section("Response of every run", tuple(bode_figure(result, run) for run in result.runs)),
@@ -437,14 +441,6 @@ def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[st
             for text in prediction.notes:
                 notes.setdefault(f"{owner.title}: {text}", []).append(prediction.run)
     return notes
-
-
-def _uncertainty(result: RunUpResult) -> tuple[Block, ...]:
-    searches: list[Block] = []
-    for method in result.methods:
-        searches += [convergence_figure(method, search) for search in method.convergence]
-        searches += [spread_figure(method, spread) for spread in method.spreads]
-    return (*uncertainty_blocks(result), *searches)
 
 
 def _coefficients(result: RunUpResult) -> tuple[Block, ...]:

@@ -273,7 +273,9 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     candidates = minima(misfit, start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
         refined_misfit, ranked = _ranked(misfit, candidates[:1])
-        ratio = _size(refined_misfit, ranked[0])
+        residual = refined_misfit.residual(ranked[0].parameters)[: -refined_misfit.n_prior or None]
+        n_free = len(refined_misfit.model.names) - refined_misfit.n_prior
+        ratio = max(float(np.sqrt(residual @ residual / (residual.size - n_free))), 1e-12)
         misfit = misfit.sized(misfit.size * ratio)
         if not misfit.n_prior:
             candidates = [replace(minimum, chi2=minimum.chi2 / ratio**2) for minimum in candidates]
@@ -295,13 +297,6 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
         film_covariance(misfit, ranked[0].parameters, covariance),
         healthy_chi2,
     )
-
-
-def _size(misfit: Misfit, best: Minimum) -> float:
-    """Standard deviation of the residual without the prior's rows, 1e-12 at least."""
-    residual = misfit.residual(best.parameters)[: -misfit.n_prior or None]
-    n_free = len(misfit.model.names) - misfit.n_prior
-    return max(float(np.sqrt(residual @ residual / (residual.size - n_free))), 1e-12)
 
 
 def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:

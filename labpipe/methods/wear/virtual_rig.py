@@ -130,13 +130,12 @@ def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
     2, 2) [m/N].
     """
     rig = true_rig(virtual, wear.depth, wear.angle)
-    return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
-
-
-def _lines(virtual: VirtualJournalRig) -> FloatArray:
-    """Frequencies of the run's lines that the force excites, (n_line,) [Hz]."""
     lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
-    return np.asarray(lines[(lines <= virtual.bandwidth) & (lines >= virtual.lowest)])
+    return receptance(
+        rig,
+        np.append(np.asarray(lines[(lines <= virtual.bandwidth) & (lines >= virtual.lowest)]), rig.speed),
+        virtual.mesh,
+    )
 
 
 def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Recording:
