@@ -19,18 +19,12 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import converged_equilibrium
 from labpipe.methods.journal_bearing.kind import JournalSettings
-from labpipe.raw_files.excitation import Multisine, design_multisine
+from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate.linear import TACHO, dynamic_stiffness, pulses
-from labpipe.simulate.virtual_rigs import (
-    Truth,
-    coefficients_by_name,
-    kind_of_recordings,
-    require_positive,
-    whole_numbers,
-)
+from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
 KIND = "virtual-floating-rig"
 Matrix = tuple[tuple[float, ...], ...]

@@ -16,7 +16,6 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.journal_bearing.film import (
-    FactoredFilm,
     Film,
     FilmMesh,
     band_room,

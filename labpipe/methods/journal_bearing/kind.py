@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, PressureField
 from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, converged_equilibrium
+from labpipe.methods.journal_bearing.bearing import JournalBearing, converged_equilibrium
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.report.chart import WIDTH, Drawing
 from labpipe.report.document import Figure

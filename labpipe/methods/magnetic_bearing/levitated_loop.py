@@ -21,8 +21,7 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
     step_matrices,
     tustin,
 )
-from labpipe.records.settings import Settings, quantity, setting
-from labpipe.simulate.virtual_rigs import require_positive
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")

@@ -17,7 +17,7 @@ from labpipe.estimation.statistics import SAYS_NOTHING, Pulls, correlation, step
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.uncertain import Budget, Uncertainty
+from labpipe.records.uncertain import Budget
 from labpipe.uncertainty.amounts import chance, with_budget, with_error
 
 # An unknown less than this share of its start value above zero stands at the edge where no bearing can have
@@ -417,7 +417,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     first = {source.source: source for source in reversed(problem.sources)}
     rows = [changes[[origin.source == name for origin in problem.sources]].sum(axis=0) for name in first]
     parameters, budget = with_budget(
-        plain, *(list(first.values()), np.array(rows).reshape(len(first), changes.shape[1])), dof
+        plain, list(first.values()), np.array(rows).reshape(len(first), changes.shape[1]), dof
     )
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
     straight,
 )
 from labpipe.methods.magnetic_bearing.virtual_mechanics import PERIODS, VirtualMagneticRig, negative_stiffness
-from labpipe.raw_files.excitation import Multisine, design_multisine
+from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.simulate.linear import TACHO, line_frequencies, pulses

@@ -10,9 +10,8 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate import linear
-from labpipe.simulate.virtual_rigs import require_positive
 
 KIND = "virtual-magnetic-rig"
 LAWS = ("relaxation", "control-loop")

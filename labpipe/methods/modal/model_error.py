@@ -19,7 +19,7 @@ from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thinned
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
 from labpipe.estimation.statistics import widened
-from labpipe.methods.modal.likelihood import Refined, pole_functions
+from labpipe.methods.modal.likelihood import pole_functions
 from labpipe.methods.modal.moved import MovedMode
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter

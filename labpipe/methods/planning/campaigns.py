@@ -28,6 +28,7 @@ from labpipe.methods.planning.model import (
     vector_information,
 )
 from labpipe.raw_files.excitation import _signals, one_period, peaks
+from labpipe.records.settings import require_positive
 
 ONE_BY_ONE, TOGETHER, INTERLEAVED = "one by one", "together", "interleaved"
 # Lines with less than this share of a test's power are left out.
@@ -84,7 +85,7 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
     forces[1::2, 1] *= -1
-    return (_kept("+".join(names), used, forces, np.repeat(np.arange(len(paired)), 2)),)
+    return _kept(names, used, forces, np.repeat(np.arange(len(paired)), 2))
 
 
 def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
@@ -95,7 +96,7 @@ def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> t
     paired, used = _pairs(lines, power)
     forces = np.zeros((used.size, 2), complex)
     forces[::2, 0], forces[1::2, 1] = np.sqrt(2 * paired).T
-    return (_kept("+".join(names), used, forces, np.arange(used.size)),)
+    return _kept(names, used, forces, np.arange(used.size))
 
 
 def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -104,11 +105,13 @@ def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
 
 
-def _kept(name: str, lines: IntArray, forces: ComplexArray, groups: IntArray) -> Multisines:
-    """Without lines of negligible force."""
+def _kept(
+    names: tuple[str, ...], lines: IntArray, forces: ComplexArray, groups: IntArray
+) -> tuple[Multisines, ...]:
+    """The test without lines of negligible force."""
     size = np.sum(np.abs(forces) ** 2, axis=1)
     kept = size > LEFT_OUT * size.sum()
-    return Multisines(name, lines[kept], forces[kept], groups[kept])
+    return (Multisines("+".join(names), lines[kept], forces[kept], groups[kept]),)
 
 
 SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleaved}
@@ -135,7 +138,6 @@ def least_peak_phases(
     gains: ComplexArray,
     groups: IntArray | None = None,
     *,
-    seed: int = 0,
     random_starts: int = 1,
     quick: bool = False,
 ) -> FloatArray:
@@ -150,7 +152,7 @@ def least_peak_phases(
     n_line, n_source, _ = gains.shape
     group = np.arange(n_line) if groups is None else np.unique(groups, return_inverse=True)[1]
     schroeder = schroeder_phases_of(np.sum(np.abs(gains) ** 2, axis=(1, 2)))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     n_difference = (n_source - 1) * (int(group.max()) + 1)
     begins = [np.concatenate([schroeder, np.zeros(n_difference)])]
     begins.extend(rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts))
@@ -208,10 +210,9 @@ class _Problem:
         )
 
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
+        options = {"maxiter": steps}
         return np.asarray(
-            minimize(
-                self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": steps}
-            ).x
+            minimize(self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options).x
         )
 
 
@@ -239,10 +240,7 @@ class Limits:
     crest_factor: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("force", "displacement", "crest_factor"):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "force", "displacement", "crest_factor")
         if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
             raise ConfigError(
                 "no periodic signal has a crest factor below that of a sine, 1.41", field="crest_factor"
@@ -358,12 +356,8 @@ def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
     omega, motion = rig.omega(test), rig.motion(test)
     # States of the steady motion at steps of an eighth of the highest line's period, velocities as
     # displacements at the rms frequency.
-    velocity = (
-        1j
-        * omega[:, None]
-        * motion
-        / np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
-    )
+    rms = np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
+    velocity = 1j * omega[:, None] * motion / rms
     states = one_period(test.lines, np.hstack([motion, velocity]), SAMPLES // 8)
     begins = np.argsort(np.sum(states**2, axis=0))[:STARTS] / states.shape[1]
     shifted = [test.turned(2 * np.pi * test.lines[:, None] * begin) for begin in begins]
@@ -435,19 +429,13 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
     n_dof, n_state = rig.model.n_dof, len(free)
     shifts, begins = [], []
     for test, time in zip(timed.tests, seconds, strict=True):
-        omega = rig.omega(test)
-        motion = rig.motion(test)
+        omega, motion, unit = rig.omega(test), rig.motion(test), np.eye(n_state)
         begins.append(-np.concatenate([motion.sum(axis=0).real, (1j * omega @ motion).real]))
-        left = np.linalg.solve(
-            free - 1j * omega[:, None, None] * np.eye(n_state), expm(free * time) - np.eye(n_state)
-        )
-        moved = 2 / time * left[:, :n_dof]
-        whitened = residual_whitener(rig.model, rig.noise, omega) @ np.linalg.solve(
-            rig.model.receptance(omega), moved
-        )
-        responses = np.einsum(
-            "lnij,lj->lni", sensitivities(rig.model, rig.noise, omega), test.forces @ rig.directions
-        )
+        left = np.linalg.solve(free - 1j * omega[:, None, None] * unit, expm(free * time) - unit)
+        forced = np.linalg.solve(rig.model.receptance(omega), 2 / time * left[:, :n_dof])
+        whitened = residual_whitener(rig.model, rig.noise, omega) @ forced
+        sensitivity = sensitivities(rig.model, rig.noise, omega)
+        responses = np.einsum("lnij,lj->lni", sensitivity, test.forces @ rig.directions)
         shifts.append(
             -time * np.linalg.solve(total, np.einsum("lni,lis->ns", responses.conj(), whitened).real)
         )

@@ -47,8 +47,10 @@ def variances(information: FloatArray, wanted: FloatArray | None = None) -> Floa
     Equation (plan-variances).
     """
     inverse = np.linalg.inv(information)
-    if wanted is None:
-        return np.asarray(np.diagonal(inverse))
+    return np.asarray(np.diagonal(inverse) if wanted is None else _along(inverse, wanted))
+
+
+def _along(inverse: FloatArray, wanted: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("wi,ij,wj->w", wanted, inverse, wanted))
 
 
@@ -91,7 +93,7 @@ def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArra
     """q >= 0 of the largest variances with sum q v = 1 that makes max d least: the linear programme of the
     tightest bound.
     """
-    v = np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
+    v = _along(inverse, wanted)
     active = np.flatnonzero(v >= (1 - ACTIVE) * v.max())
     rows = wanted[active] @ inverse
     gains = np.einsum("ij,ajk,ik->ai", rows, information, rows) * v.max()
@@ -181,10 +183,10 @@ def _multiplied(criterion: str, information: FloatArray, wanted: FloatArray) -> 
         if criterion == D:
             weights = inverse
         else:
-            v = np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
+            v = _along(inverse, wanted)
             p = 1.0 if criterion == A else 1 + (LARGEST_NORM - 1) * step / START_STEPS
             weights = weights_of(inverse, (v / v.max()) ** (p - 1), wanted)
-        d = np.einsum("ij,aij->a", weights, information)
+        d = _scores(weights, information)
         shares = shares * (d / float(shares @ d)) ** EXPONENT[criterion]
         shares /= shares.sum()
     return shares
@@ -213,9 +215,10 @@ def _least_smooth(
         design = _sum(np.maximum(shares, 0), information)
         inverse = np.linalg.inv(design)
         if criterion == D:
-            return -float(np.linalg.slogdet(design)[1]), -np.einsum("ij,aij->a", inverse, information)
-        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -np.einsum(
-            "ij,aij->a", weights_of(inverse, np.ones(len(wanted)), wanted), information
+            return -float(np.linalg.slogdet(design)[1]), -_scores(inverse, information)
+        weights = weights_of(inverse, np.ones(len(wanted)), wanted)
+        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -_scores(
+            weights, information
         ) / scale
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}

@@ -113,7 +113,7 @@ def _ranked(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identi
 def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str, PlannedModel, Excitation]]:
     """Single changes of model or test, in words: the smallest first."""
     if any(name.startswith("m") for name in model.names):
-        yield "a known mass", model.with_known("m"), excitation
+        yield "a known mass", model.with_known_mass(), excitation
     lines = np.unique(excitation.frequency)
     another = lines[-1] + (lines[-1] - lines[-2]) if lines.size > 1 else lines[0] * (1 + OTHER)
     first = excitation.forces[:1]
@@ -162,9 +162,8 @@ class Earlier:
 
     def places(self, model: PlannedModel) -> list[tuple[int, int]]:
         """Numbers of the coefficients of a model with theirs here."""
-        return [
-            (model.names.index(name), number) for number, name in enumerate(self.names) if name in model.names
-        ]
+        known = [name for name in self.names if name in model.names]
+        return [(model.names.index(name), self.names.index(name)) for name in known]
 
     def covariance_of(self, model: PlannedModel, without: Sequence[str] = ()) -> FloatArray:
         """(n_coefficient, n_coefficient) [squared SI units] of a model's coefficients.

@@ -94,9 +94,9 @@ class PlannedModel:
         free = np.block([[none, np.eye(self.n_dof)], [-inverse @ stiffness, -inverse @ damping]])
         return free if np.all(np.linalg.eigvals(free).real < 0) else None
 
-    def with_known(self, letter: str) -> PlannedModel:
-        """The model with all coefficients of a letter, m say, given at their expected values."""
-        kept = np.array([name[0] != letter for name in self.names])
+    def with_known_mass(self) -> PlannedModel:
+        """The model with all masses given at their expected values."""
+        kept = np.array([name[0] != "m" for name in self.names])
         fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return replace(

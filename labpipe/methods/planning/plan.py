@@ -35,6 +35,7 @@ from labpipe.methods.planning.expectation import (
 )
 from labpipe.methods.planning.model import AXES, Noise, PlannedModel
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
+from labpipe.methods.planning.runs import LONGEST, least_factor
 from labpipe.methods.planning.search import (
     FLAT_PHASES,
     LEAST_CREST,
@@ -72,8 +73,6 @@ MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
 # neighbouring lines and lose nothing; fits of the spectra of all channels know it from the periods alone.
 OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
 MAINS_WIDTH = 0.5
-# Factor of the time up to which goals are looked for.
-LONGEST = 1e6
 NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
@@ -465,29 +464,19 @@ def _coefficients(
 ) -> Iterator[PlannedCoefficient]:
     model, goals = question.rig.model, question.goals
     errors, others = timed.errors(duration), question.flats[LEAST_CREST].errors(duration)
-    numbers = zip(
-        model.expected,
-        model.scales,
-        errors,
-        factor * errors,
-        others,
-        goals.random,
-        goals.expanded,
-        strict=True,
-    )
-    for name, unit, (value, scale, error, weighted, other, random, expanded) in zip(
-        model.names, model.units, numbers, strict=True
-    ):
+    columns = np.array([model.expected, model.scales, errors, factor * errors, others]).T.tolist()
+    for number, (expected, scale, error, weighted, other) in enumerate(columns):
+        random, expanded = float(goals.random[number]), float(goals.expanded[number])
         yield PlannedCoefficient(
-            name,
-            unit,
-            float(value),
-            float(scale),
-            float(error),
-            float(weighted),
-            float(other),
-            goal=float(random) if np.isfinite(random) else None,
-            goal_expanded=float(expanded) if np.isfinite(expanded) else None,
+            model.names[number],
+            model.units[number],
+            expected,
+            scale,
+            error,
+            weighted,
+            other,
+            goal=random if np.isfinite(random) else None,
+            goal_expanded=expanded if np.isfinite(expanded) else None,
         )
 
 
@@ -499,15 +488,8 @@ def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> floa
     """
     if campaign.known is None:
         return float(duration * np.max(campaign.errors(duration) / limits) ** 2)
-    low, high = -np.log(LONGEST), np.log(LONGEST)
-    if np.any(campaign.errors(duration * LONGEST) > limits):
-        return float("inf")
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (
-            (low, middle) if np.all(campaign.errors(duration * np.exp(middle)) <= limits) else (middle, high)
-        )
-    return float(duration * np.exp(high))
+    low = float(-np.log(LONGEST))
+    return duration * least_factor(low, lambda factor: np.all(campaign.errors(duration * factor) <= limits))
 
 
 def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> PlannedTest:

@@ -144,14 +144,19 @@ def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputF
     output.write_path("runs.csv").write_text(runs_csv(plan), encoding="utf-8")
     table = Document(plan.title, "Runs to make", (Section("Runs", (runs_table(plan),)),), to_sign=False)
     output.write_path("runs.md").write_bytes(DOCUMENTS.load("md")(table))
-    for name, entries in settings_files.items():
+    write_settings(settings_files, output)
+    return [NAME, REPORT, "runs.csv", "runs.md", *settings_files]
+
+
+def write_settings(files: Mapping[str, Any], output: OutputFolder) -> None:
+    """Files of settings by name: their entries, or their text."""
+    for name, content in files.items():
         text = (
-            entries
-            if isinstance(entries, str)
-            else yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
+            content
+            if isinstance(content, str)
+            else yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
         )
         output.write_path(name).write_text(text, encoding="utf-8")
-    return [NAME, REPORT, "runs.csv", "runs.md", *settings_files]
 
 
 def plan_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:

@@ -27,13 +27,13 @@ from labpipe.methods.planning.run_up_information import (
     information,
 )
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind
+from labpipe.methods.planning.settings import PlanKind, check_relative
 from labpipe.methods.run_ups.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily
 from labpipe.methods.run_ups.misfit import scales
 from labpipe.methods.run_ups.records import Shaker
 from labpipe.methods.run_ups.rotor import RPM, RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.registry import nearest
 
 RUN_UPS = "run-ups"
@@ -151,11 +151,11 @@ class RunUpPlanSettings(Settings):
                 hint="{trial-1: {unbalance: {disc 1: 50 g.mm}}}",
                 field="trials",
             )
-        for name in self.known:
-            if name not in PARAMETERS:
-                raise ConfigError(
-                    f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="known"
-                )
+        for field, names in (("known", self.known), ("expected", tuple(dict(self.expected)))):
+            for name in names:
+                if name not in PARAMETERS:
+                    what = f"the film has no parameter {name}"
+                    raise ConfigError(what, hint=nearest(name, PARAMETERS), field=field)
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -165,18 +165,8 @@ class RunUpPlanSettings(Settings):
                 self._check_planes(self.rig, name, trial)
 
     def _check_signs(self) -> None:
-        for name in (
-            "step",
-            "dwell",
-            "duration",
-            "at_load",
-            "at_speed",
-            "displacement_limit",
-            "journal_limit",
-        ):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
+        require_positive(self, "displacement_limit", "journal_limit")
         if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
             raise ConfigError("loads are positive, and so is the time between runs", field="loads")
         if self.speeds[0] <= 0 or self.stretches < 1:
@@ -185,10 +175,6 @@ class RunUpPlanSettings(Settings):
             )
 
     def _check_expected(self, name: str, values: tuple[float, ...]) -> None:
-        if name not in PARAMETERS:
-            raise ConfigError(
-                f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="expected"
-            )
         if len(values) != 1 or (name not in EXPONENTS and values[0] <= 0):
             raise ConfigError(f"{name} is one factor above zero", hint=f"{name}: 0.9", field="expected")
         if abs(logarithm(name, values[0])) > BOUND[PARAMETERS.index(name)]:
@@ -204,7 +190,7 @@ class RunUpPlanSettings(Settings):
             *(SPEEDS if self.at_load else ()),
             *(COEFFICIENTS if self.at_load and self.at_speed else ()),
         )
-        for name, values in self.goal:
+        for name, _ in self.goal:
             if name not in names:
                 hint = (
                     "at_load and at_speed say where"
@@ -214,10 +200,7 @@ class RunUpPlanSettings(Settings):
                 raise ConfigError(f"no {name} is predicted", hint=hint, field="goal")
             if name in self.known:
                 raise ConfigError(f"{name} is known", hint="leave one of goal and known out", field="goal")
-            if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(
-                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
-                )
+        check_relative(self.goal)
 
     @staticmethod
     def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
@@ -465,7 +448,7 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
     for number, name in enumerate(PARAMETERS):
         if name not in settings.known:
             value = float(expected.values[number])
-            shown = value if name in ("viscosity_speed", "viscosity_load") else float(np.exp(value))
+            shown = value if name in EXPONENTS else float(np.exp(value))
             yield Quantity(name, "1", shown, np.eye(len(PARAMETERS))[number], goals.get(name), 1.0)
     if settings.at_load is None:
         return

@@ -8,7 +8,7 @@ certificate holds for runs as well: the counts are rounded down, filled up and e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -272,16 +272,17 @@ def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) ->
     """Factor [1] of the numbers of runs after which all errors of *wanted* (n_wanted, n) [1 / goal] are below
     1; or infinity.
     """
-    low, high = -30.0, float(np.log(LONGEST))
-    if errors_after(choices, counts * LONGEST, wanted).max() > 1:
+    return least_factor(-30.0, lambda factor: errors_after(choices, counts * factor, wanted).max() <= 1)
+
+
+def least_factor(low: float, enough: Callable[[float], object]) -> float:
+    """The least factor of a time that is *enough*, from exp(*low*) up to LONGEST; infinite beyond."""
+    high = float(np.log(LONGEST))
+    if not enough(LONGEST):
         return float("inf")
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (
-            (low, middle)
-            if errors_after(choices, counts * np.exp(middle), wanted).max() <= 1
-            else (middle, high)
-        )
+        low, high = (low, middle) if enough(np.exp(middle)) else (middle, high)
     return float(np.exp(high))
 
 
@@ -421,14 +422,9 @@ def _check_open(
 ) -> None:
     """ConfigError where a number with a goal, or any number, stays open however many runs there are."""
     lasting = lasting_errors(choices, wanted)
-    beyond = [
-        quantity.name
-        for quantity, error in zip(aimed, lasting, strict=True)
-        if error > (1.0 if quantity.goal is not None else np.inf)
-    ]
-    beyond += [
-        quantity.name for quantity, error in zip(aimed, lasting, strict=True) if not np.isfinite(error)
-    ]
+    pairs = list(zip(aimed, lasting, strict=True))
+    beyond = [quantity.name for quantity, error in pairs if quantity.goal is not None and error > 1]
+    beyond += [quantity.name for quantity, error in pairs if not np.isfinite(error)]
     if not beyond:
         return
     unseen = "; ".join(_words(question.parameters, choices, question.units))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -107,9 +107,8 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A design on the shakers: where it comes from, its power (n_line, n_shaker) [1] before scaling, and what
-    it tells at the limits.
+class Source:
+    """A design on the shakers: where it comes from, and its power (n_line, n_shaker) [1] before scaling.
 
     floor [1]: share of the power that is on all lines alike.
     """
@@ -119,8 +118,14 @@ class Candidate:
     scheme: str
     certificate: Certificate | None
     power: FloatArray
+    floor: float
+
+
+@dataclass(frozen=True)
+class Candidate(Source):
+    """A design with what it tells at the limits."""
+
     campaign: Campaign
-    floor: float = 0.0
 
 
 def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> Campaign:
@@ -222,17 +227,7 @@ def _balanced(found: Candidates, wanted: Wanted, criterion: str, floor: float, n
     return replace(design, shares=design.shares / factor)
 
 
-@dataclass(frozen=True)
-class _Source:
-    criterion: str
-    displacement_share: float
-    scheme: str
-    certificate: Certificate | None
-    power: FloatArray
-    floor: float = 0.0
-
-
-def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[_Source]:
+def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[Source]:
     """Designs of every criterion and cost on every scheme; flat last."""
     limited = rig.limits.displacement is not None
     at_once = [scheme for scheme in schemes if scheme != ONE_BY_ONE]
@@ -242,7 +237,7 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
             for floor in _floors(wanted) if criterion == wanted.criterion else (wanted.floor,):
                 if ONE_BY_ONE in schemes:
                     design = _design(choices, wanted, criterion, floor)
-                    yield _Source(
+                    yield Source(
                         criterion,
                         share,
                         ONE_BY_ONE,
@@ -253,9 +248,9 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
                 if at_once:
                     design = _balanced(choices, wanted, criterion, floor, len(rig.shakers))
                     source = design.certificate, _power(choices, design, lines), floor
-                    yield from (_Source(criterion, share, name, *source) for name in at_once)
+                    yield from (Source(criterion, share, name, *source) for name in at_once)
     for scheme in schemes:
-        yield _Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
+        yield Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
 
 
 def _floors(wanted: Wanted) -> tuple[float, ...]:
@@ -272,20 +267,11 @@ def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
     return found.power(design.shares).reshape(lines.size, -1)
 
 
-def _looked(
-    rig: Rig, lines: IntArray, wanted: Wanted, source: _Source | Candidate, random_starts: int
-) -> Candidate:
+def _looked(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
-    return Candidate(
-        source.criterion,
-        source.displacement_share,
-        source.scheme,
-        source.certificate,
-        source.power,
-        campaign(rig, large, wanted.criterion, wanted.goals),
-        source.floor,
-    )
+    entries = {field.name: getattr(source, field.name) for field in fields(Source)}
+    return Candidate(**entries, campaign=campaign(rig, large, wanted.criterion, wanted.goals))
 
 
 def schemes_of(n_shaker: int, wanted: str) -> tuple[str, ...]:

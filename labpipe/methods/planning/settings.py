@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, quantity, setting
+from labpipe.records.settings import Settings, Uncertainties, quantity, require_positive, setting
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
@@ -52,6 +52,14 @@ class DensitySettings(Settings):
     acceleration: float = quantity("of the acceleration", "m/(s^2.Hz^0.5)", 0.0)
 
 
+def check_relative(goals: Iterable[tuple[str, tuple[float, ...]]]) -> None:
+    """ConfigError for a goal that is not one positive relative error."""
+    for name, values in goals:
+        if len(values) != 1 or values[0] <= 0:
+            what = f"the goal of {name} is one positive relative error"
+            raise ConfigError(what, hint=f"{name}: 2 %", field="goal")
+
+
 @dataclass(frozen=True)
 class TheorySettings(Settings):
     """A bearing whose theory is expected: of a bearing file at its load and speed, or on the rotor of a rotor
@@ -75,10 +83,7 @@ class TheorySettings(Settings):
             )
         if self.rotor and self.load is not None:
             raise ConfigError("the load follows from the rotor", hint="leave it out", field="load")
-        for name in ("load", "speed"):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "load", "speed")
         if self.rig is not None:
             self.rig.place(self.name)
 
@@ -160,19 +165,8 @@ class PlanSettings(Settings):
     sensors: Rig | None = None
 
     def __post_init__(self) -> None:
-        for name in (
-            "period",
-            "sample_rate",
-            "duration",
-            "force_limit",
-            "displacement_limit",
-            "mass",
-            "speed",
-            "mains",
-        ):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "period", "sample_rate", "duration", "force_limit", "displacement_limit")
+        require_positive(self, "mass", "speed", "mains")
         if (self.noise is None) == (self.noise_density is None):
             raise ConfigError(
                 "one of 'noise' and 'noise_density' is needed",
@@ -187,11 +181,7 @@ class PlanSettings(Settings):
                     field=name,
                 )
         self._check_expected()
-        for name, values in self.goal:
-            if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(
-                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
-                )
+        check_relative(self.goal)
         if 2 * self.band[1] >= self.sample_rate:
             raise ConfigError(
                 f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate",

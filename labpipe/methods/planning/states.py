@@ -35,7 +35,13 @@ from labpipe.methods.planning.records import PlannedRun, PlannedTest
 from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.search import BOTH_LIMITS, flat
-from labpipe.methods.planning.settings import DensitySettings, NoiseSettings, PlanKind, PlanSettings
+from labpipe.methods.planning.settings import (
+    DensitySettings,
+    NoiseSettings,
+    PlanKind,
+    PlanSettings,
+    check_relative,
+)
 from labpipe.project.bearing_file import BearingFile, open_bearing, setting_at
 from labpipe.project.marked_yaml import set_entry
 from labpipe.raw_files.signal_file import write_signal
@@ -113,14 +119,11 @@ class StatePlanSettings(Settings):
                 hint=f"a run of {FEWEST_PERIODS * self.period:g} s or more",
                 field="run",
             )
-        for name, values in self.goal:
+        for name, _ in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
                 allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
                 raise ConfigError(f"no {name} is predicted", hint=allowed, field="goal")
-            if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(
-                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
-                )
+        check_relative(self.goal)
         self.at(self.speeds[0])
 
     @property
@@ -136,18 +139,11 @@ class StatePlanSettings(Settings):
     def at(self, speed: float) -> PlanSettings:
         """The settings of the test of one state at a *speed* [Hz]; ConfigError as for any test."""
         names = (
-            "mass",
-            "band",
-            "period",
-            "sample_rate",
-            "force_limit",
-            "displacement_limit",
-            "noise",
-            "noise_density",
+            "mass band period sample_rate force_limit displacement_limit noise noise_density scheme exclude"
         )
         return PlanSettings(
             FLOATING,
-            **{name: getattr(self, name) for name in (*names, "scheme", "exclude", "mains", "skip")},
+            **{name: getattr(self, name) for name in (*names.split(), "mains", "skip")},
             duration=self.periods * self.period,
             expected=tuple((name, 1.0) for name in COEFFICIENTS),
             speed=speed,
@@ -195,23 +191,14 @@ class StateTest:
     notes: tuple[str, ...] = ()
 
 
-def state_tests(settings: StatePlanSettings, states: Sequence[BearingState]) -> list[StateTest]:
-    """The flat multisine of every state, as large as its limits allow; ConfigError where no line is left."""
-    return [_test(settings, state) for state in states]
-
-
-def _test(settings: StatePlanSettings, state: BearingState) -> StateTest:
+def state_test(settings: StatePlanSettings, state: BearingState) -> StateTest:
+    """The flat multisine of a state, as large as its limits allow; ConfigError where no line is left."""
     state_settings = settings.at(state.speed)
     rig = bench(state_settings, state.model)
     campaign = flat(rig, planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
     factor = weighting_factor(settings.periods, of_spectra=True)
-    information = (
-        campaign.rate
-        * settings.periods
-        * settings.period
-        / factor**2
-        / np.outer(state.model.scales, state.model.scales)
-    )
+    scales = np.outer(state.model.scales, state.model.scales)
+    information = campaign.rate * settings.periods * settings.period / factor**2 / scales
     planned = planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
     notes = tuple(
         f"{state.name}: {note}" for note in settling_notes(rig, campaign, (settings.periods,), settings.skip)
@@ -296,7 +283,15 @@ def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[s
             names.append(f"signals/{run.name}-{axis}.csv")
             whole = np.tile(samples, settings.periods + settings.skip)
             write_signal(output.write_path(names[-1]), whole, settings.sample_rate, "f [N]")
-    evaluations = {run: _evaluation(settings, file.title, tests[run.name]) for run in answered.plan.runs}
+    evaluations = {
+        run: Evaluation(
+            settings.at(tests[run.name].state.speed),
+            file.title,
+            (tests[run.name].planned,),
+            with_masses=False,
+        )
+        for run in answered.plan.runs
+    }
     entries = {
         RIG: rig_entries(next(iter(evaluations.values()))),
         PIPELINE: _pipeline(file.title, evaluations, tests, output.target.absolute()),
@@ -321,7 +316,7 @@ def plan_states(
                 field="bearing",
             )
     common = [_common(bearing, name) for name in settings.estimate]
-    tests = state_tests(settings, _states(settings, bearing, common))
+    tests = [state_test(settings, state) for state in _states(settings, bearing, common)]
     answered = plan_runs(question_of(settings, tests, common), title, settings.model)
     if common and len(answered.plan.runs) < len(tests):
         answered = answered.noted([UNTESTED])
@@ -399,10 +394,6 @@ def _eight(bearing: BearingFile, whole: BearingCoefficients) -> FloatArray:
     """K, then C, row by row, (8,) [N/m, N.s/m]."""
     lateral = whole.lateral(*bearing.kind.lateral)
     return np.concatenate([lateral.stiffness.ravel(), lateral.damping.ravel()])
-
-
-def _evaluation(settings: StatePlanSettings, title: str, test: StateTest) -> Evaluation:
-    return Evaluation(settings.at(test.state.speed), title, (test.planned,), with_masses=False)
 
 
 def _pipeline(

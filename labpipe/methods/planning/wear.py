@@ -35,7 +35,7 @@ from labpipe.methods.wear.measured import PLACES
 from labpipe.methods.wear.model import BETA_STEP
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -123,9 +123,7 @@ class WearPlanSettings(Settings):
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
-        for name in ("duration", "sample_rate", "force", "run", "block"):
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "duration", "sample_rate", "force", "run", "block")
         if min(self.speeds, default=0.0) <= 0:
             raise ConfigError("speeds are positive", field="speeds")
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
@@ -147,9 +145,6 @@ class WearPlanSettings(Settings):
                     hint="90 um +- 2 %; what is certain belongs into the rotor file",
                     field=name,
                 )
-        self._check_rig()
-
-    def _check_rig(self) -> None:
         if self.rig is not None:
             worn_place(self.rig, self.bearing)
             self.rig.rotor.check_node(self.node, "load_node")
@@ -213,14 +208,12 @@ class ExpectedWear:
         others = tuple(part for part in self.rig.loads if part[0] != node)
         return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
 
-    def receptance_and_slopes(
-        self, lines: FloatArray, mesh: FilmMesh = MESH
-    ) -> tuple[ComplexArray, ComplexArray]:
+    def receptance_and_slopes(self, lines: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the
         parameters [m/N per SI unit].
         """
         loads = self.rig.static_loads()
-        supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
+        supports = [self._support(place, loads[place.name]) for place in self.rig.bearings]
         response, slopes = self._response(lines, supports, self.beta)
         if "beta" in self.values:
             step = BETA_STEP * self.beta
@@ -240,7 +233,7 @@ class ExpectedWear:
         free = reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
         return response_with_slopes(free, supports, self.rig.response, self.rig.force)
 
-    def _support(self, place: BearingPlace, load: tuple[float, float], mesh: FilmMesh) -> VaryingSupport:
+    def _support(self, place: BearingPlace, load: tuple[float, float]) -> VaryingSupport:
         """A bearing with the derivatives of its coefficients by the parameters."""
         slopes = np.zeros((2, len(self.values), 2, 2))
         if not place.is_film:
@@ -252,7 +245,7 @@ class ExpectedWear:
             if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))
         ]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
-        film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
+        film = journal_equilibrium(bearing, load, self.rig.omega, MESH)
         for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
         return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)

@@ -12,14 +12,8 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, setting
-from labpipe.simulate.virtual_rigs import (
-    Simulation,
-    VirtualRigKind,
-    generator,
-    require_positive,
-    whole_numbers,
-)
+from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-decay-rig"
 RUNS = ("struck", "beating", "joint")

@@ -22,7 +22,7 @@ from labpipe.methods.rolling_bearing.shaft import bent_transfer_matrix
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate.linear import line_frequencies, sensed, steady_state
 from labpipe.simulate.virtual_rigs import (
     SimulatedRun,
@@ -31,7 +31,6 @@ from labpipe.simulate.virtual_rigs import (
     force_and_accelerations,
     generator,
     kind_of_tests,
-    require_positive,
 )
 
 KIND = "virtual-ball-bearing-rig"

@@ -34,13 +34,12 @@ from labpipe.methods.run_ups.joint import (
     LOAD_SLACK,
     JointFit,
     RunUpProblem,
-    Thresholds,
     family_about,
     measured_thresholds,
     nearby_threshold,
     threshold_row,
 )
-from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, sources_of
+from labpipe.methods.run_ups.misfit import rank_of, runs_by_load, sources_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement, searched_over
 from labpipe.records.uncertain import Uncertain, Uncertainty

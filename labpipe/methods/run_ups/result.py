@@ -13,13 +13,11 @@ import numpy as np
 
 from labpipe.errors import LabpipeError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.run_ups.film_family import carried_beyond
 from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
 from labpipe.methods.run_ups.joint import JointFit
 from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
 from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, physical_without
-from labpipe.methods.run_ups.metamodels import LeftOut as LeftOutOf
 from labpipe.methods.run_ups.metamodels import Metamodel, caution, fit_metamodel, leave_one_load_out
 from labpipe.methods.run_ups.methods import BEYOND, Predictor, Solved, solve_start
 from labpipe.methods.run_ups.misfit import measured_statement, rank_statements

@@ -116,7 +116,9 @@ def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, Comple
             f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z"
         )
     left = np.linalg.inv(_sensing(response.outputs))
-    right = np.linalg.inv(_forcing(response.inputs))
+    right = np.linalg.inv(
+        FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
+    )
     if frame == "dFRF":
         return np.linalg.inv(FROM_DIRECTIONAL) @ left, right @ FROM_DIRECTIONAL
     return left, right
@@ -127,13 +129,6 @@ def _sensing(ports: tuple[Port, ...]) -> ComplexArray:
     if _is_directional(ports):
         return np.linalg.inv(FROM_DIRECTIONAL)
     return _in_yz(ports, "responses")
-
-
-def _forcing(ports: tuple[Port, ...]) -> ComplexArray:
-    """Q of (force in y and z) = Q (forces): directions of the forces as columns, or A of forward and
-    backward.
-    """
-    return FROM_DIRECTIONAL if _is_directional(ports) else _in_yz(ports, "forces").T
 
 
 def _is_directional(ports: tuple[Port, ...]) -> bool:

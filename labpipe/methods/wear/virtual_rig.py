@@ -19,9 +19,9 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate.linear import shaken_rotor
-from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings, require_positive
+from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
 KIND = "virtual-journal-rig"
 AXES = ("y", "z")
@@ -152,9 +152,8 @@ def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Rec
         Channel("f", "force", "input", axis),
         *(Channel(dof, "displacement", "output", dof) for dof in AXES),
     ]
-    return shaken_rotor(
-        virtual, name, channels, spectrum, at_lines, h[-1], virtual.unbalance, virtual.rig.omega, rng
-    )
+    turning = h[-1], virtual.unbalance, virtual.rig.omega
+    return shaken_rotor(virtual, name, channels, spectrum, at_lines, turning, rng)
 
 
 def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
