@@ -12,13 +12,12 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation import statistics
-from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, inflation_factors
-from labpipe.methods.floating_bearing.budget import budgeted
+from labpipe.methods.floating_bearing.budget import as_estimate, budgeted, unconverged
 from labpipe.methods.floating_bearing.findings import (
     effective_forces,
     given_notes,
@@ -258,17 +257,12 @@ def compared(
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
             fits = known is not None and form == known.model.form.name
-            estimates[form] = (
-                known
-                if fits and known is not None
-                else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, uncertain)
-            )
+            model = StiffnessModel(FORMS[form], symmetry)
+            estimates[form] = known if known and fits else estimate(balance, model, noise, uncertain)
         except FitError:
             continue
-    ranked = sorted(
-        (_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()), key=_bic
-    )
-    return tuple(ranked), estimates
+    candidates = [_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()]
+    return tuple(sorted(candidates, key=_bic)), estimates
 
 
 def _bic(candidate: Candidate) -> float:
@@ -461,13 +455,10 @@ def _solved_fit(
             balance = smeared.corrected(measured, functools.partial(best.model.stiffness, best.values))
             best, candidates = _most_likely(balance, settings, noise, uncertain)
     problem = ErrorsInVariables(balance, best.model)
-    stiffness, state, columns = (
-        best.model.stiffness(best.values, stator.omega),
-        problem.at(best.values),
-        problem.columns(best.values),
-    )
+    stiffness = best.model.stiffness(best.values, stator.omega)
+    state, columns = problem.at(best.values), problem.columns(best.values)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
-    uncertainties = given_uncertainties(errors, response_of(state, columns))
+    uncertainties = given_uncertainties(errors, response_of(state.whiten, columns))
     contradicted: tuple[Finding, ...] = ()
     if best.pulls is not None:
         uncertainties, contradicted = contradictions(given, uncertainties, best.pulls)
@@ -519,30 +510,16 @@ def _reported(
     r2, adjusted = determination(balance.right, residual, len(names))
     likely = settings.estimates.likelihood
     gof = Goodness(r2, adjusted, best.reduced if likely else None, best.p_value if likely else None)
-    as_estimate = statistics.Estimate(
-        values=best.values,
-        covariance=best.covariance,
-        scaled_design=best.design,
-        gof=gof,
-        dof=best.dof,
-        converged=best.converged,
-        iterations=best.steps,
-        amplification=solved.amplification,
-    )
-    warnings: list[Finding] = estimate_findings(
-        as_estimate, names, balance.omega.size, best.model.units, remedy
-    )
+    stated, n_line = as_estimate(best, gof, solved.amplification), balance.omega.size
+    warnings: list[Finding] = estimate_findings(stated, names, n_line, best.model.units, remedy)
     if best.model.n_shape:
         # What is common to two terms of such a form is told by their correlation and intervals, which hold;
         # the lines are no fault.
         warnings = [finding for finding in warnings if finding.code != "collinear"]
-    if not best.converged:
-        parameters = tuple(
-            replace(parameter, std_error_inflated=None, systematic=None)
-            for parameter in without_intervals(parameters)
-        )
     return replace(
-        reported_fit(settings, as_estimate, parameters, band, balance.omega.size),
+        reported_fit(
+            settings, stated, parameters if best.converged else unconverged(parameters), band, n_line
+        ),
         findings=(*warnings, *goodness_findings(gof)),
         candidates=solved.candidates,
     )

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.estimation.causes import stated_findings
@@ -24,7 +26,7 @@ from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 
 MASS = "mass of the stator"
 
-Respond = Callable[[ComplexArray], FloatArray]
+Respond = Callable[[ComplexArray], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -156,17 +158,15 @@ def given_errors(
             errors.append(
                 (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None])
             )
-    return _joined(errors)
+    return joined(errors)
 
 
-def _joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Errors of one source added with their signs, each source once."""
+def joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
+    """Errors (..., n_line, n_run, n) [N] of one source added with their signs, each source once."""
     sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
     for uncertainty, error in errors:
-        source = sources.get(uncertainty.source)
-        sources[uncertainty.source] = (
-            (uncertainty, error) if source is None else (source[0], source[1] + error)
-        )
+        first, before = sources.get(uncertainty.source, (uncertainty, 0.0))
+        sources[uncertainty.source] = (first, before + error)
     return list(sources.values())
 
 
@@ -197,18 +197,16 @@ def given_uncertainties(
     )
 
 
-def response_of(state: Whitened, columns: FloatArray) -> Respond:
-    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *columns* J (n_equation, n_parameter)
-    [1/parameter unit].
-
-    Equation (ds-given).
+def response_of(whiten: Respond, columns: FloatArray) -> Callable[[ComplexArray], FloatArray]:
+    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *whiten*: L^-1 of forces, *columns* J
+    (n_equation, n_parameter) [1/parameter unit]. Equation (ds-given).
     """
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     gain = -np.linalg.pinv(columns / scale) / scale[:, None]
 
     def respond(errors: ComplexArray) -> FloatArray:
-        return np.asarray(real_rows(state.whiten(errors).reshape(len(errors), -1)) @ gain.T)
+        return np.asarray(real_rows(whiten(errors).reshape(len(errors), -1)) @ gain.T)
 
     return respond
 

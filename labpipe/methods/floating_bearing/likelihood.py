@@ -284,6 +284,14 @@ class Noise:
         """Degrees of freedom up to which chi-square has no variance."""
         return self.equations + 1.0
 
+    def check_dof(self) -> None:
+        """FitError for a covariance from too few periods."""
+        if self.dof <= self.least_dof:
+            raise FitError(
+                f"the covariance of the channels was estimated from {self.dof:.3g} degrees of freedom only",
+                hint="average more periods or blocks, or let neighbouring lines share their noise",
+            )
+
     @property
     def excess(self) -> float:
         """E[2 V] over its value for a known covariance. Equation (ds-excess)."""
@@ -302,6 +310,13 @@ class Noise:
         p + 1) degrees of freedom.
         """
         return max(self.dof / (self.dof - self.least_dof), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
+
+    @property
+    def loss(self) -> float:
+        """Standard errors over those with a known covariance [1]."""
+        if not np.isfinite(self.dof):
+            return 1.0
+        return float(np.sqrt(self.inflation / self.shared * (self.dof - self.equations) / self.dof))
 
     def spread(self, dof: int) -> float:
         """Standard deviation of chi-square per degree of freedom."""
@@ -323,24 +338,16 @@ class Noise:
 
 def checked(balance: Balance, noise: Noise) -> None:
     """FitError for a balance without noise, or whose covariance comes from too few periods."""
-    power, variance = (
-        np.sum(np.abs(balance.motion) ** 2),
-        np.sum(np.trace(balance.motion_covariance, axis1=-2, axis2=-1).real),
-    )
-    forced, scatter = (
-        np.sum(np.abs(balance.right) ** 2),
-        np.sum(np.trace(balance.right_covariance, axis1=-2, axis2=-1).real),
-    )
-    if variance <= NOISE_FREE * power and scatter <= NOISE_FREE * forced:
+    sides = ((balance.motion, balance.motion_covariance), (balance.right, balance.right_covariance))
+    if all(
+        np.sum(np.trace(covariance, axis1=-2, axis2=-1).real) <= NOISE_FREE * np.sum(np.abs(side) ** 2)
+        for side, covariance in sides
+    ):
         raise FitError(
             "the noise of the channels is not known, so ml cannot weigh them",
             hint="measure several periods or blocks, or `estimator: ls`",
         )
-    if noise.dof <= noise.least_dof:
-        raise FitError(
-            f"the covariance of the channels was estimated from {noise.dof:.3g} degrees of freedom only",
-            hint="average more periods or blocks, or let neighbouring lines share their noise",
-        )
+    noise.check_dof()
 
 
 def estimate(

@@ -10,7 +10,7 @@ from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES
 from labpipe.methods.floating_bearing.given import Baseline
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
@@ -84,10 +84,8 @@ class DynamicStiffnessSettings(Settings):
             mass: Uncertain | None = getattr(self, name)
             if mass is not None and mass.value < 0:
                 raise ConfigError(f"'{name}' is negative", field=name)
-        for name in ("band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter", "length"):
-            value: float | None = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter")
+        require_positive(self, "length")
         for form in self.forms:
             if form not in FORMS:
                 raise ConfigError(
@@ -103,14 +101,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     return dynamic_stiffness_fits(spectra, settings)
 
 
-def _earlier(settings: FitSettings) -> str:
-    stiffness_settings: DynamicStiffnessSettings = settings.model_settings
-    return stiffness_settings.baseline
-
-
 def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    if not _earlier(settings):
-        return settings
     from labpipe.methods.floating_bearing.fit import with_baseline
 
     return with_baseline(settings, fits)
@@ -122,7 +113,7 @@ DYNAMIC_STIFFNESS = ModelKind(
     DynamicStiffnessSettings,
     "dynamic_stiffness: {form: kcm}",
     optional=True,
-    earlier=_earlier,
+    earlier=lambda settings: settings.model_settings.baseline,
     begin=_begin,
     of=SPECTRA,
     keys=("mass", "input", "output", "bands", "compare"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, times, whitened
 from labpipe.records.fit_details import OtherExcitation
@@ -87,7 +87,7 @@ def stator_of(
         raise FitError(
             f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
         )
-    shared = _shared(spectra, lines)
+    shared = shared_noise(spectra, int(np.count_nonzero(lines)))
     omega = 2 * np.pi * spectra.frequency[lines]
     return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
 
@@ -178,18 +178,14 @@ def _check_once(channels: Sequence[Channel], quantity: str) -> None:
         seen[channel.dof] = channel.name
 
 
-def _shared(spectra: ChannelSpectra, lines: BoolArray) -> tuple[float, float]:
-    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, as far as
-    both are in the band.
+def shared_noise(spectra: ChannelSpectra, n: int) -> tuple[float, float]:
+    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, among *n*:
+    factors of the noise that they share on the variance of a sum over lines, and on that of a sum of powers.
     """
     correlation = np.array(spectra.line_correlation, np.complex128)
-    if not correlation.size:
-        return 1.0, 1.0
-    n = int(np.count_nonzero(lines))
     pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
-    return max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0), 1 + 2 * float(
-        np.sum(pairs * np.abs(correlation) ** 2)
-    )
+    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
+    return shared, 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))
 
 
 # Condition number of the motions of all runs beyond which they are one direction.
@@ -240,17 +236,12 @@ def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStif
     """
     state = whitened(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
-    residual, motion, omega = (
-        balance.right - times(stiffness[:, None], balance.motion),
-        balance.motion,
-        balance.omega,
-    )
+    residual = balance.right - times(stiffness[:, None], balance.motion)
+    motion, omega = balance.motion, balance.omega
     paired = motion.shape[1] < 2
     if paired:
-        omega, stiffness = (
-            _pairs(omega[:, None, None]).mean(axis=(1, 2)),
-            _pairs(stiffness.reshape(-1, 1, 4)).mean(axis=1).reshape(-1, 2, 2),
-        )
+        omega = _pairs(omega[:, None, None]).mean(axis=(1, 2))
+        stiffness = _pairs(stiffness.reshape(-1, 1, 4)).mean(axis=1).reshape(-1, 2, 2)
         residual, motion, noise = _pairs(residual), _pairs(motion), _pairs(noise)
     vectors = motion.swapaxes(-1, -2)
     is_determined = np.linalg.cond(vectors) < ONE_DIRECTION
@@ -306,12 +297,9 @@ def _errors(information: FloatArray) -> FloatArray:
 
 def _ratios(name: str, ratios: FloatArray, letters: list[str]) -> OtherExcitation:
     """Geometric mean over the elements of K, of C and of M."""
-    means = [
-        (letter, float(np.exp(np.mean(np.log(ratios[[one == letter for one in letters]])))))
-        for letter in LETTERS
-        if letter in letters
-    ]
-    return OtherExcitation(name, tuple(letter for letter, _ in means), tuple(ratio for _, ratio in means))
+    there = tuple(letter for letter in LETTERS if letter in letters)
+    means = (np.mean(np.log(ratios[np.array(letters) == letter])) for letter in there)
+    return OtherExcitation(name, there, tuple(float(np.exp(mean)) for mean in means))
 
 
 def one_at_a_time(stator: Stator) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
+from labpipe.methods.floating_bearing.stator import shared_noise
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
@@ -87,6 +88,7 @@ def levitation_of(
         )
         raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=hint)
     n = len(currents)
+    shared, shared_power = shared_noise(spectra, int(np.count_nonzero(lines)))
     to_axes = np.zeros((2 * n, len(spectra.channels)))
     to_axes[np.arange(n), currents] = 1.0
     at_magnets, bearing, planes = _at_magnets(chosen, [spectra.channels[k] for k in displacements])
@@ -102,7 +104,8 @@ def levitation_of(
         labels=tuple(channel.dof for channel in chosen),
         bearing=bearing,
         spectra=spectra,
-        **_shared(spectra, int(np.count_nonzero(lines))),
+        shared=shared,
+        shared_power=shared_power,
     )
 
 
@@ -236,16 +239,6 @@ def mass_matrix(
         )
         matrix[np.ix_(axes, axes)] = back.T @ np.diag(np.array([mass, settings.inertia.value])) @ back
     return matrix
-
-
-def _shared(spectra: ChannelSpectra, n: int) -> dict[str, float]:
-    """Factor of the noise that neighbouring lines share on the variance of a sum over lines, and on that of a
-    sum of powers.
-    """
-    correlation = np.array(spectra.line_correlation, np.complex128)
-    pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
-    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
-    return {"shared": shared, "shared_power": 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))}
 
 
 # The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples.

@@ -10,12 +10,12 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.errors import ConfigError
-from labpipe.estimation import statistics
-from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.diagnostics import estimate_findings, goodness_findings
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, estimated, inflation_factors, widened
-from labpipe.methods.floating_bearing.budget import budgeted
+from labpipe.methods.floating_bearing.budget import as_estimate, budgeted, unconverged
+from labpipe.methods.floating_bearing.findings import few_averages
 from labpipe.methods.floating_bearing.model_error import BalanceError, BalanceMisfit, balance_error
 from labpipe.methods.floating_bearing.values import SAME, Valued
 from labpipe.methods.magnetic_bearing.balance import (
@@ -34,7 +34,7 @@ from labpipe.methods.magnetic_bearing.likelihood import (
     unweighted,
 )
 from labpipe.methods.magnetic_bearing.settings import MagnetSettings
-from labpipe.records.finding import Finding, Parameter, note
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import RobustPlant, systematic
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.settings import ESTIMATE, Uncertainties
@@ -121,8 +121,6 @@ def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, 
 
 # What a magnet's fit says besides its numbers.
 
-# Loss of the standard errors to few degrees of freedom beyond which it is said.
-LOSS = 1.1
 # Condition number of the currents of all runs beyond which a line does not tell X per I.
 ONE_DIRECTION = 1e3
 
@@ -172,24 +170,6 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
         return ()
     what = f"{', '.join(negative)} is negative: the sign of a current or of a reading is wrong"
     return (Finding("unphysical", f"{what}; `invert: true` for one of the two in the rig file"),)
-
-
-def noise_findings(rotor: Levitation) -> tuple[Finding, ...]:
-    """A note where few periods or blocks widen the intervals."""
-    noise = noise_of(rotor)
-    loss = (
-        float(np.sqrt(noise.inflation / noise.shared * (noise.dof - noise.equations) / noise.dof))
-        if np.isfinite(noise.dof)
-        else 1.0
-    )
-    if loss < LOSS:
-        return ()
-    message = (
-        f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are "
-        f"{loss:.3g} times those with a "
-        "known one. Average more periods, or let neighbouring lines share their noise"
-    )
-    return (note("few-averages", message),)
 
 
 def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
@@ -305,27 +285,15 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
     parameters, budget = budgeted(_valued(best, whole), best.uncertainties, best.dof)
     if not best.converged:
-        parameters = tuple(
-            replace(parameter, std_error_inflated=None, systematic=None)
-            for parameter in without_intervals(parameters)
-        )
+        parameters = unconverged(parameters)
     gof = _goodness(rotor, model, best)
-    as_estimate = statistics.Estimate(
-        values=best.values,
-        covariance=best.covariance,
-        scaled_design=best.design,
-        gof=gof,
-        dof=best.dof,
-        converged=best.converged,
-        iterations=best.steps,
-        amplification=best.amplification,
-    )
+    stated, n_line = as_estimate(best, gof, best.amplification), rotor.omega.size
     findings = (
-        *estimate_findings(as_estimate, model.names, rotor.omega.size, model.units, remedy),
+        *estimate_findings(stated, model.names, n_line, model.units, remedy),
         *goodness_findings(gof),
         *error.finding,
         *sign_findings(model, parameters),
-        *noise_findings(rotor),
+        *few_averages(noise_of(rotor)),
         *spectra.findings,
     )
     curve = drawn(rotor, best)
@@ -336,7 +304,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
     band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
     return replace(
-        reported_fit(settings, as_estimate, error.named(parameters), band, rotor.omega.size),
+        reported_fit(settings, stated, error.named(parameters), band, n_line),
         findings=findings,
         notes=fit_notes(rotor, best, settings.uncertainties),
         curve=curve,

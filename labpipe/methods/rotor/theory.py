@@ -123,7 +123,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     except FitError:
         onset = 2 * np.pi * float(speeds[0])
     crossings = []
-    for mode in range(frequency.shape[1]):
+    for mode in range(order.shape[1]):
         excess = frequency[:, mode] - speeds
         for n in np.flatnonzero(np.sign(excess[:-1]) * np.sign(excess[1:]) < 0):
             share = excess[n] / (excess[n] - excess[n + 1])
