@@ -38,9 +38,9 @@ from labpipe.methods.floating_bearing.given import (
     given_errors,
     given_uncertainties,
     response_of,
+    smeared_balance,
     smoothed_channels,
 )
-from labpipe.methods.floating_bearing.leakage import smeared_balance
 from labpipe.methods.floating_bearing.likelihood import (
     Balance,
     ErrorsInVariables,

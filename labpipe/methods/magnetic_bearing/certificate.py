@@ -18,7 +18,10 @@ from labpipe.methods.magnetic_bearing.limits import (
     CertificateSettings,
     Limit,
     below,
+    cause_of,
     probabilities,
+    recorded_loop,
+    sound,
     undecided,
     verdict_of,
     words,
@@ -36,7 +39,6 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import GAIN, MEASURED, measured_margins
-from labpipe.methods.magnetic_bearing.recorded_loop import cause_of, recorded_loop, sound
 from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, peak_of
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,

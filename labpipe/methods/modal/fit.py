@@ -22,7 +22,15 @@ from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
-from labpipe.methods.modal.model_error import model_errors, with_model_errors
+from labpipe.methods.modal.model_error import (
+    DrivingPoint,
+    frequency_correlation,
+    modal_parameters,
+    model_errors,
+    shape_record,
+    strongest_points,
+    with_model_errors,
+)
 from labpipe.methods.modal.moved import MovedMode, aligned, aligned_measured, with_moved_modes
 from labpipe.methods.modal.number import (
     Completed,
@@ -42,13 +50,6 @@ from labpipe.methods.modal.poles import (
     stabilisation,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
-from labpipe.methods.modal.shapes import (
-    DrivingPoint,
-    frequency_correlation,
-    modal_parameters,
-    shape_record,
-    strongest_points,
-)
 from labpipe.methods.modal.whole_covariance import (
     MOST_ENTRIES,
     ModalEstimate,

@@ -1,9 +1,9 @@
-"""Model decay: the modes of free decays by maximum likelihood, judged by what they leave."""
+"""Model decay: its settings, and the modes of free decays by maximum likelihood, judged by what they leave."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
-from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.estimation.statistics import correlation, derived, estimated, student_limit
 from labpipe.methods.ring_down.amplitude_law import (
     FittedLaw,
@@ -22,8 +22,7 @@ from labpipe.methods.ring_down.amplitude_law import (
     missing_mode,
     over_amplitude,
 )
-from labpipe.methods.ring_down.findings import decay_findings, depends_on_amplitude
-from labpipe.methods.ring_down.jumps import jump_of
+from labpipe.methods.ring_down.findings import decay_findings, depends_on_amplitude, jump_of
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
 from labpipe.methods.ring_down.repeats import (
     RepeatedDecays,
@@ -33,13 +32,47 @@ from labpipe.methods.ring_down.repeats import (
     with_repeats,
 )
 from labpipe.methods.ring_down.residual_test import Judged, judged
-from labpipe.methods.ring_down.settings import MOST_MODES, DecaySettings
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import Port
+from labpipe.records.settings import Settings, setting
 from labpipe.records.spectra import FreeDecays
 from labpipe.records.uncertain import Uncertainty
+from labpipe.spectra.settings import DECAYS
+
+MOST_MODES = 8
+
+
+@dataclass(frozen=True)
+class DecaySettings(Settings):
+    """What a free decay consists of."""
+
+    modes: int = setting("integer", "modes that decay together", default=1)
+    repeats: str = setting(
+        "choice",
+        "several decays: each fitted, and their mean; or pool, one fit of all",
+        choices=("each", "pool"),
+        default="each",
+    )
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.modes <= MOST_MODES:
+            raise ConfigError(f"'modes' is {self.modes}", hint=f"1 to {MOST_MODES}", field="modes")
+
+
+DECAY = ModelKind(
+    lambda decays, settings: (decay_fit(decays, settings),),
+    "decay",
+    DecaySettings,
+    "decay: {modes: 1}",
+    optional=True,
+    of=DECAYS,
+    times_mass=True,
+    keys=("mass", "output", "repeats"),
+    estimators=("ml",),
+)
+
 
 # Peaks count down to this share of the first.
 DOWN_TO = 0.1

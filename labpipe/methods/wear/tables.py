@@ -17,8 +17,8 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.curve import PARAMETERS, JournalTable, TableRange, journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.journal_bearing.table import PARAMETERS, JournalTable, TableRange, journal_table
 from labpipe.methods.rotor.response import ReducedRotor
 from labpipe.methods.rotor.rig import BearingPlace
 from labpipe.methods.rotor.shaft import Support
