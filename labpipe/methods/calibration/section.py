@@ -273,7 +273,6 @@ def _powered(x: _Column, power: int) -> _Column:
 
 
 def _units(x: _Column, y: _Column) -> tuple[str, str]:
-    """Units of slope and intercept."""
     if x.unit == "1":
         return y.unit, y.unit
     return (f"{y.unit}/{x.unit}" if "/" not in x.unit else f"{y.unit}/({x.unit})"), y.unit

@@ -340,7 +340,6 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError for more than one mass."""
     if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
         raise ConfigError(
             "the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass"
@@ -401,7 +400,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
 
 
 def _given(settings: FitSettings, stator: Stator) -> Given:
-    """Mass and baseline of the settings."""
     section: DynamicStiffnessSettings = settings.model_settings
     mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
     if mass is not None and mass.value == 0:
@@ -438,7 +436,6 @@ def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: 
 def _solved_fit(
     stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise
 ) -> Solved:
-    """The estimate by the settings' estimator."""
     section: DynamicStiffnessSettings = settings.model_settings
     if not settings.estimates.likelihood:
         best, respond = least_squares(
@@ -502,7 +499,6 @@ def _reported(
     band: tuple[float, float],
     parameters: tuple[Parameter, ...],
 ) -> Fit:
-    """The fit with its goodness, and warnings on the estimate."""
     best = solved.best
     names = best.model.names
     stiffness = best.model.stiffness(best.values, balance.omega)

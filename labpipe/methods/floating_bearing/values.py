@@ -358,7 +358,6 @@ def derived_values(
 
 
 def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
-    """Whirl frequency ratio and onset speed."""
     if turning is None or turning.square <= 0 or not shaft.speed:
         return []
     speed = 2 * np.pi * abs(shaft.speed)
@@ -516,7 +515,6 @@ def _scaled(valued: Valued, factor: float) -> Valued:
 
 
 def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:
-    """Of numbers that are given as exact."""
     needed = (bearing.viscosity, bearing.length, bearing.diameter)
     if bearing.clearance is None or bearing.load is None or any(number is None for number in needed):
         return ()

@@ -424,7 +424,6 @@ def _coefficients_by_name(rig: FloatingRig, condition: Condition) -> Truth:
 
 
 def _parameters(rig: FloatingRig, runs: Sequence[str]) -> Truth:
-    """Coefficients of the condition of the runs."""
     conditions = dict.fromkeys(run.rpartition("-")[0] for run in runs)
     if len(conditions) != 1:
         raise ConfigError(

@@ -287,7 +287,6 @@ class Bench(Watch):
         return findings
 
     def _enough(self, standings: Mapping[str, Standing]) -> bool:
-        """Whether every goal is reached and nothing speaks against a stop."""
         wanted = [standing for standing in standings.values() if standing.goal is not None]
         judged = all(fit.estimate is not None and fit.estimate.judged for fit in self.fits)
         if not wanted or not judged or any(not standing.reached for standing in wanted):

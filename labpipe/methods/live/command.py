@@ -402,7 +402,6 @@ def live(
 
 
 def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
-    """Show every update until it is enough; whether it was."""
     with _display(session, as_json, page, quiet) as show:
         last, shown = None, 0.0
         for last in session.updates():
@@ -422,7 +421,6 @@ def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bo
 
 @contextmanager
 def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterator[Callable[[Update], None]]:
-    """What shows an update: a page, and a table on the terminal that is drawn anew, or lines elsewhere."""
 
     server = None
     if page:
@@ -458,7 +456,6 @@ def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterat
 
 
 def _console() -> Any:
-    """A display of the package rich on a terminal."""
     if not sys.stdout.isatty():
         return None
     try:
@@ -504,7 +501,6 @@ def _echo_by_hand(session: Session) -> None:
 
 @contextmanager
 def _asked_to_stop() -> Iterator[list[int]]:
-    """The interrupts that ended the test by hand."""
     asked: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _frame: asked.append(number))
     try:
@@ -514,7 +510,6 @@ def _asked_to_stop() -> Iterator[list[int]]:
 
 
 def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Path, columns: list[str]) -> Any:
-    """A run of a virtual rig, played in real time."""
     import numpy as np
 
     from labpipe.artefacts.writing import output_folder

@@ -112,7 +112,6 @@ def levitation_of(
 def _chosen(
     spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str
 ) -> list[int]:
-    """Columns of a quantity in one of its roles that are named, or all."""
     columns = [n for role in roles for n in spectra.columns(quantity, role)]
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
@@ -135,7 +134,6 @@ def _chosen(
 
 
 def _paired(channels: Sequence[Channel], currents: Sequence[int], displacements: Sequence[int]) -> list[int]:
-    """The displacement of every current's axis, in the order of the currents."""
     of_dof = {channels[n].dof: n for n in displacements}
     missing = [channels[n] for n in currents if channels[n].dof not in of_dof]
     if missing:

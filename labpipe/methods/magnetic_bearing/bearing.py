@@ -215,7 +215,6 @@ class MagneticFile(Settings):
             )
 
     def _check_inferred(self) -> None:
-        """ConfigError for an inferred entry that is no entry of a magnetic bearing."""
         entries = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
         for name in self.inferred:
             if name not in entries:

@@ -84,19 +84,16 @@ class _Problem:
         return float(np.linalg.norm(self.weight * self.matrix))
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """(n_equation,) [1] at *parameters* (n,) [1]."""
         with np.errstate(all="ignore"):
             left = self.weight * (self.matrix - self.block.response(parameters, self.omega))
         return np.concatenate([left.real, left.imag])
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """(n_equation, n) [1] by centred differences."""
         steps = STEP * np.eye(parameters.size)
         pairs = [(self.residual(parameters + step), self.residual(parameters - step)) for step in steps]
         return np.column_stack([(ahead - behind) / (2 * STEP) for ahead, behind in pairs])
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] at *parameters* (n,) [1]."""
         return sum_of_squares(self.residual, parameters)
 
 

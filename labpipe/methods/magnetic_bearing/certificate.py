@@ -350,7 +350,6 @@ def resolved(settings: CompareSettings) -> CertificateSettings:
 
 
 def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
-    """The peak of |S_ii| of every loop."""
     peaks = []
     for number in range(len(matrix.loops)):
         size, error = matrix.size(number)
@@ -464,7 +463,6 @@ def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None
 
 
 def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> list[Limit]:
-    """Probability that the least damped mode has its decrement."""
     if model is None and own.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected

@@ -146,7 +146,6 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
 def _amounts(
     bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]
 ) -> list[Parameter]:
-    """Shares of bands, of the loop as it is and with its fitted unknowns, and the number of bands."""
     amounts = [
         Parameter(f"share_{letter}", _share(bands, name), "1", derived=True)
         for letter, name in zip(LETTERS, names, strict=True)
@@ -218,7 +217,6 @@ def _statement(
 
 
 def _curve(view: View, letter: str, changed: MagneticFile | None) -> Curve:
-    """K_eq or C_eq of one bearing at the lines from the first to the last band."""
     frequency = view.measured.omega / (2 * np.pi)
     unit = "N/m" if letter == "k" else "N.s/m"
     theory, matched = (
@@ -261,7 +259,6 @@ def _file_of(settings: CompareSettings, evidence: Evidence) -> MagneticFile | No
 
 
 def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | None:
-    """The theory that was given, else the bearing file that the settings name."""
     given: MagneticTheory | None = evidence.theory
     return (
         magnetic_theory(evidence.folder, settings.theory)

@@ -255,7 +255,6 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError without the mass."""
     if settings.mass == ESTIMATE:
         hint = "mass: 4 kg +- 5 g, in the rig file or in the fit"
         raise ConfigError(
@@ -351,7 +350,6 @@ def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -
 
 
 def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
-    """The parameters with their slopes."""
     vifs = inflation_factors(best.design)
     parameters = []
     for place, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):
@@ -363,7 +361,6 @@ def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
 
 
 def _goodness(rotor: Levitation, model: MagnetModel, best: MagnetEstimate) -> Goodness:
-    """R^2 of the rotor's inertia explained by the magnets' forces, and chi-square."""
     axes, n = rotor.axes, rotor.n_axis
     inertia = rotor.omega[:, None, None] ** 2 * (axes[..., n:] @ rotor.mass.T)
     residual = (model.rows(best.values, rotor.omega)[:, None] @ axes[..., None])[..., 0]

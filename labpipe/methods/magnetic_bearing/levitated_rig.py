@@ -141,7 +141,6 @@ def _random(
 
 
 def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
-    """What sensors see of the turning surface (n_sample, n_axis) [m]."""
     quarters = np.resize(np.array([0.0, np.pi / 2])[: len(AXES[rig.axes])], len(rig.labels))
     seen = np.zeros((angle.size, quarters.size))
     for order, amplitude in enumerate(rig.runout, 1):
@@ -164,7 +163,6 @@ def _logged(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int
 
 
 def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
-    """Currents are what drives the rotor unless a shaker does."""
     quantity, letter = ("force", "f") if rig.force_recorded else ("current", "i")
     added = "current" if rig.injection.place == "output" else "displacement"
     kinds = [
@@ -225,7 +223,6 @@ def truth(rig: LevitatedRig) -> dict[str, Any]:
 
 
 def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
-    """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement."""
     values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass, **_magnets(rig)}
     if rig.rotor is not None:
         return values

@@ -196,7 +196,6 @@ REJECTING = ("feedback", "no-convergence", "model-mismatch")
 
 
 def _why_undecided(fit: Fit, several: bool) -> str:
-    """Why the decrements of a fit decide nothing."""
     of_test = f" of test '{fit.test}'" if several and fit.test else ""
     codes = list(
         dict.fromkeys(
@@ -353,7 +352,6 @@ def sound(fit: LoopFit) -> bool:
 def _changes(
     own: CertificateSettings, response: FrequencyResponse
 ) -> Iterator[tuple[str, CertificateSettings, FrequencyResponse]]:
-    """Words, settings and response of every change."""
     place = INPUT if own.injection == OUTPUT else OUTPUT
     yield f"with injection: {place}", replace(own, injection=place), response
     signals = list(dict.fromkeys(own.recorded))
@@ -381,7 +379,6 @@ def _words(name: str, factor: float) -> str:
 
 
 def _scaled(response: FrequencyResponse, rows: Sequence[int], factor: float) -> FrequencyResponse:
-    """The response with some of its outputs times a real factor; one input."""
     assert response.covariance is not None
     scale = np.ones(len(response.outputs))
     scale[list(rows)] = factor

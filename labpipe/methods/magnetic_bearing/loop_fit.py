@@ -328,7 +328,6 @@ def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
 
 
 def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str, ...]:
-    """Unknowns without influence on the response."""
     lengths = np.linalg.norm(jacobian, axis=0)
     return tuple(
         entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0
@@ -383,7 +382,6 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
 
 
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
-    """The condition number of the scaled Jacobian, and the unknowns that cause it."""
     idle = _without_influence(problem, jacobian)
     if idle:
         return float("inf"), idle
@@ -505,7 +503,6 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
 
 
 def _edge_findings(fit: LoopFit) -> list[Finding]:
-    """A warning where an unknown fits best at zero."""
     if not fit.at_zero:
         return []
     names = " and ".join(fit.at_zero)
@@ -516,7 +513,6 @@ def _edge_findings(fit: LoopFit) -> list[Finding]:
 
 
 def _bent_findings(fit: LoopFit) -> list[Finding]:
-    """A warning where the response bends within the errors of the unknowns."""
     names = [name for name, size in fit.bent if size > BENT]
     if not names:
         return []

@@ -256,9 +256,6 @@ def sensitivity_matrix(
 def _recorded_errors(
     response: FrequencyResponse, places: tuple[list[int], list[int]], picked: ComplexArray
 ) -> tuple[MatrixError, ...]:
-    """Changes (n_line, n_output, n_input) of all responses by the sources of those behind and ahead of the
-    sums.
-    """
     used = list(dict.fromkeys([*places[0], *places[1]]))
     errors = []
     for error in response_errors(response, used, list(range(len(response.inputs)))):

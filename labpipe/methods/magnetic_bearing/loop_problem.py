@@ -98,7 +98,6 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
 
 
 def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
-    """Value and unit of an entry of a block; ConfigError where there is no such block or entry."""
     place, _, entry = name.removeprefix(BLOCK).partition(".")
     count = len(file.loop.controller)
     if not place.isdigit() or not 1 <= int(place) <= count:

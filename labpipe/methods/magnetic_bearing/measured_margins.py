@@ -256,7 +256,6 @@ def _crossings(
 
 
 def _changes(values: FloatArray) -> list[int]:
-    """Numbers of the places behind which a function changes its sign."""
     return [int(n) for n in np.flatnonzero(values[:-1] * values[1:] < 0)]
 
 

@@ -245,7 +245,6 @@ class _Theory:
     fitted: LoopFit
 
     def size(self, file: MagneticFile, frequency: FloatArray) -> FloatArray:
-        """|S| of a file."""
         return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
 
 
@@ -272,7 +271,6 @@ def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: 
 def _measured_amounts(
     measured: MeasuredSensitivity, peak: Peak, predicted: FloatArray | None
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The peak, its frequency, and measured over predicted peak, with what systematic errors add."""
     amounts, changes = peak.amounts(measured.quantile), [peak.changes, peak.frequency_changes]
     if predicted is not None:
         highest = float(np.max(predicted))

@@ -193,7 +193,6 @@ def unstable_poles(plant: Levitated) -> int:
 
 
 def _elements(loop: ControlLoop) -> list[tuple[ControllerBlock, ...]]:
-    """The blocks of every element of the controller that is not zero."""
     pairs = ["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"]
     return [blocks for blocks in (loop.blocks(*pair) for pair in pairs) if blocks]
 

@@ -227,9 +227,6 @@ def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) ->
 
 
 def _logged(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
-    """The loop's signals as a logger with its filter stores them: every channel by the same filter without
-    delay.
-    """
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
 

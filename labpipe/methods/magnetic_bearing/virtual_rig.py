@@ -284,7 +284,6 @@ def logged(recording: Recording) -> LoggedTable:
 
 
 def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
-    """The channels as the logger records them: "force [N]", "x [um]", "y [V]"."""
     columns = {}
     for number, channel in enumerate(recording.channels):
         unit, per_si = RECORDED[channel.name]
@@ -299,7 +298,6 @@ def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
 
 
 def _std_errors(rig: VirtualMagneticRig, runs: Sequence[str], band: tuple[float, float]) -> Truth:
-    """Of k and c of a one-dof run whose mass is known."""
     return expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {}
 
 

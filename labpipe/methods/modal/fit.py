@@ -281,7 +281,6 @@ class _Sides:
 
     @property
     def driving_points(self) -> tuple[DrivingPoint, ...]:
-        """The points that are references as well."""
         dofs = [port.dof for port in self.references] if self.by_force else []
         return tuple(
             DrivingPoint(row, dofs.index(port.dof), port.dof)
@@ -370,7 +369,6 @@ def _at_mean_poles(
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
-    """Whether modes are damped by a loss factor; ConfigError for real shapes beside one."""
     if settings.damping == VISCOUS:
         return False
     if modal.shapes == "real":
@@ -454,7 +452,6 @@ def _highest_order(lines: Lines, modal: ModalSettings) -> int:
 def _by_hand(
     equations: NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
 ) -> Poles:
-    """The poles nearest to the named frequencies; ConfigError for one outside the band."""
     frequencies = 2 * np.pi * np.sort(np.array(modal.poles))
     outside = frequencies[(frequencies < edges[0]) | (frequencies > edges[1])]
     if outside.size:
@@ -491,7 +488,6 @@ def _parameters(
 def _sources(
     settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
 ) -> list[Source]:
-    """What the sensors, sums of channels and a given mass make uncertain."""
     parameters = partial(_parameters, settings, sides, estimate)
     of_matrix = modal_sources(
         sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real"
@@ -508,7 +504,6 @@ def _reported(
     beyond: Measured,
     moved: Sequence[MovedMode],
 ) -> Fit:
-    """The Fit without shapes and curve."""
     refined, measured = estimate.refined, sides.measured
     matrix = frequency_correlation(refined)
     parameters = _parameters(settings, sides, estimate, refined)
@@ -560,9 +555,6 @@ def _diagram_record(lines: Lines, diagram: Diagram) -> StabilisationDiagram:
 def _curve(
     form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved: Sequence[MovedMode]
 ) -> FittedCurve:
-    """Measured and fitted FRF in the measured form, which is *named* so, every point at its own poles, with
-    outputs as rows again.
-    """
     measured = sides.measured
     frequency = measured.omega / (2 * np.pi)
     away = aligned(1j * measured.omega, moved)

@@ -215,7 +215,6 @@ class _State:
     def at(
         cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool
     ) -> _State:
-        """The state at start values; shapes of equal weights give the first estimate of the noise."""
         even = np.ones(lines.matrix.shape[1:])
         return (
             cls(lines, terms, _sums(lines, terms, poles), poles, participation, even, real)
@@ -252,7 +251,6 @@ class _State:
 
     @property
     def chi2(self) -> float:
-        """Sum of |residual|^2 over the variance, all elements."""
         psi, _ = self._shapes()
         return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
 
@@ -314,7 +312,6 @@ def _pseudo_inverse(normal: FloatArray) -> FloatArray:
 
 
 def _normalised(participation: ComplexArray) -> ComplexArray:
-    """Rows with their largest entry 1."""
     rows, largest = np.arange(participation.shape[0]), np.argmax(np.abs(participation), axis=1)
     scaled = participation / participation[rows, largest][:, None]
     # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.

@@ -169,7 +169,6 @@ def _value(
     function: Function,
     dof: int,
 ) -> Parameter:
-    """A function of pole and residue with its standard error."""
     values, covariance = _pole_and_residue(refined, mode, driving)
     gradient = _gradient(function, values)
     return derived(
@@ -233,7 +232,6 @@ def _gradient(function: Function, x: FloatArray) -> FloatArray:
 
 
 def _ascending(refined: Refined) -> list[int]:
-    """Numbers of the modes in ascending natural frequency."""
     return sorted(range(refined.poles.size), key=lambda mode: float(abs(refined.poles[mode])))
 
 

@@ -187,14 +187,12 @@ class _Problem:
         return np.concatenate([first, first + others[self.group]], axis=1)
 
     def amplitudes(self, unknowns: FloatArray) -> ComplexArray:
-        """By source, (n_line, n_source, n_signal)."""
         return np.asarray(self.gains * np.exp(1j * self.phases(unknowns))[:, :, None])
 
     def peak(self, unknowns: FloatArray) -> float:
         return float(peaks(self.lines, self.amplitudes(unknowns).sum(axis=1)).max())
 
     def norm(self, unknowns: FloatArray, p: int) -> tuple[float, FloatArray]:
-        """Logarithm of the 2p-norm of all signals together, and its slope."""
         amplitudes = self.amplitudes(unknowns)
         signals = _signals(self.lines, amplitudes.sum(axis=1), self.n_sample)
         largest = np.abs(signals).max()

@@ -258,7 +258,6 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
 
 
 def _loaded(evaluation: Evaluation, folder: Path) -> Pipeline:
-    """The pipeline of an evaluation as it will be read, its recordings empty."""
     if evaluation.rig_path is None:
         (folder / RIG).write_text(yaml.safe_dump(rig_entries(evaluation)), encoding="utf-8")
     (folder / PIPELINE).write_text(yaml.safe_dump(pipeline_entries(evaluation, folder)), encoding="utf-8")
@@ -271,7 +270,6 @@ def _loaded(evaluation: Evaluation, folder: Path) -> Pipeline:
 def _rehearsed_fit(
     pipeline: Pipeline, rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]
 ) -> Fit:
-    """The fit of the pipeline to the tests as they are expected."""
     (whole,), settings = pipeline.tests, pipeline.frf
     assert settings is not None
     highest = max(int(test.lines[-1]) for test in tests)
@@ -292,7 +290,6 @@ def _rehearsed_fit(
 
 
 def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
-    """The budget of the coefficients of those *names*."""
     if fit.budget is None:
         return None
     whole = fit.budget

@@ -201,7 +201,6 @@ def _matrix_elements(letters: str) -> FloatArray:
 
 
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:
-    """The expected values in the order of *names*."""
     missing = [name for name in names if name not in expected]
     if missing:
         raise ConfigError(

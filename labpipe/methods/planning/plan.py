@@ -189,7 +189,6 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 
 def _scheme(settings: PlanSettings) -> str:
-    """The scheme that is asked for."""
     forces = (
         []
         if settings.sensors is None
@@ -232,7 +231,6 @@ def _with_budget(
 
 
 def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
-    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1]."""
     least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
     needed = max(time_needed(timed, allowed, duration), least)
     return needed if np.isfinite(needed) else None
@@ -347,7 +345,6 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
 
 
 def _direction(name: str) -> tuple[float, float]:
-    """Unit vector of a shaker."""
     angle = AXIS_ANGLES.get(name)
     if angle is None:
         try:
@@ -372,7 +369,6 @@ def _check_identifiable(rig: Rig, lines: IntArray) -> None:
 
 
 def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
-    """Whole periods of every test; ConfigError for fewer than three in one."""
     whole = settings.duration / settings.period
     periods = tuple(int(share * whole + 0.5) for share in found.shares)
     if min(periods) < FEWEST_PERIODS:
@@ -517,7 +513,6 @@ def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> Planned
 
 
 def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple[str, ...]:
-    """What the reader must know of the plan beside its numbers."""
     notes = []
     if found.floor == 0 and found.criterion != "flat":
         notes.append(

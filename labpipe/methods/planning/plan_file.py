@@ -86,7 +86,6 @@ def _sort_theory(node: Marked) -> None:
 
 
 def _kind(node: Marked, faults: Faults) -> PlanKind | None:
-    """What the entry `model` asks for."""
     entries = faults.mapping(node, "plan")
     kinds = PLANS.names()
     if "model" not in entries or entries["model"].text == DECIDE:

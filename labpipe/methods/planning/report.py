@@ -184,7 +184,6 @@ def _range(coefficient: PlannedCoefficient) -> str:
 
 
 def _uncertainty(plan: Plan) -> Iterator[Section]:
-    """What sensors and mass add to the noise, where that is known."""
     stated = [c for c in plan.coefficients if c.expanded is not None]
     if not stated:
         return

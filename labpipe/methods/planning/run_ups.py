@@ -271,7 +271,6 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
 
 
 def _earlier(file: PlanFile) -> dict[str, float]:
-    """Factors and exponents of the joint fit of an earlier result."""
     if not file.settings.earlier:
         return {}
     path = file.path.parent / file.settings.earlier

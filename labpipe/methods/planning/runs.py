@@ -438,7 +438,6 @@ def _check_open(
 
 
 def _words(names: Sequence[str], choices: RunChoices, units: FloatArray) -> tuple[str, ...]:
-    """Combinations that no run tells, in words."""
     return tuple(combination_text(names, direction * units) for direction in undetermined(choices).T)
 
 

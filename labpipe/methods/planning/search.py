@@ -263,7 +263,6 @@ def _floors(wanted: Wanted) -> tuple[float, ...]:
 
 
 def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
-    """(n_line, n_shaker)."""
     return found.power(design.shares).reshape(lines.size, -1)
 
 

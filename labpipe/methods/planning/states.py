@@ -248,7 +248,6 @@ def _quantities(
     slopes: Sequence[FloatArray],
     common: Sequence[Common],
 ) -> Iterator[Quantity]:
-    """The numbers in common, and every coefficient of every state."""
     goals = {name: values[0] for name, values in settings.goal}
     for row, entry in zip(np.eye(len(common)), common, strict=True):
         size = abs(entry.value)
@@ -399,7 +398,6 @@ def _eight(bearing: BearingFile, whole: BearingCoefficients) -> FloatArray:
 def _pipeline(
     title: str, evaluations: dict[PlannedRun, Evaluation], tests: dict[str, StateTest], folder: Path
 ) -> dict[str, Any]:
-    """The pipeline of all states, one test each with the lines of its own."""
     listed, entries = [], {}
     for run, evaluation in evaluations.items():
         entries, state = pipeline_entries(evaluation, folder), tests[run.name].state

@@ -457,7 +457,6 @@ def _range_notes(settings: WearPlanSettings, answered: Answered) -> Iterator[str
 
 
 def _alike_notes(expected: ExpectedWear, answered: Answered) -> Iterator[str]:
-    """Parameters that the tests hardly tell apart."""
     errors = np.sqrt(np.diagonal(answered.covariance))
     correlation = answered.covariance / np.outer(errors, errors)
     names = tuple(expected.values)

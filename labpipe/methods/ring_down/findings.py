@@ -71,7 +71,6 @@ Parted = tuple[tuple[FreeDecay, ...], tuple[Piece, ...], Decayed]
 def _parted(
     decays: FreeDecays, columns: Sequence[int], fitted: Decayed, band: tuple[float, float] | None, place: int
 ) -> Parted | None:
-    """The decay in two at a sample, fitted."""
     (whole,) = decays.decays
     parts = (
         replace(whole, samples=whole.samples[:place]),

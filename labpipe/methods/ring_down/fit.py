@@ -1,4 +1,4 @@
-"""Model decay: its settings, and the modes of free decays by maximum likelihood, judged by what they leave."""
+"""Model decay: its settings, and the modes of free decays by maximum likelihood."""
 
 from __future__ import annotations
 
@@ -160,7 +160,6 @@ def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatA
 def _support(
     pole: complex, block: FloatArray, mass: float, suffix: str, dof: int
 ) -> tuple[Parameter, Parameter]:
-    """k and c of the support under the mass."""
     stiffness, damping = float(mass * abs(pole) ** 2), float(-2 * mass * pole.real)
     k = derived(
         "k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof
@@ -322,7 +321,6 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError for more than one mass."""
     if not isinstance(settings.mass, (float, str)):
         raise ConfigError("a decay takes one mass", hint="for example mass: 0.92 kg", field="mass")
 
@@ -349,7 +347,6 @@ def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
 
 
 def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
-    """(piece, output) in which a mode is largest against the noise."""
     ratios = [
         np.abs(solved.amplitudes[mode]) / np.sqrt(fitted.variance[number])
         for number, solved in enumerate(fitted.pieces)
@@ -407,10 +404,6 @@ def _parameters(
     units: Sequence[str],
     repeated: RepeatedDecays | None,
 ) -> tuple[Parameter, ...]:
-    """Parameters of all modes.
-
-    Where a mode depends on its amplitude its means have no interval, and the law's follow.
-    """
     mass = settings.mass if isinstance(settings.mass, float) else None
     parameters = mode_parameters(fitted, mass)
     if repeated is not None:
@@ -473,7 +466,6 @@ def _free_of_nuisance(piece: Piece) -> FloatArray:
 def _notes(
     decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], fitted: Decayed, tested: Judged
 ) -> tuple[str, ...]:
-    """Size of the noise, the tests of the residual, and the decrement that peaks would give."""
     noise = ", ".join(
         f"{decays.outputs[column].label} {np.sqrt(np.mean(fitted.variance[:, number])):.3g} "
         f"{decays.units[column]}"

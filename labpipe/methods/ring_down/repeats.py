@@ -103,10 +103,6 @@ def _alone(
     band: tuple[float, float] | None,
     n_mode: int,
 ) -> Decayed:
-    """The fit of one decay.
-
-    FitError where it does not converge, or a mode of it is noise or does not decay.
-    """
     fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
     if not fitted.converged:
         raise FitError("its fit does not converge")

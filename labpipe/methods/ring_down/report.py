@@ -117,12 +117,10 @@ def _over(
 
 
 def _damping(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
-    """Damping ratio [%] of the law."""
     return 100 * (law.zeta_rest + law.zeta_slope * amplitude)
 
 
 def _frequency(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
-    """Frequency [Hz] of the law."""
     return (law.omega + law.frequency_slope * amplitude) / (2 * np.pi)
 
 

@@ -126,7 +126,6 @@ def truth(rig: DecayRig, names: Sequence[str] = RUNS) -> dict[str, float]:
 
 
 def _simulate(rig: DecayRig, seed: int, runs: Sequence[str]) -> Simulation:
-    """One file per run, in steps of 10 nm."""
     files = {run.name: whole_numbers(run, steps={"y": 10}) for run in decay_runs(rig, seed, runs)}
     return Simulation(files, {"truth": {name: truth(rig, [name]) for name in runs}})
 

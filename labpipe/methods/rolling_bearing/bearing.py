@@ -108,8 +108,6 @@ def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoe
 
 @dataclass(frozen=True)
 class _Solved:
-    """The load cases of one bearing with their derived quantities."""
-
     state: Equilibrium
     contact_angle: FloatArray
     mirrored: BoolArray
@@ -170,7 +168,6 @@ def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
 
 
 def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
-    """The stiffness constant of the model, and Hertz's from the geometry."""
     bearing, hertz = settings.bearing(), settings.hertz_constant()
     unit = "N/m^1.5" if bearing.is_ball else "N/m^(10/9)"
     constant = Amount("stiffness_constant", bearing.stiffness_constant, unit)

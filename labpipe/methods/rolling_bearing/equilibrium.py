@@ -391,7 +391,6 @@ def _solve_part(
     cage: FloatArray,
     part: slice,
 ) -> FloatArray:
-    """Displacements of a part of the load cases; tilts are solved in metres at the pitch radius."""
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
     frame = ElementFrame.at(bearing.angles(cage), 1.0)
     free = np.array([name not in fixed_dofs for name in DOFS])
@@ -416,7 +415,6 @@ def _state(
 
 
 def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
-    """The load cases of all parts as one."""
     at = Contacts(
         *(
             np.concatenate([getattr(part.contacts, field.name) for part in parts])

@@ -273,7 +273,6 @@ def _place(port: Port) -> int:
 
 
 def _arm(rig: Rig, place: int) -> float:
-    """Displacement measured per dof; ConfigError for a tilt without an arm."""
     if place not in TILTS:
         return 1.0
     if rig.arm is None:
@@ -511,7 +510,6 @@ def _bending_error(settings: CompareSettings) -> float:
 
 
 def _matched(campaign: Campaign, evidence: Evidence, theory: Theory) -> _Solved:
-    """The matched theory, from the cache; FitError and ConfigError name the test."""
     named = campaign.settings.theory
     assert named is not None
     key = (campaign.settings.fit, campaign.settings.term, named)

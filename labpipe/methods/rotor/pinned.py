@@ -351,7 +351,6 @@ def resonance_speed(
 def _crossing(
     stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int
 ) -> float:
-    """The speed [rad/s] *between* two at which the number of modes below 1x rises above *below*."""
     low, high = between
     if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
         return float(

@@ -272,7 +272,6 @@ def build_rotor(
 
 
 def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, faults: Faults) -> None:
-    """A fault at every entry that sits on no node."""
     for key in ("bearings", "loads", "unbalances"):
         for entry, part in lists[key]:
             tried(
@@ -304,7 +303,6 @@ def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, Bea
 
 
 def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace | None:
-    """A bearing of any kind on its node."""
     key, before = f"bearings.{number}", len(faults)
     entries = faults.mapping(entry, key)
     kind = kind_of(entry, key, faults) if entries else None
@@ -352,7 +350,6 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
 def _at_end(
     plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]
 ) -> Bearing | None:
-    """The bearing with another number at its key, which stays."""
     set_entry(plain, f"{key}={value!r} {unit}".rstrip())
     return mounted()[1]
 

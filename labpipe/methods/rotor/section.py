@@ -369,12 +369,10 @@ def bearing_dimensions(bearing: Mapping[str, Any], shaft: float) -> tuple[float,
 
 
 def _ring(part: str, left: float, length: float, inner: float, outer: float) -> Ring:
-    """A ring in mm from lengths in m."""
     return Ring(part, MM * left, MM * length, MM * inner, MM * outer)
 
 
 def _sleeves(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
-    """The sleeves around their elements."""
     rings = []
     for sleeve in rotor["sleeves"]:
         shaft, left = rotor["elements"][sleeve["element"] - 1], stations[sleeve["element"] - 1]
@@ -385,7 +383,6 @@ def _sleeves(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
 
 
 def _discs(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
-    """The discs about their nodes."""
     rings = []
     for disc in rotor["discs"]:
         inner, outer, length = disc_dimensions(disc, shaft_diameter(rotor, disc["node"]))

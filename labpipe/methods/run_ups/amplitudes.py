@@ -224,7 +224,6 @@ def search_named(name: str) -> Callable[..., SearchResult]:
 
 
 def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A copy of the starts and the widths of their boxes."""
     if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
         raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")
     return np.array(start, np.float64), upper - lower

@@ -76,7 +76,6 @@ def _top(run: RunUp, number: int) -> int:
 
 
 def _about(run: RunUp, top: int, size: int) -> slice:
-    """*size* points about the peak, or fewer where the run is shorter."""
     size = min(size, run.n_speed)
     first = max(0, min(top - size // 2, run.n_speed - size))
     return slice(first, first + size)

@@ -436,7 +436,6 @@ def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
 
 
 def _convergence(fit: AmplitudeFit) -> Convergence:
-    """Convergence of the longest search."""
     point = int(np.argmax(fit.evaluations))
     rows = fit.history.of(point)
     evaluations = np.diff(rows.evaluations[:, 0], prepend=0)

@@ -1,4 +1,4 @@
-"""labpipe orders SOURCE: amplitude and phase of an order of the shaft speed over a run, as table and figures."""
+"""labpipe orders SOURCE: amplitude and phase of an order of the shaft speed over a run."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ STEADY = 1e-3
 
 
 def _unit(quantity: str) -> tuple[str, float]:
-    """(unit shown, factor from SI) of the responses; SI for mixed ones."""
     entry = QUANTITIES.get(quantity)
     return (entry.display_unit, to_display(1.0, entry.display_unit)) if entry else ("SI", 1.0)
 

@@ -135,7 +135,6 @@ def _speed_table(
 
 
 def _heading(column: RunUpMethod | MetamodelResult) -> str:
-    """The short name of a method or metamodel; a rejected one says so above its speeds."""
     name = SHORT.get(column.name, column.name)
     return f"{name}, {REJECTED}" if isinstance(column, RunUpMethod) and column.verdict == REJECTED else name
 
@@ -197,7 +196,6 @@ def both_differences(predicted: float, measured: float) -> str:
 
 
 def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
-    """Values of the source as printed."""
     rows = []
     for run in result.runs:
         printed = getattr(run, f"printed_{item}")
@@ -274,7 +272,6 @@ def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
 
 
 def _p_text(p_value: float | None) -> str:
-    """A probability; a bound instead of zero."""
     return "p unknown" if p_value is None else "p < 1e-6" if p_value < 1e-6 else f"p = {p_value:.2g}"
 
 
@@ -421,7 +418,6 @@ def _measured(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _cautions(result: RunUpResult) -> tuple[Block, ...]:
-    """Limits of predictions and reasons of missing ones."""
     notes = _notes(result.methods)
     held_out = {run.name for run in result.runs if run.role == HELD_OUT}
     return tuple(
@@ -434,7 +430,6 @@ def _cautions(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[str]]:
-    """Every distinct note with its runs."""
     notes: dict[str, list[str]] = {}
     for owner in owners:
         for prediction in owner.predictions:

@@ -103,7 +103,6 @@ def metamodels(
 
 
 def _grid(method: Solved, trained: Sequence[RunUp]) -> Grid:
-    """The coefficients of a method: at its points, or at the loads and speeds of the trained runs."""
     if method.anywhere is None:
         return Grid.of(method.fits)
     longest = max(trained, key=lambda run: run.n_speed)
@@ -255,7 +254,6 @@ def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[R
 
 
 def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
-    """Findings on a method: undetermined, rejected, at a bound, extrapolated."""
     findings = []
     if method.verdict == "not determined":
         message = (
@@ -298,7 +296,6 @@ def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Fin
 
 
 def _advice(result: RunUpResult) -> list[Finding]:
-    """Recommended experiment where the coefficients are not determined."""
     if result.measured_rank is None or result.measured_rank.rank == 8:
         return []
     place = f"under {result.rank_load:.3g} N at {result.rank_speed / RPM:.0f} rpm"

@@ -122,7 +122,6 @@ def _refuse_misspelt(key: str, where: str) -> None:
 
 
 def _columns(table: CsvTable) -> dict[tuple[str, str, str], str]:
-    """(plane, direction, what) -> name of the column; DataError for any other column."""
     names = {}
     for column in table.columns:
         if _SPEED.match(column):
@@ -177,7 +176,6 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
 def _stack(
     table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str
 ) -> FloatArray:
-    """(n_speed, n_plane, 2) of one quantity."""
     for plane in planes:
         for direction in DIRECTIONS:
             if (plane, direction, what) not in columns:

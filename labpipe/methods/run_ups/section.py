@@ -92,7 +92,6 @@ def _stated(settings: RunSettings, run: RunUp) -> RunUp:
 
 
 def _recorded(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRun:
-    """The 1x of a recording, stretch by stretch, and its cascade."""
     lines = ShaftLines(tacho=settings.tacho, pulses=settings.pulses, harmonics=settings.harmonics)
     recording = _opened(settings.path, settings, output, folder)
     run = _tracked(recording, lines, settings, dict(settings.unbalance))
@@ -105,7 +104,6 @@ def _recorded(settings: RunSettings, output: OutputFolder, folder: Path) -> Read
 
 
 def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
-    """Subtract the residual run, interpolated to this run's speeds."""
     inside = run.speed[(run.speed >= residual.speed[0]) & (run.speed <= residual.speed[-1])]
     return difference(run, at_speeds(residual, inside))
 
@@ -197,8 +195,6 @@ HZ = 1 / (2 * np.pi)
 
 @dataclass(frozen=True)
 class _Address:
-    """Parts of a rule's address: method, run, item, attribute."""
-
     method: str
     run: str
     item: str

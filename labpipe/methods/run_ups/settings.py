@@ -162,7 +162,6 @@ class RunSettings(Settings):
                 raise ConfigError(f"'{name}' has three values", hint="measured, original and enhanced")
 
     def _check_recording(self) -> None:
-        """ConfigError for entries that a recording needs and a table does not."""
         if not self.tacho:
             raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
         if self.load is None:
@@ -281,7 +280,6 @@ class RunUpSettings(Settings):
             raise
 
     def _check_metamodels(self) -> None:
-        """ConfigError for metamodels of a method that is not fitted."""
         needed = (
             {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set())
             if self.metamodels

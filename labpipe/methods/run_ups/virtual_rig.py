@@ -270,7 +270,6 @@ def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, comp
 def _threshold(
     virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator
 ) -> Uncertain | None:
-    """The threshold with its noise, on the first run-up of a load."""
     if name.endswith(("-second", "-shaker")):
         return None
     exact = virtual.nominal.threshold(coefficients)
@@ -314,14 +313,12 @@ def _write(path: Path, run: RunUp) -> None:
 
 
 def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> Simulation:
-    """One table of 1x amplitudes and phases over speed per run."""
     return Simulation(
         {run.name: LoggedFile(run, _write) for run in run_ups(virtual, seed, runs)}, {"truth": truth(virtual)}
     )
 
 
 def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> Truth:
-    """Critical and threshold speed of the first run [rad/s]."""
     coefficients = true_coefficients(virtual, virtual.load_of_run[runs[0]])
     threshold = virtual.nominal.threshold(coefficients)
     return {"critical_speed": virtual.nominal.critical_speed(coefficients)} | (

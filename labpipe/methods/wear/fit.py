@@ -315,7 +315,6 @@ def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Min
 
 
 def _estimate(solved: _Solved) -> Estimate:
-    """The estimate with its goodness, for the diagnostics."""
     misfit, best, dof = solved.misfit, solved.best, solved.dof
     measured, names = misfit.receptance, misfit.model.names
     jacobian, sensitive = misfit.jacobian(best.parameters), list(_sensitive_parameters(solved))
@@ -338,7 +337,6 @@ def _estimate(solved: _Solved) -> Estimate:
 
 
 def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...], list[Finding]]:
-    """Parameters in SI units and their findings."""
     misfit, best = solved.misfit, solved.best
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
@@ -431,7 +429,6 @@ def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
 
 
 def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region, ...]:
-    """The joint region of depth and angle."""
     model = solved.misfit.model
     if (
         DEPTH not in model.names

@@ -151,7 +151,6 @@ def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
 
 
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
-    """Mask of the lines used, (n_frequency,)."""
     inside = lines_in(response.frequency, band)
     if wear.lines:
         return _explicit(response.frequency, wear.lines)
@@ -167,7 +166,6 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
 
 
 def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
-    """Mask of the lines nearest to *wanted* [Hz]."""
     nearest = np.array([int(np.argmin(np.abs(frequency - line))) for line in wanted])
     spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
     for line, line_hz in zip(wanted, frequency[nearest], strict=True):

@@ -108,7 +108,6 @@ class WornModel:
         )
 
     def _standing(self, beta: float, supports: list[VaryingSupport]) -> ComplexArray:
-        """H of the rotor with another damping on the same bearings."""
         standing = self._rotor(beta).on(support.support for support in supports)
         return standing.response(self.rig.response, self.rig.force)
 
@@ -124,7 +123,6 @@ class WornModel:
 def _reduced_rotor(
     rotor: Rotor, nodes: tuple[int, ...], frequency: tuple[float, ...], speed: float
 ) -> ReducedRotor:
-    """The free rotor reduced to *nodes*, cached."""
     return reduced_rotor(rotor, nodes, np.array(frequency), speed)
 
 

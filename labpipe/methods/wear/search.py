@@ -120,7 +120,6 @@ def _ranked(candidates: Sequence[Minimum]) -> list[Minimum]:
 
 
 def _continued(misfit: Misfit, minimum: Minimum) -> Minimum:
-    """A minimum that was reached roughly, to the full tolerance."""
     if not minimum.converged:
         return minimum
     end = descend(misfit, minimum.parameters)
@@ -342,7 +341,6 @@ def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
 
 
 def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> FloatArray:
-    """Union of both, rising, within the range."""
     both = np.concatenate([ticks, around])
     return np.unique(both[(both >= low) & (both <= high)])
 

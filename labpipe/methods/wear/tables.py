@@ -308,7 +308,6 @@ class TabledBearing:
         return replace(self, correction=correction, film=film)
 
     def _film(self, bearing: JournalBearing, mesh: FilmMesh) -> JournalEquilibrium:
-        """The film of a bearing on a mesh, started from the last one."""
         if self.film is not None and self.film.bearing == bearing and self.film.mesh == mesh:
             return self.film
         return journal_equilibrium(bearing, self.load, self.speed, mesh, self.film, FILM_TOLERANCE)

@@ -170,7 +170,6 @@ def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
 
 
 def _parameters(virtual: VirtualJournalRig, runs: Sequence[str]) -> Truth:
-    """Wear and film of the state of the runs; ConfigError where they are of several states."""
     states = dict.fromkeys(virtual.wear(run) for run in runs)
     if len(states) != 1:
         raise ConfigError(
