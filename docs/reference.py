@@ -137,7 +137,7 @@ def rig_page() -> str:
 def pipeline_page() -> str:
     from labpipe.project.pipeline_file import ReportSettings, UncertaintySettings, section_names
     from labpipe.records.frf_layout import FrfLayout
-    from labpipe.sections import sections
+    from labpipe.records.sections import sections
     from labpipe.spectra.settings import FrfSettings
 
     named = ", ".join(f"`{name}`" for name in section_names())

@@ -7,9 +7,9 @@ from __future__ import annotations
 import difflib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from labpipe.errors import ConfigError
@@ -31,13 +31,13 @@ def listed(names: Sequence[str]) -> str:
     return (", ".join(names[:MOST_LISTED]) or "none") + more
 
 
-# The entry points of labpipe's own methods, which are also in the metadata of an installed labpipe.
-SHIPPED = Path(__file__).with_name("methods") / "entry_points.txt"
+# Every choice that comes with labpipe; also in the metadata of an installed labpipe.
+SHIPPED = Path(__file__).with_name("entry_points.txt")
 
 
 @functools.cache
 def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
-    """Group -> name -> entry of labpipe's own methods, read from their file: metadata of an earlier
+    """Group -> name -> entry of labpipe's own tables, read from their file: metadata of an earlier
     installation may lie beside it.
     """
     groups: dict[str, dict[str, EntryPoint]] = {}
@@ -53,17 +53,13 @@ def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
 
 @functools.cache
 def _added(kind: str) -> Mapping[str, EntryPoint]:
-    """Entries of methods and of other packages.
+    """Entries of other packages.
 
     Cached, since it reads the metadata of every installed package.
     """
     group = group_of(kind)
-    # Our own first, in the order of their file: results hold this order, and metadata come in any.
-    shipped = _shipped().get(group, {})
-    return {
-        **shipped,
-        **{entry.name: entry for entry in entry_points(group=group) if entry.name not in shipped},
-    }
+    own = _shipped().get(group, {})
+    return {entry.name: entry for entry in entry_points(group=group) if entry.name not in own}
 
 
 def group_of(kind: str) -> str:
@@ -76,25 +72,29 @@ def group_of(kind: str) -> str:
 class Registry:
     """A table of choices whose targets are imported when they are used: name -> target.
 
-    Other packages add entries under the entry-point group ``group_of(kind)``.
+    Its entries stand in entry_points.txt, those of other packages in their own metadata, under the group
+    ``group_of(kind)``. *own*: further entries, as EntryPoints read "module:attribute".
     """
 
-    def __init__(self, kind: str, table: Mapping[str, str]) -> None:
+    def __init__(self, kind: str, own: Mapping[str, str] = MappingProxyType({})) -> None:
         self.kind = kind
-        self._table = dict(table)
+        self._own = {name: EntryPoint(name, value, group_of(kind)) for name, value in own.items()}
+
+    @property
+    def _shipped(self) -> Mapping[str, EntryPoint]:
+        return {**self._own, **_shipped().get(group_of(self.kind), {})}
 
     def names(self) -> tuple[str, ...]:
-        """All known names, the built-in ones first."""
-        return (*self._table, *(name for name in _added(self.kind) if name not in self._table))
+        """All known names, the built-in ones first, in the order of their file."""
+        shipped = self._shipped
+        return (*shipped, *(name for name in _added(self.kind) if name not in shipped))
 
     def load(self, name: str) -> Any:
         """The object of that name; ConfigError with the nearest known name for an unknown one."""
-        if name in self._table:
-            module, _, attribute = self._table[name].partition(":")
-            return getattr(import_module(module), attribute)
-        if name in _added(self.kind):
-            return _added(self.kind)[name].load()
-        raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))
+        entry = self._shipped.get(name) or _added(self.kind).get(name)
+        if entry is None:
+            raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))
+        return entry.load()
 
     def __getitem__(self, name: str) -> Any:
         return self.load(name)

@@ -61,8 +61,8 @@ def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_besi
     monkeypatch.setattr(registry, "entry_points", lambda group: others)
     registry._added.cache_clear()
     try:
-        added = registry._added("fit detail")
-        assert list(added) == [*shipped, "theirs"]
-        assert all(added[name].value != "elsewhere:x" for name in shipped)
+        table = Registry("fit detail")
+        assert table.names() == (*shipped, "theirs")
+        assert table.load(shipped[0]) is registry._shipped()["labpipe.fit_detail"][shipped[0]].load()
     finally:
         registry._added.cache_clear()

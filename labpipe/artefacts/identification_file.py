@@ -32,7 +32,6 @@ from labpipe.artefacts.json_file import (
     write_digested,
 )
 from labpipe.errors import DataError, cut
-from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import (
@@ -45,8 +44,8 @@ from labpipe.records.identification import (
 )
 from labpipe.records.recording import Channel
 from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
+from labpipe.records.sections import section, sections
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.sections import section, sections
 
 # JSON entry of one fit: in identification.json, and in a separate file until all tests are done.
 
@@ -91,7 +90,7 @@ SCHEMA = "labpipe/fits/1"
 FOLDER = "fits"
 
 
-def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> dict[str, Any]:
+def _work(settings: Sequence[Any], responses: Sequence[SourceRef]) -> dict[str, Any]:
     """What the fits depend on: equal work gives equal fits."""
     entry = {
         "schema": SCHEMA,
@@ -104,13 +103,13 @@ def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> di
 
 
 def write_fits(
-    path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings], responses: Sequence[SourceRef]
+    path: Path, fits: Sequence[Fit], settings: Sequence[Any], responses: Sequence[SourceRef]
 ) -> None:
     """Write the fits with the settings and the checksums of the responses they were made from."""
     write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
 
 
-def has_fresh_fits(path: Path, settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> bool:
+def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[SourceRef]) -> bool:
     """True if the file contains the fits of these settings and responses by this version.
 
     DamagedError for a file that it did not write.

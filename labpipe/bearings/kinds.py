@@ -109,7 +109,7 @@ class BearingCoefficients:
 # Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients, and how it stands on
 # a rotor.
 
-BEARINGS = Registry("bearing", {})
+BEARINGS = Registry("bearing")
 
 
 @dataclass(frozen=True)

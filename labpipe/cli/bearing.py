@@ -23,8 +23,7 @@ from labpipe.project.bearing import (
     write_bearing,
     write_sweep,
 )
-from labpipe.project.bearing_file import BearingFile, open_bearing
-from labpipe.project.sweep import Sweep, parse_sweep
+from labpipe.project.bearing_file import BearingFile, Sweep, open_bearing, parse_sweep
 
 # A bearing's coefficients as tables on the terminal.
 

@@ -44,7 +44,7 @@ COMMANDS = {
     "compare": ("results", "Compare two results, parameter by parameter."),
     "runs": ("evidence", "Who ran what and when: the record of runs of a results folder."),
     "verify": ("evidence", "Whether a folder's artefacts, or an archive, are as labpipe wrote them."),
-    "sign": ("sign", "Sign a report or an archive with your own certificate."),
+    "sign": ("evidence", "Sign a report or an archive with your own certificate."),
     "archive": ("evidence", "A result with all it was made from in one file, as evidence: an RO-Crate."),
     "trend": ("results", "A parameter over a condition or over time in all results below a folder."),
     "bearing": ("bearing", "Stiffness and damping of a bearing model at its load and speed."),

@@ -14,13 +14,19 @@ from labpipe.cli.many import Progress, echo_failed, manner, silent
 from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_identification
 from labpipe.errors import ConfigError, DataError
-from labpipe.project.frf import DESCRIPTION, ready_refs
+from labpipe.project.exports import write_study_csv
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import ingest_all
-from labpipe.project.measured import MeasuredTest, load_measured, load_ready_measured, measured_file_name
+from labpipe.project.measured import (
+    DESCRIPTION,
+    MeasuredTest,
+    load_measured,
+    load_ready_measured,
+    measured_file_name,
+    ready_refs,
+)
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
-from labpipe.project.result_tables import write_study_csv
 from labpipe.project.rig_file import load_rig
 from labpipe.project.run import Manner, identify_many, measure_tests
 from labpipe.project.tests import SourceFile, Test

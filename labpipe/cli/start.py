@@ -14,16 +14,15 @@ from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
+from labpipe.project.exports import write_signal
 from labpipe.project.inspect import inspect as content_of
 from labpipe.project.inspect import write_card
 from labpipe.project.report import format_of
 from labpipe.project.rig_file import load_rig
 from labpipe.project.scaffold import MARK, copy_example, examples, scaffold
-from labpipe.project.simulate import simulate_files
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig, simulate_files
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.excitation import DIRECTIONS, LAWS, PHASES, Sweep, design_multisine
-from labpipe.raw_files.signal_file import write_signal
 from labpipe.records.recording import Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 from labpipe.records.settings import Setting, to_band

@@ -10,8 +10,8 @@ import click
 from labpipe.cli.output import echo, for_terminal
 from labpipe.records.finding import NOTE, WARNING, Finding, Parameter, of_level
 from labpipe.records.identification import DatasetIndex, Fit, Identification
+from labpipe.records.sections import section
 from labpipe.records.text import parameter_cells
-from labpipe.sections import section
 
 # Results as short tables on the terminal.
 

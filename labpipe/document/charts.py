@@ -11,13 +11,16 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import Formatter, Locator, LogLocator, MaxNLocator, MultipleLocator, NullLocator
 
+from labpipe.arrays import FloatArray
 from labpipe.document.figure_numbers import figure_csv, short_name
 from labpipe.registry import Registry
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Panel, Series
 from labpipe.report.document import Document, Figure
+from labpipe.report.shapes import REACH, VIEWS, ShapeSketch, projected
 
 # Okabe and Ito's colours, distinguishable for colour-blind readers and in grey print; amber and sky darker,
 # so that thin lines reach a contrast of 3:1 with white (WCAG 2.1, criterion 1.4.11).
@@ -59,7 +62,7 @@ LEAST_DECADES, FEW_DECADES, WITHIN = 0.7, 2.2, (1.0, 2.0, 5.0)
 # Numbers from here on, and below the other, are written with an exponent.
 LARGE, SMALLEST = 1e6, 1e-4
 # What is not numbers over axes, by kind: each draws its subject on a canvas of a size.
-DRAWINGS = Registry("drawing", {"mode-shapes": "labpipe.document.drawings:shape_canvas"})
+DRAWINGS = Registry("drawing")
 
 
 def styled(grid: bool = True) -> Any:
@@ -400,3 +403,48 @@ PAINTERS: dict[str, Callable[[Axes, Series], Artist | None]] = {
     "arrow": _arrow,
     "text": _text,
 }
+
+
+# Room about the structure for its motion.
+ROOM = 1.2 * REACH
+
+
+def shape_canvas(sketch: ShapeSketch, size: tuple[float, float]) -> Canvas:
+    """One row of views for every mode on a canvas of *size* [in]."""
+    with styled(grid=False):
+        canvas = Canvas(figsize=size, layout="constrained")
+        places = canvas.subplots(len(sketch.titles), len(VIEWS), squeeze=False)
+        for mode, (row, title) in enumerate(zip(places, sketch.titles, strict=True)):
+            for axes, (name, azimuth, elevation) in zip(row, VIEWS, strict=True):
+                _view(axes, sketch, mode, (azimuth, elevation))
+                if mode == len(sketch.titles) - 1:
+                    axes.set_xlabel(name, fontsize=8)
+            row[0].set_title(title, fontsize=9, loc="left")
+    return canvas
+
+
+def _view(axes: Axes, sketch: ShapeSketch, mode: int, eye: tuple[float, float]) -> None:
+    there, back = sketch.extremes(mode)
+    for points, colour, style in (
+        (sketch.positions, "0.75", "-"),
+        (back, PALETTE[0], ":"),
+        (there, PALETTE[0], "-"),
+    ):
+        _draw(axes, sketch, projected(points, *eye), colour, style)
+    half = (
+        np.max([np.abs(projected(sketch.positions, *view)).max(axis=0) for _, *view in VIEWS], axis=0) + ROOM
+    )
+    axes.set_xlim(-half[0], half[0])
+    axes.set_ylim(-half[1], half[1])
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _draw(axes: Axes, sketch: ShapeSketch, seen: FloatArray, colour: str, style: str) -> None:
+    axes.add_collection(
+        LineCollection(list(seen[sketch.lines]), colors=colour, linestyles=style, linewidths=1.2)
+    )
+    axes.plot(*seen.T, ".", color=colour, markersize=3)

@@ -11,24 +11,10 @@ from labpipe.registry import Registry
 from labpipe.report.build import build
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph
 
-RENDERERS = Registry(
-    "report format",
-    {
-        "html": "labpipe.document.render:html_report",
-        "md": "labpipe.document.render:markdown_report",
-        "pdf": "labpipe.document.pdf:pdf_report",
-    },
-)
+RENDERERS = Registry("report format")
 
 # The same for documents that are not of one identification.
-DOCUMENTS = Registry(
-    "report format",
-    {
-        "html": "labpipe.document.render:html_document",
-        "md": "labpipe.document.render:markdown_document",
-        "pdf": "labpipe.document.pdf:render_pdf",
-    },
-)
+DOCUMENTS = Registry("document format")
 
 
 def html_document(document: Document) -> bytes:

@@ -106,36 +106,13 @@ def _fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit
 
 # ModelKinds, or, of plug-ins, functions from the setup of a fit (ports, mass) to a model linear in its
 # parameters.
-MODELS = Registry(
-    "model",
-    {
-        "sdof": "labpipe.estimation.linear_models:SDOF",
-        "rotor-2dof": "labpipe.estimation.linear_models:ROTOR_2DOF",
-        "rotor-2dof-direct": "labpipe.estimation.linear_models:ROTOR_2DOF_DIRECT",
-        "mdof": "labpipe.estimation.linear_models:MDOF",
-        "base": "labpipe.estimation.linear_models:BASE_EXCITED",
-    },
-)
+MODELS = Registry("model")
 # Estimators, or, of plug-ins, functions from a measured FRF, a model and the weight of lines to an Estimate.
-ESTIMATORS = Registry(
-    "estimator",
-    {
-        "ls": "labpipe.estimation.estimators:LS",
-        "iv": "labpipe.estimation.estimators:IV",
-        "ml": "labpipe.estimation.estimators:ML",
-        "amplitude": "labpipe.estimation.estimators:AMPLITUDE",
-    },
-)
+ESTIMATORS = Registry("estimator")
 WEIGHTS = ("none", "noise")
 # Laws that put factors in place of the damping coefficients, which are `viscous`.
 VISCOUS = "viscous"
-DAMPINGS = Registry(
-    "damping law",
-    {
-        "proportional": "labpipe.estimation.damping:PROPORTIONAL",
-        "hysteretic": "labpipe.estimation.damping:HYSTERETIC",
-    },
-)
+DAMPINGS = Registry("damping law")
 
 Mass = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | str
 

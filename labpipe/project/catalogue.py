@@ -33,8 +33,8 @@ from labpipe.errors import ConfigError, DataError, cut
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import WARNING, Parameter
 from labpipe.records.identification import Identification, ListedParameter, listed_parameters, warning_codes
+from labpipe.records.sections import section
 from labpipe.registry import nearest
-from labpipe.sections import section
 
 # Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it
 # can be deleted at any time.

@@ -14,9 +14,13 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, unit_of
-from labpipe.raw_files.frf_described import VARIABLE_SUFFIXES, DescribedColumns, columns_of_variables
+from labpipe.raw_files.frf_described import (
+    VARIABLE_SUFFIXES,
+    DescribedColumns,
+    TextColumns,
+    columns_of_variables,
+)
 from labpipe.raw_files.table import TEXT_SUFFIXES
-from labpipe.raw_files.text_columns import TextColumns
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import FRF, UFF_SUFFIXES, read_uff
 from labpipe.raw_files.uff_read import frf_sizes, titled_form

@@ -25,7 +25,7 @@ from labpipe.project.tests import Test
 from labpipe.project.work import COMPARE_PREFIX, Work
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import shown_part
-from labpipe.sections import section
+from labpipe.records.sections import section
 
 # What a result is fresh by.
 BASIS = ("sources", "inputs", "settings", "rig", "version", "code")

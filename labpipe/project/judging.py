@@ -23,9 +23,9 @@ from labpipe.records.comparison import Comparison, ConditionMatrices
 from labpipe.records.dataset import PartialOutcome
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit, RuleOutcome
+from labpipe.records.sections import names_of, section
 from labpipe.records.uncertain import parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
-from labpipe.sections import names_of, section
 
 # Numbers held against a rule, and how they are shown: in the unit in which the rule is written.
 

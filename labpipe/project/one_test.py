@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from labpipe.artefacts.dataset_file import CONDITION, UNNAMED, columns_of_conditions, read_rows
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, source_ref
@@ -21,13 +23,14 @@ from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fi
 from labpipe.artefacts.parquet import header_of, made_again
 from labpipe.artefacts.places import StorageError, fetched, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
+from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.frf import RIGS, ready_refs
 from labpipe.project.ingest import ingest, recording_refs
 from labpipe.project.judging import forbidden, judged_part
 from labpipe.project.measured import (
+    RIGS,
     MeasuredTest,
     fits_file_name,
     load_measured,
@@ -35,20 +38,25 @@ from labpipe.project.measured import (
     measure_test,
     measured_file_name,
     measured_files,
+    ready_refs,
 )
 from labpipe.project.raw_recording import raw_recording
-from labpipe.project.recorded_conditions import recorded_conditions
 from labpipe.project.rules import Rule
 from labpipe.project.tests import Test
 from labpipe.project.work import fits_of, with_repeats_of
+from labpipe.quantities import QUANTITIES, to_display
+from labpipe.raw_files.screening import ChannelScreen
 from labpipe.records.dataset import DatasetRow, TestResult, accepted, rows_of_fit
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.rig import RecordedCondition
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 from labpipe.report.wording import fit_title
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.channels import READ_SAMPLES
+from labpipe.spectra.settings import FrfSettings, ShaftLines
+from labpipe.spectra.shaft import shaft_motion
 
 # One test of a result whose tests stand in a dataset, as a result by itself.
 
@@ -442,3 +450,62 @@ def finished_fits(jobs: Sequence[Job], output: OutputFolder) -> dict[str, list[F
     read = [read_fits(output.read_path(job.fits_name)) for job in jobs if job.fits]
     names = dict.fromkeys(settings.name for job in jobs for settings in job.fits)
     return {name: [test_fit for fits in read for test_fit in fits if test_fit.name == name] for name in names}
+
+
+# A scatter is of the same unit without the offset of its scale.
+SCATTER_UNITS = {"degC": "K"}
+
+
+def recorded_conditions(
+    recordings: Sequence[StoredRecording], recorded: Mapping[str, RecordedCondition]
+) -> dict[str, str]:
+    """Every condition as text, "1000.2 N +- 3.1 N": its mean over all recordings, and the scatter of the
+    samples (of revolutions: speeds).
+
+    ConfigError for a channel that a recording lacks; DataError for a tacho without pulses.
+    """
+    return {name: _text(*_amount(recordings, source)) for name, source in recorded.items()}
+
+
+def _amount(recordings: Sequence[StoredRecording], source: RecordedCondition) -> tuple[float, float, str]:
+    """Mean and standard deviation [SI], and the unit in which people read them."""
+    parts = [
+        _speed(recording, source) if source.tacho else _level(recording, source.channel)
+        for recording in recordings
+    ]
+    mean = float(np.mean([part[0] for part in parts]))
+    spread = float(np.sqrt(np.mean([part[1] ** 2 + (part[0] - mean) ** 2 for part in parts])))
+    return mean, spread, parts[0][2]
+
+
+def _level(recording: StoredRecording, name: str) -> tuple[float, float, str]:
+    channel = next((channel for channel in recording.channels if channel.name == name), None)
+    if channel is None:
+        names = [channel.name for channel in recording.channels]
+        raise ConfigError(f"recording '{recording.name}' has no channel '{name}'", hint=nearest(name, names))
+    mean, scatter = recording.levels.get(name) or _levels_of(recording)[name]
+    return mean, scatter, QUANTITIES[channel.quantity].display_unit
+
+
+def _levels_of(recording: StoredRecording) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of every channel, for a recording whose header does not state them."""
+    names = [channel.name for channel in recording.channels]
+    screen = ChannelScreen(names)
+    for block in recording.blocks(READ_SAMPLES):
+        screen.add(block)
+    return screen.levels()
+
+
+def _speed(recording: StoredRecording, source: RecordedCondition) -> tuple[float, float, str]:
+    motion = shaft_motion(recording, ShaftLines(tacho=source.tacho, pulses=source.pulses))
+    turned = motion.revolutions[-1] - motion.revolutions[0]
+    return (
+        float(turned / (motion.times[-1] - motion.times[0])),
+        float(np.std(motion.speeds)),
+        QUANTITIES["speed"].display_unit,
+    )
+
+
+def _text(mean: float, scatter: float, unit: str) -> str:
+    spread = abs(to_display(scatter, unit) - to_display(0.0, unit))
+    return f"{to_display(mean, unit):.7g} {unit} +- {spread:.2g} {SCATTER_UNITS.get(unit, unit)}"

@@ -18,10 +18,10 @@ from labpipe.project.settings_reader import Faults, Reading, join, named_files, 
 from labpipe.project.tests import EachFile, SourceFile, Test, TestReader, read_rig
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
+from labpipe.records.sections import SECTIONS, PipelineSection, names_of, sections
 from labpipe.records.settings import Settings, setting, settings_of
 from labpipe.records.uncertain import RepeatSource, parse_uncertain
 from labpipe.registry import nearest
-from labpipe.sections import SECTIONS, PipelineSection, names_of, sections
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, MatrixSettings, comparison_kind
 

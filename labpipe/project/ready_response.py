@@ -13,7 +13,6 @@ from labpipe.project.guessed_frfs import guessed_frf
 from labpipe.project.tests import ReadyFrf
 from labpipe.raw_files.frf_csv import FREQUENCY, port_of
 from labpipe.raw_files.frf_described import Dofs, read_described
-from labpipe.raw_files.frf_file import MATRIX_SUFFIXES, read_frf_file
 from labpipe.raw_files.mat_frf import holds_response
 from labpipe.raw_files.table import TEXT_SUFFIXES, guarded, open_table, readable
 from labpipe.raw_files.text_table import plain_suffix
@@ -21,9 +20,25 @@ from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.raw_files.uff_read import read_frf_uff
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.registry import Registry
 from labpipe.spectra.damping import undamped
 from labpipe.spectra.ports import joined
 from labpipe.spectra.windows import amplitude_correlation
+
+MATRIX_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf")
+FRF_READERS = Registry("frf-reader")
+
+
+def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
+    """The response of a file by its suffix; DataError for an unknown kind of file."""
+    suffix = plain_suffix(path)
+    if suffix not in FRF_READERS.names():
+        suffixes = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
+        raise DataError(
+            f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {suffixes}"
+        )
+    response: FrequencyResponse = guarded(FRF_READERS.load(suffix), path, name)
+    return response
 
 
 def is_response(path: Path) -> bool:

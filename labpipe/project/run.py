@@ -14,11 +14,10 @@ from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder, existing_home, staging_folder
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.executors import Execute, serially
-from labpipe.project.frf import frf_file_name
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import unique_names
 from labpipe.project.many_tests import Gathered, advice, identified, keeps_dataset
-from labpipe.project.measured import MeasuredTest
+from labpipe.project.measured import MeasuredTest, frf_file_name
 from labpipe.project.one_test import (
     Done,
     Job,

@@ -15,9 +15,9 @@ from labpipe.project.rig_file import ChannelSettings, RigSettings
 from labpipe.project.rules import DECISION_KEYS, DECISIONS
 from labpipe.project.tests import BY, REPEATS
 from labpipe.records.frf_layout import FrfLayout
+from labpipe.records.sections import PipelineSection, sections
 from labpipe.records.settings import Setting, settings_of
 from labpipe.registry import Registry
-from labpipe.sections import PipelineSection, sections
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, comparison_kind, kinds_text
 
@@ -28,14 +28,7 @@ _TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items
 
 
 # The kinds of files with a schema: functions to it.
-SCHEMAS = Registry(
-    "schema",
-    {
-        "pipeline": "labpipe.project.schema:pipeline_schema",
-        "rig": "labpipe.project.schema:rig_schema",
-        "bearing": "labpipe.project.schema:bearing_schema",
-    },
-)
+SCHEMAS = Registry("schema")
 
 
 def rig_schema() -> dict[str, Any]:

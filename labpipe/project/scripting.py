@@ -34,7 +34,7 @@ from labpipe.project.run import Manner
 from labpipe.project.run import run as run_pipeline
 from labpipe.project.run_record import recorded
 from labpipe.project.settings_reader import DECIDE, FILE_KINDS
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.quantities import QUANTITIES, parse_unit
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.raw_files.table import TEXT_SUFFIXES, Table, open_table
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 # Readers of text files that say themselves what they are: from a path to a record, or None for a file of
 # another kind.
-TEXT_FILES = Registry("text file", {})
+TEXT_FILES = Registry("text file")
 SETTINGS_SUFFIXES = (".yaml", ".yml")
 
 

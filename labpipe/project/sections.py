@@ -14,8 +14,8 @@ from labpipe.project.work import Work, run_fits
 from labpipe.records.comparison import Comparisons, ConditionMatrices, findings, matrix_findings, names
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification, ListedParameter
+from labpipe.records.sections import PipelineSection
 from labpipe.report.document import Section
-from labpipe.sections import PipelineSection
 from labpipe.uncertainty.settings import CompareSettings, MatrixSettings
 
 

@@ -154,16 +154,7 @@ class Reading:
 # Kinds of files that a settings file can name: how each is read, and which further files it depends on.
 # FILE_KINDS by name.
 
-FILE_KINDS = Registry(
-    "file kind",
-    {
-        "path": "labpipe.project.settings_reader:PATH",
-        "rig": "labpipe.project.rig_file:RIG_FILE",
-        "virtual-rig": "labpipe.project.virtual_rig_file:VIRTUAL_RIG_FILE",
-        "bearing": "labpipe.project.bearing_file:BEARING_FILE",
-        "geometry": "labpipe.raw_files.geometry:GEOMETRY_FILE",
-    },
-)
+FILE_KINDS = Registry("file kind")
 
 
 # The content of a table or recording is read later, by those who know its columns.

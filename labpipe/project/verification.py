@@ -29,7 +29,7 @@ from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import finished, is_remote
 from labpipe.errors import DataError
-from labpipe.project.frf import RIGS
+from labpipe.project.measured import RIGS
 from labpipe.registry import Registry
 
 Reference = tuple[str, str]
@@ -116,7 +116,7 @@ KINDS: Mapping[str, _Kind] = {
 }
 # Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a
 # damaged one.
-ARTEFACTS = Registry("artefact", {})
+ARTEFACTS = Registry("artefact")
 FITS = _Kind(read_fits, _json_digest, _nothing, lambda path: _entries("responses", path))
 
 

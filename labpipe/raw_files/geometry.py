@@ -19,7 +19,7 @@ import numpy as np
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.uff import UFF_SUFFIXES
-from labpipe.records.geometry import AXES, Geometry
+from labpipe.records.rig import AXES, Geometry
 from labpipe.records.settings import FileKind
 
 # Nodes (15, 2411), trace lines (82), elements (2412) and units (164) of a universal file as a geometry.

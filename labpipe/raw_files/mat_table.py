@@ -17,7 +17,7 @@ from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from labpipe.errors import DataError
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
-from labpipe.raw_files.hdf5_probe import check_hdf5
+from labpipe.raw_files.hdf5_variables import check_hdf5
 
 # Consistency check of a MATLAB 5 file's elements: some damaged files would crash scipy's reader and with it
 # the program.

@@ -207,22 +207,7 @@ if __name__ == "__main__":
 # A table on disk: named columns of numbers, read chunk by chunk. READERS by suffix.
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc")
-READERS = Registry(
-    "reader",
-    {
-        **dict.fromkeys(TEXT_SUFFIXES, "labpipe.raw_files.text_table:CsvTable"),
-        ".parquet": "labpipe.raw_files.other_tables:ParquetTable",
-        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.raw_files.uff_read:UffTable"),
-        ".mat": "labpipe.raw_files.mat_table:mat_table",
-        **dict.fromkeys((".h5", ".hdf5", ".hdf"), "labpipe.raw_files.mat_table:hdf5_table"),
-        ".tdms": "labpipe.raw_files.tdms_table:TdmsTable",
-        ".wav": "labpipe.raw_files.other_tables:WavTable",
-        ".lvm": "labpipe.raw_files.lvm_table:LvmTable",
-        **dict.fromkeys((".npy", ".npz"), "labpipe.raw_files.arrays_table:numpy_table"),
-        **dict.fromkeys((".xlsx", ".xlsm"), "labpipe.raw_files.other_tables:XlsxTable"),
-        **dict.fromkeys((".mf4", ".mdf"), "labpipe.raw_files.mdf_table:mdf_table"),
-    },
-)
+READERS = Registry("reader")
 
 
 class Table(Protocol):

@@ -17,10 +17,10 @@ from labpipe.errors import DataError
 from labpipe.raw_files.uff import COHERENCE, FRF, TIME, UffPoint
 from labpipe.raw_files.uff_read import AXES, FORMS, SI_UNITS
 from labpipe.records.fit_details import Modes
-from labpipe.records.geometry import Geometry
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Recording
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.rig import Geometry
 
 UNITS = {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 2, "length": 1.0, "force": 1.0}
 UNITS |= {"temp": 1.0, "temp_offset": 0.0}

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.records.geometry import Geometry
+from labpipe.records.rig import Geometry
 from labpipe.registry import Registry
 
 
@@ -49,7 +49,7 @@ class FitDetailKind:
 
 
 # FitDetailKinds by the key of their records.
-DETAILS = Registry("fit detail", {})
+DETAILS = Registry("fit detail")
 
 
 # Modes of a structure: shapes with their uncertainty, and the stabilisation diagram that they were chosen

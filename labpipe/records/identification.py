@@ -12,10 +12,10 @@ from labpipe.display import number
 from labpipe.records.finding import WARNING, Discrepancy, Finding, Parameter, of_level
 from labpipe.records.fit_details import FitDetail
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.sections import section
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.text import VIEWS, fit_html, fit_line, fit_text, identification_line
 from labpipe.records.uncertain import Budget
-from labpipe.sections import section
 
 Detail = TypeVar("Detail", bound=FitDetail)
 

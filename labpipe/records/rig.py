@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel
 from labpipe.records.settings import Settings, setting
 from labpipe.records.uncertain import Uncertain
@@ -90,3 +92,80 @@ class RecordedCondition(Settings):
             )
         if self.pulses < 1:
             raise ConfigError("'pulses' must be at least 1")
+
+
+AXES = "xyz"
+# "12.x", "12:-y", "12z", or "x" alone on a structure of one point.
+_DIRECTED = re.compile(r"^(?P<point>.*?)[.:\s]?(?P<sign>[+-]?)(?P<axis>[xyzXYZ])$")
+# Points named in a message.
+MOST_NAMES = 8
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """names of the points, positions (n_point, 3) [m] along x, y, z, and lines (n_line, 2): numbers of the
+    points that each joins.
+    """
+
+    names: tuple[str, ...]
+    positions: FloatArray
+    lines: IntArray
+
+    def checked(self) -> Geometry:
+        """The same; DataError for no point, one that stands twice, or a position that is no number."""
+        repeated = [name for n, name in enumerate(self.names) if name in self.names[:n]]
+        if repeated:
+            raise DataError(f"point '{repeated[0]}' stands twice")
+        if not self.names:
+            raise DataError("holds no point")
+        if not np.all(np.isfinite(self.positions)):
+            raise DataError("a position is no number")
+        return self
+
+    def motion(self, dofs: Sequence[str], shapes: ComplexArray) -> ComplexArray:
+        """How every point moves in each mode, (n_mode, n_point, 3) [1], from *shapes* (n_dof, n_mode) at the
+        *dofs*; 0 where unmeasured.
+
+        DataError for a dof whose point is not in the geometry.
+        """
+        moved = np.zeros((shapes.shape[1], len(self.names), 3), complex)
+        for dof, row in zip(dofs, shapes, strict=True):
+            point, direction = self.place(dof)
+            moved[:, point] += row[:, None] * direction
+        return moved
+
+    @classmethod
+    def of_dofs(cls, dofs: Sequence[str]) -> Geometry:
+        """The points that *dofs* name, all in one place, for what needs no positions.
+
+        Directions alone ("x") are of one point, "".
+        """
+        directed = [_DIRECTED.match(dof) for dof in dofs]
+        points = dict.fromkeys(
+            match["point"] if match else dof for match, dof in zip(directed, dofs, strict=True)
+        )
+        return cls(tuple(points), np.zeros((len(points), 3)), np.empty((0, 2), int))
+
+    def check(self, dofs: Sequence[str]) -> None:
+        """DataError for a dof whose point is not in the geometry."""
+        for dof in dofs:
+            self.place(dof)
+
+    def place(self, dof: str) -> tuple[int, FloatArray]:
+        """(number of the point, unit vector (3,) [1] of the direction) of a dof.
+
+        A dof without a direction moves along z.
+        """
+        if dof in self.names:
+            return self.names.index(dof), np.array([0.0, 0.0, 1.0])
+        directed = _DIRECTED.match(dof)
+        point = directed["point"] if directed else dof
+        alone = not point and len(self.names) == 1
+        if directed is None or not (alone or point in self.names):
+            names = ", ".join(self.names[:MOST_NAMES]) + (", ..." if len(self.names) > MOST_NAMES else "")
+            raise DataError(
+                f"the geometry has no point '{point or dof}', of the dof '{dof}'", hint=f"its points: {names}"
+            )
+        vector = np.zeros(3)
+        vector[AXES.index(directed["axis"].lower())] = -1.0 if directed["sign"] == "-" else 1.0
+        return (0 if alone else self.names.index(point)), vector

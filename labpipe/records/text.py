@@ -147,6 +147,4 @@ def identification_line(identification: Identification) -> str:
 
 # Views of a record for other libraries, loaded on first use. VIEWS by name.
 
-VIEWS = Registry(
-    "view", {"frame": "labpipe.project.scripting:to_frame", "xarray": "labpipe.project.scripting:to_xarray"}
-)
+VIEWS = Registry("view")

@@ -13,19 +13,18 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import Identification, of_points
+from labpipe.records.sections import section
 from labpipe.registry import Registry, nearest
-from labpipe.report.cover import cover_facts, result_blocks, section_facts
-from labpipe.report.decisions import SIMPLE_ACCEPTANCE, decision_blocks
+from labpipe.report.cover import SIMPLE_ACCEPTANCE, cover_facts, decision_blocks, result_blocks, section_facts
 from labpipe.report.document import Block, Document, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
 from labpipe.report.wording import fit_title
-from labpipe.sections import section
 from labpipe.spectra.settings import FrfSettings
 
 # Name of a model or of a pipeline's section -> the function from an identification to what its results add to
 # the report together.
-REPORT_PARTS = Registry("report part", {})
+REPORT_PARTS = Registry("report part")
 
 # What a reader must know first: whether the result is accepted, and every warning and note in words.
 

@@ -16,7 +16,7 @@ from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
 from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stacked
-from labpipe.report.decisions import SIMPLE_ACCEPTANCE, decision_blocks
+from labpipe.report.cover import SIMPLE_ACCEPTANCE, decision_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, unit_text
 from labpipe.uncertainty.weighted import ControlLimits, control_limits

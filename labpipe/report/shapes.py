@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.records.fit_details import Modes
-from labpipe.records.geometry import Geometry
+from labpipe.records.rig import Geometry
 from labpipe.report.chart import WIDTH, Drawing
 from labpipe.report.document import Figure
 

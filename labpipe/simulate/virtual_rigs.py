@@ -58,15 +58,7 @@ def coefficients_by_name(labels: Sequence[str], glue: str = "", **matrices: Arra
 # Virtual rigs with true parameters. VIRTUAL_RIGS by kind: the settings of a rig file, its runs, their
 # files, and responses for studies.
 
-VIRTUAL_RIGS = Registry(
-    "virtual rig",
-    {
-        "virtual-mdof-rig": "labpipe.simulate.linear:MDOF_RIG",
-        "virtual-white-noise-rig": "labpipe.simulate.linear:WHITE_NOISE_RIG",
-        "virtual-sweep-rig": "labpipe.simulate.linear:SWEEP_RIG",
-        "virtual-base-rig": "labpipe.simulate.linear:BASE_RIG",
-    },
-)
+VIRTUAL_RIGS = Registry("virtual rig")
 
 Truth = dict[str, float]
 

@@ -176,17 +176,7 @@ class ComparisonKind:
 
 # ComparisonKinds, or, of plug-ins, functions from settings and evidence to a Comparison, which may use every
 # key.
-COMPARISONS = Registry(
-    "comparison",
-    {
-        "trend": "labpipe.uncertainty.compare:TREND",
-        "difference": "labpipe.uncertainty.compare:DIFFERENCE",
-        "quotient": "labpipe.uncertainty.compare:QUOTIENT",
-        "repeatability": "labpipe.uncertainty.compare:REPEATABILITY",
-        "reciprocity": "labpipe.uncertainty.compare:RECIPROCITY",
-        "bands": "labpipe.uncertainty.compare:BANDS",
-    },
-)
+COMPARISONS = Registry("comparison")
 LOAD = "loads.z"
 LAWS = ("line", "power")
 

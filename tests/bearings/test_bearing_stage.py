@@ -14,8 +14,7 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.bearings.kinds import BEARINGS, Amount, BearingCoefficients, BearingKind
 from labpipe.errors import ConfigError
 from labpipe.project.bearing import Evaluated, bearing_entry, bearing_json, sweep_columns, swept, write_sweep
-from labpipe.project.bearing_file import BearingFile, open_bearing
-from labpipe.project.sweep import parse_sweep
+from labpipe.project.bearing_file import BearingFile, open_bearing, parse_sweep
 from labpipe.records.finding import Finding
 from labpipe.records.settings import settings_of
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.project.sweep import parse_sweep
+from labpipe.project.bearing_file import parse_sweep
 from labpipe.records.settings import setting
 
 

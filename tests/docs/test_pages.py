@@ -175,7 +175,7 @@ def test_the_reference_names_every_key_and_command() -> None:
 
 def test_the_reference_names_every_section_with_its_keys_and_those_of_models() -> None:
     from labpipe.estimation.settings import MODELS, model_kind
-    from labpipe.sections import sections
+    from labpipe.records.sections import sections
 
     page = module("reference").reference_pages()["pipeline"]
     for name, section in sections():

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.ring_down.virtual_rig import DecayRig, decay_runs
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.identification import Fit
 from labpipe.records.spectra import FreeDecays
 from labpipe.spectra.free_decays import free_decays

@@ -21,7 +21,7 @@ from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, RuleOutcome
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.report.build import build
-from labpipe.report.decisions import decision_blocks, percent
+from labpipe.report.cover import decision_blocks, percent
 from tests.uncertainty.conftest import a_fit
 
 # Stiffness in N/m with a standard error of 100.

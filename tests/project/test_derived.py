@@ -16,7 +16,7 @@ from labpipe.errors import ConfigErrors, DataError
 from labpipe.methods.floating_bearing.virtual_rig import FloatingNoise, FloatingRig
 from labpipe.project.ingest import ingest
 from labpipe.project.rig_file import load_rig
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.recording import Channel, Number, Recording, Term
 from labpipe.records.rig import Rig
 from labpipe.simulate.virtual_rigs import recordings

@@ -25,8 +25,8 @@ from labpipe.methods.ring_down.fit import DecaySettings
 from labpipe.methods.rotor.rotor_file import RotorSettings
 from labpipe.project.pipeline_file import UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings
+from labpipe.records.sections import sections
 from labpipe.records.settings import Setting, settings_of
-from labpipe.sections import sections
 from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
 from tests.project.laboratory import ALONE, RIG, contents, done, recording
 

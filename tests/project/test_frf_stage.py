@@ -25,7 +25,7 @@ from labpipe.artefacts.recording_file import (
 )
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import DataError, LabpipeError
-from labpipe.project.frf import frf, frf_file_name
+from labpipe.project.measured import frf, frf_file_name
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.recording import Channel

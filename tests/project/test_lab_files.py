@@ -14,7 +14,7 @@ from scipy.io import wavfile
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
-from labpipe.raw_files.frf_file import read_frf_file
+from labpipe.project.ready_response import read_frf_file
 from labpipe.records.response import FrequencyResponse, Port
 
 RIG = """name: Test rig

@@ -13,7 +13,7 @@ from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import ConfigError
 from labpipe.project.ingest import ingest
-from labpipe.project.recorded_conditions import recorded_conditions
+from labpipe.project.one_test import recorded_conditions
 from labpipe.project.rig_file import load_rig
 from labpipe.quantities import si_amount
 from labpipe.records.rig import RecordedCondition

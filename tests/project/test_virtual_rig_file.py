@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import load_marked
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.settings import settings_of
 from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
 

@@ -14,8 +14,8 @@ from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
 from labpipe.errors import DataError
+from labpipe.project.ready_response import read_frf_file
 from labpipe.raw_files import tdms_table
-from labpipe.raw_files.frf_file import read_frf_file
 from labpipe.raw_files.table import open_table
 
 SHIPPED = Path(nptdms.__file__).parent / "test" / "data"

@@ -13,7 +13,7 @@ import pytest
 import pyuff
 
 from labpipe.errors import DataError
-from labpipe.raw_files.frf_file import read_frf_file
+from labpipe.project.ready_response import read_frf_file
 from labpipe.raw_files.table import open_table
 from labpipe.raw_files.uff import read_uff
 from labpipe.raw_files.uff_read import UffTable, read_frf_uff

@@ -9,7 +9,7 @@ from labpipe.bearings.kinds import PressureField
 from labpipe.methods.journal_bearing.kind import film_figure
 from labpipe.methods.run_ups.figures import CoefficientSurfaces
 from labpipe.records.fit_details import Modes
-from labpipe.records.geometry import Geometry
+from labpipe.records.rig import Geometry
 from labpipe.report.chart import (
     GREY,
     Axis,

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.project.study import study_blocks
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness
 from labpipe.records.study import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.figures import matrix_figure, matrix_figures
 from labpipe.report.fits import candidate_blocks
-from labpipe.report.study import study_blocks
 from labpipe.report.wording import entangled_text, interval_text, parameter_row, threshold_text
 
 K = StudiedParameter("k_1_1", "N/m", truth=2.0, mean=2.1, rmse=0.2, bound=0.16, std_error=0.19, coverage=0.94)

@@ -12,8 +12,7 @@ import pytest
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.simulate import simulate_files
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig, simulate_files
 from labpipe.records.recording import Recording
 from labpipe.simulate.virtual_rigs import (
     VIRTUAL_RIGS,

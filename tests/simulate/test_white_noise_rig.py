@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.simulate.linear import SHAKEN_RUNS, SensorNoise, WhiteNoiseRig
 from labpipe.simulate.virtual_rigs import recordings
 

@@ -13,7 +13,7 @@ import pytest
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.floating_bearing.virtual_rig import FLOATING_RIG, FloatingRig
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.recording import Channel, Number, Recording, Term
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty

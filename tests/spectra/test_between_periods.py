@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.errors import DataError
 from labpipe.methods.floating_bearing.virtual_rig import FLOATING_RIG, FloatingRig
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.simulate.virtual_rigs import recordings

@@ -17,7 +17,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.magnetic_bearing.levitated_loop import LevitatedRig, rotor_receptance
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.simulate.virtual_rigs import recordings

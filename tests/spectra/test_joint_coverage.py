@@ -15,7 +15,7 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.magnetic_bearing.levitated_loop import LevitatedRig, rotor_receptance
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings

@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.identification import Fit
 from labpipe.simulate.linear import SensorNoise, WhiteNoiseRig
 from labpipe.simulate.virtual_rigs import recordings

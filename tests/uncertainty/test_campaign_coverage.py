@@ -21,7 +21,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.methods.rolling_bearing.ratio import theory_of
 from labpipe.methods.rolling_bearing.virtual_rig import FORCES, simulate_ball_bearing
 from labpipe.project.pipeline_file import load_pipeline
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.comparison import Comparison
 from labpipe.spectra.measurement import measure
 from labpipe.uncertainty.compare import Evidence, compare

@@ -16,7 +16,7 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.rolling_bearing.virtual_rig import simulate_ball_bearing
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.comparison import Comparison
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings

@@ -12,7 +12,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.magnetic_bearing.virtual_mechanics import VirtualMagneticRig
 from labpipe.methods.magnetic_bearing.virtual_rig import simulate
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.study import StudyCase

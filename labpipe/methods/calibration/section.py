@@ -20,8 +20,8 @@ from labpipe.quantities import Unit, UnitError, parse_unit
 from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
+from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, quantity, setting
-from labpipe.sections import PipelineSection
 
 CURVATURE_P = 0.01
 

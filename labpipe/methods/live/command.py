@@ -514,8 +514,7 @@ def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Pat
 
     from labpipe.artefacts.writing import output_folder
     from labpipe.methods.live.sources import Played
-    from labpipe.project.simulate import TRUTH, simulate_files
-    from labpipe.project.virtual_rig_file import load_virtual_rig
+    from labpipe.project.simulate import TRUTH, load_virtual_rig, simulate_files
     from labpipe.raw_files.screening import TimeAxisScreen
     from labpipe.raw_files.table import check_columns, open_table
 

@@ -20,10 +20,10 @@ from labpipe.project.tests import Test
 from labpipe.project.work import Work
 from labpipe.quantities import to_display
 from labpipe.records.identification import Identification
+from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, setting
 from labpipe.report.chart import Axis, Panel, curve, level, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Section
-from labpipe.sections import PipelineSection
 from labpipe.spectra.settings import FrfSettings
 
 # Samples that are handed on at once.

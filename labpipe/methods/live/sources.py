@@ -48,15 +48,7 @@ class SampleStream(Protocol):
 
 Open = Callable[[Path, Sequence[str]], SampleStream]
 
-SOURCES = Registry(
-    "sample source",
-    {
-        **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.methods.live.sources:GrowingText"),
-        ".wav": "labpipe.methods.live.sources:GrowingWav",
-        **dict.fromkeys((".h5", ".hdf5"), "labpipe.methods.live.sources:GrowingHdf5"),
-        **dict.fromkeys((".tdms", ".parquet"), "labpipe.methods.live.sources:GrowingTable"),
-    },
-)
+SOURCES = Registry("sample source")
 
 
 def open_source(path: Path, columns: Sequence[str]) -> SampleStream:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings, ModelKind
-from labpipe.records.geometry import Geometry
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.rig import Geometry
 from labpipe.records.settings import Settings, quantity, setting
 
 # Lowest highest order: below it no mode can be told from noise by its return.

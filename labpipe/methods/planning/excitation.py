@@ -33,9 +33,9 @@ from labpipe.methods.planning.report import goal_sentence, plan_document, senten
 from labpipe.methods.planning.settings import PlanKind, PlanSettings, TheorySettings
 from labpipe.methods.planning.uncertainty import Rehearse, rehearsed
 from labpipe.project.bearing_file import open_bearing
+from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import load_marked, set_entry
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
-from labpipe.raw_files.signal_file import write_signal
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel

@@ -16,7 +16,7 @@ from labpipe.records.settings import Settings, Uncertainties, quantity, require_
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
-PLANS = Registry("plan", {})
+PLANS = Registry("plan")
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,8 @@ from labpipe.methods.planning.settings import (
     check_relative,
 )
 from labpipe.project.bearing_file import BearingFile, open_bearing, setting_at
+from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.raw_files.signal_file import write_signal
 from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.registry import nearest
 

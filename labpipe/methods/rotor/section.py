@@ -22,6 +22,7 @@ from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
+from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.registry import nearest
 from labpipe.report.chart import (
@@ -41,7 +42,6 @@ from labpipe.report.chart import (
     stacked,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.sections import PipelineSection
 
 
 @dataclass(frozen=True)

@@ -39,9 +39,9 @@ from labpipe.project.work import Work
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.rig import Rig
+from labpipe.records.sections import PipelineSection
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
-from labpipe.sections import PipelineSection
 from labpipe.spectra.orders import cascade_spectra, track_order
 from labpipe.spectra.settings import ShaftLines
 

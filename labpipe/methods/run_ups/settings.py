@@ -65,15 +65,7 @@ def turning(uncertainty: Uncertainty, n_plane: int) -> tuple[ProbeError, ...]:
 
 
 # From rotor, trained runs and settings to a Solved: labpipe.methods.run_ups.methods.
-METHODS = Registry(
-    "run-up method",
-    {
-        "amplitudes": "labpipe.methods.run_ups.methods:solve_amplitudes",
-        "points": "labpipe.methods.run_ups.methods:solve_points",
-        "joint": "labpipe.methods.run_ups.methods:solve_joint",
-        "process": "labpipe.methods.run_ups.methods:solve_process",
-    },
-)
+METHODS = Registry("run-up method")
 METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
 SEARCHES = ("pattern", "cobyqa")
 

@@ -20,7 +20,7 @@ from labpipe.methods.floating_bearing.virtual_rig import (
     Relaxation,
     truth,
 )
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.simulate.virtual_rigs import recordings, simulated_response
 from labpipe.spectra.all_channels import channel_spectra

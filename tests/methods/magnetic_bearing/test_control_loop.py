@@ -14,7 +14,7 @@ from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
 from labpipe.methods.magnetic_bearing.loop import ControlLoop
 from labpipe.methods.magnetic_bearing.virtual_mechanics import LAWS, Levitation, Noise, VirtualMagneticRig
 from labpipe.methods.magnetic_bearing.virtual_rig import simulate
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 
 LOOP_RIG = VirtualMagneticRig("virtual-magnetic-rig", levitation=Levitation(law="control-loop"))
 PRINTED = Levitation(law="control-loop", loop=ControlLoop(lag=0.25))

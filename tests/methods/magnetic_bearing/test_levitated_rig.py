@@ -24,7 +24,7 @@ from labpipe.methods.magnetic_bearing.levitated_loop import (
 )
 from labpipe.methods.magnetic_bearing.levitated_rig import truth
 from labpipe.methods.magnetic_bearing.sampled_loop import linear_states
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.simulate.virtual_rigs import recordings
 
 CONFIGS = Path(__file__).parents[3] / "configs"

@@ -15,7 +15,7 @@ from labpipe.methods.magnetic_bearing.loop import controller, dynamic_stiffness
 from labpipe.methods.magnetic_bearing.virtual_loop import LOOP_RUNS
 from labpipe.methods.magnetic_bearing.virtual_mechanics import Noise
 from labpipe.methods.magnetic_bearing.virtual_rig import RUNS, simulate
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 
 ROOT = Path(__file__).parents[3]
 RIG = load_virtual_rig(ROOT / "configs/virtual-hmb-loop.yaml")

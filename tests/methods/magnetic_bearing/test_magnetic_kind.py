@@ -20,7 +20,7 @@ from labpipe.methods.magnetic_bearing.bearing import (
 )
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
 from labpipe.project.bearing_file import open_bearing
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 
 FILE = MagneticFile(kind="magnetic-bearing", mass=0.065, frequency=50.0, static_stiffness=1694.0)
 MAGNET = Magnet(turns=180, gap=0.45e-3, pole_area=60e-6, bias_current=0.2)

@@ -14,7 +14,7 @@ from scipy import io, stats
 from labpipe.artefacts.identification_file import write_identification
 from labpipe.errors import DataError
 from labpipe.methods.magnetic_bearing.fit import overbound, scatter_radius
-from labpipe.project.result_tables import write_band_csv, write_plant_mat
+from labpipe.project.exports import write_band_csv, write_plant_mat
 from labpipe.records.fit_details import RobustPlant
 from labpipe.records.identification import Identification
 from labpipe.report.build import build

@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.records.geometry import Geometry
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.rig import Geometry
 
 FREQUENCIES = np.array([20.0, 33.0, 46.0, 46.46, 61.0, 78.0, 95.0, 118.0, 140.0])
 DAMPING = np.array([0.01, 0.004, 0.002, 0.0025, 0.0005, 0.006, 0.003, 0.008, 0.0015])

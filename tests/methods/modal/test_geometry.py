@@ -12,7 +12,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import Modes
-from labpipe.records.geometry import Geometry
+from labpipe.records.rig import Geometry
 from labpipe.report.shapes import REACH, projected, shape_figures
 from tests.methods.modal.structures import beam, beam_geometry, beam_shapes
 

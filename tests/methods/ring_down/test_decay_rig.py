@@ -14,7 +14,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.ring_down.virtual_rig import PRETRIGGER, RUNS, DecayRig, decay_runs, motion, truth
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 
 CONFIG = Path(__file__).parents[3] / "configs/virtual-decay.yaml"
 RIG = DecayRig("virtual-decay-rig", (40.0, 41.6), (0.005, 0.006))

@@ -21,7 +21,7 @@ from labpipe.methods.rolling_bearing.virtual_rig import (
     simulate_ball_bearing,
     true_preload,
 )
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 
 QUIET = RigNoise(0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -8,7 +8,7 @@ import pytest
 from labpipe.bearings.kinds import BearingCoefficients
 from labpipe.methods.rolling_bearing.bearing import rolling_coefficients
 from labpipe.methods.rolling_bearing.settings import BallBearingSettings, Loads
-from labpipe.report.bearing_figures import stiffness_figure, sweep_figures
+from labpipe.project.bearing import stiffness_figure, sweep_figures
 
 
 def bearing(force: float) -> BearingCoefficients:

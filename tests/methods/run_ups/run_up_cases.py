@@ -11,7 +11,7 @@ from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from labpipe.methods.run_ups.virtual_rig import VirtualUnbalanceRig, run_ups
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 RIG: RunUpRotor = load_run_up_rotor(CONFIGS / "rotors/falah.yaml")

@@ -21,7 +21,7 @@ from labpipe.methods.run_ups.virtual_rig import (
     true_coefficients,
     truth,
 )
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 
 CONFIG = Path(__file__).parents[3] / "configs/virtual-unbalance.yaml"
 RIG: VirtualUnbalanceRig = load_virtual_rig(CONFIG)

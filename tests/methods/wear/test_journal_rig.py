@@ -14,7 +14,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import frequency_response
 from labpipe.methods.wear.virtual_rig import JournalNoise, VirtualJournalRig, receptance, true_rig, truth
-from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.project.simulate import load_virtual_rig
 from labpipe.simulate.virtual_rigs import recordings
 
 ROOT = Path(__file__).parents[3]

@@ -17,10 +17,10 @@ from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, Identification, ListedParameter, RuleOutcome
+from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, setting
 from labpipe.registry import nearest
 from labpipe.report.document import Paragraph, Section, Table
-from labpipe.sections import PipelineSection
 
 CRITICALLY_DAMPED = 2.5
 # Holds a number against a rule: (rule, number, its SI unit) -> what was found, and whether the rule holds.

@@ -56,15 +56,7 @@ class PipelineSection:
     terminal: Callable[[Any], Iterable[str]] = _nothing
 
 
-SECTIONS = Registry(
-    "section",
-    {
-        "identify": "labpipe.project.sections:IDENTIFY",
-        "compare": "labpipe.project.sections:COMPARE",
-        "matrix": "labpipe.project.sections:MATRIX",
-        "study": "labpipe.project.study:STUDY",
-    },
-)
+SECTIONS = Registry("section")
 
 
 def section(name: str) -> PipelineSection:
