@@ -531,6 +531,19 @@ def setting(
     return dataclasses.field(default=default, metadata={"setting": declared})
 
 
+def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
+    """A dataclass field of a number with an SI *unit*: a setting of the kind value."""
+    return setting("value", help, unit=unit, default=default)
+
+
+def require_positive(settings: Any, *names: str) -> None:
+    """ConfigError for the first of the entries that is given and not above zero."""
+    for name in names:
+        value = getattr(settings, name)
+        if value is not None and not value > 0:
+            raise ConfigError(f"{name} must be positive", field=name)
+
+
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:
     """Field name -> (its Setting, whether it must be given) of a settings dataclass, in order of
     declaration.

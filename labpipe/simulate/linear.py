@@ -22,7 +22,7 @@ from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, require_positive, setting
 from labpipe.simulate.virtual_rigs import (
     Simulation,
     VirtualRigKind,
@@ -30,7 +30,6 @@ from labpipe.simulate.virtual_rigs import (
     force_and_displacements,
     kind_of_recordings,
     one_mass_truth,
-    require_positive,
     whole_numbers,
 )
 

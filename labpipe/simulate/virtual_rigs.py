@@ -117,13 +117,6 @@ def generator(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(name.encode())])
 
 
-def require_positive(rig: Any, *names: str) -> None:
-    """ConfigError for the first of the entries that is not above zero."""
-    for name in names:
-        if not getattr(rig, name) > 0:
-            raise ConfigError(f"{name} must be positive", field=name)
-
-
 def with_noise(rig: Any, level: float) -> Any:
     """The rig with every number of its section `noise` times *level*."""
     scaled = {field.name: level * getattr(rig.noise, field.name) for field in fields(rig.noise)}

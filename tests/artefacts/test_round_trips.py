@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from labpipe.artefacts.identification_file import read_identification, write_identification
-from labpipe.methods.rotor.unbalance import UnbalanceCase, UnbalanceRuns
+from labpipe.methods.rotor.section import UnbalanceCase, UnbalanceRuns
 from labpipe.methods.run_ups.records import RunUpMethod, RunUpResult
 from labpipe.records.comparison import ComparedBand, ComparedPoint, Comparison, Curve, Overlay
 from labpipe.records.finding import WARNING, Finding, Parameter, note

@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 from labpipe.estimation.fitting import identify as fitted
 from labpipe.methods.journal_bearing import bearing as equilibria
 from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.curve import JournalTable, journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.journal_bearing.table import JournalTable, journal_table
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.shaft import Rotor, ShaftElement, Sleeve, Support
 from labpipe.methods.wear.tables import VaryingSupport, WornRig, worn_response

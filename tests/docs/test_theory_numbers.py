@@ -23,8 +23,8 @@ from labpipe.methods.magnetic_bearing.bearing import MU_0, Magnet, magnet_factor
 from labpipe.methods.magnetic_bearing.fit import scatter_radius
 from labpipe.methods.magnetic_bearing.sampled_loop import tustin
 from labpipe.methods.magnetic_bearing.stability import pade
+from labpipe.methods.modal.model_error import phase_collinearity
 from labpipe.methods.modal.poles import similarity
-from labpipe.methods.modal.shapes import phase_collinearity
 from labpipe.methods.planning.campaigns import schroeder_phases_of
 from labpipe.methods.planning.designs import certificate, variances
 from labpipe.methods.ring_down.virtual_rig import KIND, DecayRig, motion

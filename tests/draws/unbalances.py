@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.rotor.unbalance import UnbalanceRuns, UnbalanceSettings, unbalance_runs
+from labpipe.methods.rotor.section import UnbalanceRuns, UnbalanceSettings, unbalance_runs
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertainty

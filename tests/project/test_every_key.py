@@ -21,7 +21,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
 from labpipe.methods.magnetic_bearing.settings import MagnetSettings
-from labpipe.methods.ring_down.settings import DecaySettings
+from labpipe.methods.ring_down.fit import DecaySettings
 from labpipe.methods.rotor.rotor_file import RotorSettings
 from labpipe.project.pipeline_file import UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings

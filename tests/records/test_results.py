@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labpipe.methods.rotor.unbalance import UnbalanceCase, UnbalanceRuns
+from labpipe.methods.rotor.section import UnbalanceCase, UnbalanceRuns
 from labpipe.methods.run_ups.records import (
     Amount,
     MeasuredRun,

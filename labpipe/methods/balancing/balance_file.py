@@ -1,32 +1,272 @@
-"""Reading a balance file (planes, runs with their weights and readings, noise, limits), and what follows."""
+"""labpipe balance FILE: balancing by influence coefficients, vibration z = z_0 + sum_q alpha_q w_q of every
+reading.
+
+Noise leaves z_0 and alpha uncertain; the weights are those of the least expected square of the vibration that
+is left, which do not trust an influence that is hardly known; without noise they are -pinv(alpha) z_0
+(Goodman 1964; Darlow 1989).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
+from scipy import optimize
 
-from labpipe.arrays import ComplexArray
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.errors import ConfigError, DataError
-from labpipe.methods.balancing.influence import (
-    Influence,
-    Noise,
-    Places,
-    Residual,
-    Run,
-    best_weights,
-    influence,
-    next_runs,
-    placed_weights,
-    residual_of,
-)
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
+
+# Draws of z_0 and alpha by which intervals are stated, and their seed.
+DRAWS, SEED = 4000, 20261125
+# Truths over which one more run is looked at.
+TRIED = 200
+COVERED = (2.5, 97.5)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: added *weights* (n_plane,) [kg m], complex, as all angles in the direction of spin, and
+    *readings* (n_line,), complex, NaN where there is none.
+    """
+
+    name: str
+    weights: ComplexArray
+    readings: ComplexArray
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard uncertainty of one component of a reading: *floor* [unit of the reading], and a *share* [1] of
+    its amplitude, of what repeats when nothing is changed.
+    """
+
+    floor: float
+    share: float
+
+    def variance(self, readings: ComplexArray) -> FloatArray:
+        """Of the complex readings, both components together, (n_run,) [unit of the reading squared]."""
+        return np.asarray(2 * self.floor**2 + (self.share * np.abs(readings)) ** 2)
+
+
+@dataclass(frozen=True)
+class Influence:
+    """z_0 and alpha of every line: *mean* (n_line, n_plane + 1) [unit of the readings, per kg m] and their
+    complex *covariance* (n_line, n_plane + 1, n_plane + 1); *misfit* chi-square of the readings, its *dof*.
+    """
+
+    mean: ComplexArray
+    covariance: ComplexArray
+    misfit: float
+    dof: int
+
+    def expected_square(self, weights: ComplexArray) -> float:
+        """Sum over the lines of E |z_0 + alpha w|^2 at *weights* (n_plane,) [kg m]."""
+        whole = np.concatenate([[1.0], weights])
+        middle = np.sum(np.abs(self.mean @ whole) ** 2)
+        return float(
+            middle + np.einsum("i,lij,j->", whole.conj(), self.covariance.swapaxes(1, 2), whole).real
+        )
+
+    def quadratic(self) -> tuple[ComplexArray, ComplexArray]:
+        """A (n_plane, n_plane) [unit^2/(kg m)^2] and b (n_plane,) [unit^2/(kg m)] of the expected square
+        w^H A w + 2 Re b^H w + constant, in the unit of the readings.
+        """
+        second = np.einsum("li,lj->ij", self.mean.conj(), self.mean) + self.covariance.sum(axis=0).T
+        return second[1:, 1:], second[1:, 0]
+
+    def draws(self, n: int = DRAWS) -> ComplexArray:
+        """Drawn z_0 and alpha, (n, n_line, n_plane + 1) [unit of the readings, per kg m]."""
+        rng = np.random.default_rng(SEED)
+        shape = (n, *self.mean.shape)
+        normal = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+        return np.asarray(self.mean + np.einsum("lij,nlj->nli", root, normal))
+
+
+def influence(runs: Sequence[Run], noise: Noise) -> Influence:
+    """z_0 and alpha by weighted least squares of all runs, line by line.
+
+    DataError where the runs do not determine them: a plane without a trial weight, too few runs.
+    """
+    design = np.array([np.concatenate([[1.0], run.weights]) for run in runs])
+    readings = np.array([run.readings for run in runs])
+    n_line, n_unknown = readings.shape[1], design.shape[1]
+    means = np.empty((n_line, n_unknown), np.complex128)
+    covariances = np.empty((n_line, n_unknown, n_unknown), np.complex128)
+    misfit, dof = 0.0, 0
+    scale = np.max(np.abs(design), axis=0)
+    for line in range(n_line):
+        there = np.isfinite(readings[:, line])
+        rows, z = design[there] / np.where(scale > 0, scale, 1.0), readings[there, line]
+        if np.linalg.matrix_rank(rows, tol=1e-6) < n_unknown:
+            raise DataError(
+                f"{len(z)} runs with readings do not determine the influence of {n_unknown - 1} plane(s)",
+                hint="a run as found, and one for each plane with a trial weight there",
+            )
+        weight = 1 / noise.variance(z)
+        information = (rows.conj().T * weight) @ rows
+        inverse = np.linalg.inv(information)
+        mean = inverse @ (rows.conj().T @ (weight * z))
+        residual = z - rows @ mean
+        misfit += float(2 * np.sum(weight * np.abs(residual) ** 2))
+        dof += 2 * (len(z) - n_unknown)
+        means[line] = mean / scale
+        covariances[line] = inverse / np.outer(scale, scale)
+    return Influence(means, covariances, misfit, dof)
+
+
+def best_weights(known: Influence) -> ComplexArray:
+    """The weights (n_plane,) [kg m] of the least expected square of the vibration that is left."""
+    square, linear = known.quadratic()
+    return np.asarray(-np.linalg.solve(square, linear))
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where weights can be set in a plane: *angles* (n_place,) [rad] at *radius* [m], at most *largest* [kg]
+    in each.
+    """
+
+    angles: FloatArray
+    radius: float
+    largest: float = np.inf
+
+
+def placed_weights(known: Influence, places: Sequence[Places]) -> list[FloatArray]:
+    """Masses [kg] in every place of every plane, (n_place,) each: the least expected square that masses from
+    zero to the largest can reach, by as little mass as that takes.
+    """
+    square, linear = known.quadratic()
+    directions = [place.radius * np.exp(1j * place.angles) for place in places]
+    onto = np.zeros((len(places), sum(d.size for d in directions)), np.complex128)
+    ends = np.cumsum([0, *(direction.size for direction in directions)])
+    for plane, direction in enumerate(directions):
+        onto[plane, ends[plane] : ends[plane + 1]] = direction
+    root = np.linalg.cholesky(square).conj().T
+    rows, side = root @ onto, -np.linalg.solve(root.conj().T, linear)
+    largest = np.concatenate([np.full(place.angles.size, place.largest) for place in places])
+    scale = float(np.max(np.abs(rows)))
+    reached = optimize.lsq_linear(
+        np.concatenate([rows.real, rows.imag]) / scale,
+        np.concatenate([side.real, side.imag]) / scale,
+        (0.0, largest),
+        method="bvls",
+        tol=1e-14,
+        max_iter=1000,
+    ).x
+    # Many masses make one vector: the least of them stand in two places, and in those that are full.
+    masses = []
+    for plane, (direction, place) in enumerate(zip(directions, places, strict=True)):
+        target = direction @ reached[ends[plane] : ends[plane + 1]]
+        ends_of_mass = (0.0, place.largest if np.isfinite(place.largest) else None)
+        least = optimize.linprog(
+            np.ones(direction.size),
+            A_eq=np.array([direction.real, direction.imag]) / place.radius,
+            b_eq=np.array([target.real, target.imag]) / place.radius,
+            bounds=ends_of_mass,
+        )
+        masses.append(least.x if least.success else reached[ends[plane] : ends[plane + 1]])
+    return masses
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What the weights are expected to leave: root mean square over the lines *rms* with its 95 % interval,
+    of what it was *before*; amplitudes of each line (n_line,) with theirs [unit of the readings]; *unbalance*
+    (n_plane,) [kg m] that is left, upper ends of 95 %.
+    """
+
+    rms: float
+    interval: tuple[float, float]
+    before: float
+    amplitudes: FloatArray
+    low: FloatArray
+    high: FloatArray
+    unbalance: FloatArray
+
+
+def residual_of(known: Influence, weights: ComplexArray, noise: Noise) -> Residual:
+    """The vibration with *weights* (n_plane,) [kg m] set, as a reading shows it, by draws."""
+    drawn = known.draws()
+    whole = np.concatenate([[1.0], weights])
+    left = _drawn_residual(known, drawn, whole)
+    rng = np.random.default_rng(SEED + 1)
+    spread = np.sqrt(noise.variance(left) / 2)
+    left = left + spread * (rng.standard_normal(left.shape) + 1j * rng.standard_normal(left.shape))
+    rms = np.sqrt(np.mean(np.abs(left) ** 2, axis=1))
+    low, high = np.percentile(np.abs(left), COVERED, axis=0)
+    ends = np.percentile(rms, COVERED)
+    before = float(np.sqrt(np.mean(np.abs(known.mean[:, 0]) ** 2)))
+    unbalance = np.array([np.linalg.pinv(draw[:, 1:]) @ draw[:, 0] + weights for draw in drawn[:400]])
+    upper = np.percentile(np.abs(unbalance), 95, axis=0)
+    amplitudes = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
+    interval = (float(ends[0]), float(ends[1]))
+    return Residual(float(np.sqrt(np.mean(rms**2))), interval, before, amplitudes, low, high, upper)
+
+
+def _drawn_residual(known: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:
+    """z_0 + alpha w of the *drawn* z_0 and alpha, (n, n_line) [unit of the readings].
+
+    What weights in these planes cannot change of the estimated vibration is noise as far as its size is that
+    of noise (empirical Bayes): unbalance in the planes themselves leaves nothing of that kind.
+    """
+    middle = known.mean @ whole
+    errors = drawn @ whole - middle
+    n_line, n_plane = middle.size, whole.size - 1
+    if n_line <= n_plane:
+        return np.asarray(middle + errors)
+    basis = np.linalg.svd(known.mean[:, 1:], full_matrices=False)[0]
+    within = errors @ basis.conj() @ basis.T
+    beyond, fixed = errors - within, middle - basis @ (basis.conj().T @ middle)
+    # Their common variance, by its posterior under a prior flat in the logarithm.
+    n_free = n_line - n_plane
+    noise = float(np.mean(np.sum(np.abs(beyond) ** 2, axis=1))) / n_free
+    size = np.sum(np.abs(fixed) ** 2) / np.random.default_rng(SEED + 3).gamma(n_free, size=drawn.shape[0])
+    share = np.maximum(1 - noise / np.maximum(size, 1e-300), 0.0)[:, None]
+    return np.asarray(middle - fixed + within + share * fixed + np.sqrt(share) * beyond)
+
+
+def next_runs(known: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
+    """Expected root mean square of what is left [unit of the readings] if one more run were made first, with
+    the weights (n_plane,) [kg m] of each candidate, and the weights chosen anew by it.
+
+    Over draws of the truth: its readings move the mean and narrow z_0 and alpha (preposterior analysis).
+    """
+    n_line = known.mean.shape[0]
+    rng = np.random.default_rng(SEED + 2)
+    truths = known.draws(TRIED)
+    for truth in truths:
+        # Unbalance in the planes: what they cannot make is no part of the truth.
+        truth[:, 0] = truth[:, 1:] @ (np.linalg.pinv(truth[:, 1:]) @ truth[:, 0])
+    scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
+    expected = {}
+    for name, weights in candidates.items():
+        whole = np.concatenate([[1.0], weights])
+        variance = noise.variance(known.mean @ whole)
+        spread = known.covariance @ whole.conj()
+        total = (spread @ whole).real + variance
+        narrowed = known.covariance - spread[:, :, None] * spread[:, None, :].conj() / total[:, None, None]
+        squares = []
+        for truth, normal in zip(truths, scatter, strict=True):
+            surprise = (truth - known.mean) @ whole + np.sqrt(variance) * normal
+            moved = known.mean + spread * (surprise / total)[:, None]
+            chosen = best_weights(Influence(moved, narrowed, known.misfit, known.dof))
+            squares.append(np.sum(np.abs(truth @ np.concatenate([[1.0], chosen])) ** 2))
+        expected[name] = float(np.sqrt(np.mean(squares) / n_line))
+    return expected
+
 
 LISTS = ("planes", "runs")
 
@@ -37,32 +277,25 @@ class BalanceSettings(Settings):
 
     title: str = setting("text", "title of the report", default="")
     _: KW_ONLY
-    repeatability: float = setting(
-        "value",
-        "scatter of a reading when nothing is changed, as a share of it (standard)",
-        unit="1",
-        default=0.02,
+    repeatability: float = quantity(
+        "scatter of a reading when nothing is changed, as a share of it (standard)", "1", 0.02
     )
     noise: str = setting(
         "text", "scatter that does not depend on the reading, e.g. 0.2 um (standard)", default=""
     )
-    mass: float | None = setting("value", "mass of the rotor, for a grade", unit="kg", default=None)
-    speed: float | None = setting("value", "service speed, for a grade", unit="Hz", default=None)
-    grade: float | None = setting(
-        "value", "balance quality grade asked for, e.g. 2.5 mm/s for G 2.5", unit="m/s", default=None
-    )
+    mass: float | None = quantity("mass of the rotor, for a grade", "kg", None)
+    speed: float | None = quantity("service speed, for a grade", "Hz", None)
+    grade: float | None = quantity("balance quality grade asked for, e.g. 2.5 mm/s for G 2.5", "m/s", None)
 
 
 @dataclass(frozen=True)
 class PlaneSettings(Settings):
     """One entry of ``planes:``: where weights can be set in it."""
 
-    radius: float | None = setting(
-        "value", "at which weights are set; needed for masses", unit="m", default=None
-    )
+    radius: float | None = quantity("at which weights are set; needed for masses", "m", None)
     places: int = setting("integer", "evenly spread places for weights; 0: any angle", default=0)
-    first: float = setting("value", "angle of the first place", unit="rad", default=0.0)
-    largest: float | None = setting("value", "most mass in one place", unit="kg", default=None)
+    first: float = quantity("angle of the first place", "rad", 0.0)
+    largest: float | None = quantity("most mass in one place", "kg", None)
 
     def __post_init__(self) -> None:
         if self.places and (self.places < 3 or self.radius is None):
@@ -287,3 +520,70 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         "chi2": {"value": result.known.misfit, "dof": result.known.dof},
         "next_runs": dict(result.next_runs),
     }
+
+
+# Chance below which the readings contradict the stated noise, and share by which one more run must help.
+UNLIKELY, WORTHWHILE = 0.01, 0.8
+
+
+@click.command()
+@click.argument("balance_path", metavar="FILE", type=options.PATH)
+@click.option(
+    "--json", "json_path", type=options.PATH, metavar="FILE", help="Write the result as JSON as well."
+)
+@options.overrides
+def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ...]) -> None:
+    """Balance weights by trial runs: what to set where, the vibration that is left with its interval, and
+    whether one more run would pay.
+    """
+    from labpipe.artefacts.writing import output_file
+
+    result = balanced(load_balance(balance_path, overrides))
+    for line in sentences(result):
+        echo(line)
+    if json_path is not None:
+        with output_file(json_path) as path:
+            path.write_text(json.dumps(balance_entry(result), indent=1) + "\n", encoding="utf-8")
+
+
+def sentences(result: Balanced) -> Iterator[str]:
+    """The result in lines."""
+    from scipy import stats
+
+    from labpipe.display import plain_text
+
+    file, residual = result.file, result.residual
+    for name, weight in zip(file.planes, result.weights, strict=True):
+        angle = np.degrees(np.angle(weight)) % 360
+        yield f"plane {name}: {1e6 * abs(weight):.4g} g mm at {angle:.1f} deg"
+        for place, mass in result.masses.get(name, ()):
+            yield f"  {1e3 * mass:.3g} g at {np.degrees(place) % 360:.1f} deg"
+    low, high = (plain_text(end, file.unit, 3) for end in residual.interval)
+    yield (
+        f"vibration (rms of {len(file.lines)} readings): {plain_text(residual.before, file.unit, 3)} as "
+        f"found, {plain_text(residual.rms, file.unit, 3)} expected with the weights (95 %: {low} to {high})"
+    )
+    for name, middle, first, last in zip(
+        file.lines, residual.amplitudes, residual.low, residual.high, strict=True
+    ):
+        ends = f"{plain_text(first, file.unit, 3)} to {plain_text(last, file.unit, 3)}"
+        yield f"  {name}: {plain_text(middle, file.unit, 3)} (95 %: {ends})"
+    if result.permissible is not None:
+        most = float(np.sum(residual.unbalance))
+        word = "within" if most <= result.permissible else "beyond"
+        yield (
+            f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), {word} the permissible "
+            f"{1e6 * result.permissible:.3g} g mm of G {1e3 * (file.settings.grade or 0):g}"
+        )
+    known = result.known
+    if known.dof and stats.chi2.sf(known.misfit, known.dof) < UNLIKELY:
+        yield (
+            f"warning: the readings scatter more than was stated (chi-square {known.misfit:.3g} of "
+            f"{known.dof}): the rig is not linear, changed between runs, or repeats less well"
+        )
+    best = min(result.next_runs, key=lambda name: result.next_runs[name])
+    if result.next_runs[best] < WORTHWHILE * residual.rms:
+        left = plain_text(result.next_runs[best], file.unit, 3)
+        yield f"one more run with {best} first is expected to leave {left}"
+    else:
+        yield "one more run is not expected to lower it by a fifth"

@@ -21,9 +21,7 @@ from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
 from labpipe.records.sections import PipelineSection
-from labpipe.records.settings import Settings, setting
-
-# Calibration lines: slope with standard error, test of curvature, linear range.
+from labpipe.records.settings import Settings, quantity, setting
 
 CURVATURE_P = 0.01
 
@@ -142,7 +140,6 @@ def line_fit(
         for parameter, unit, value, error in zip(names, units, line.values, std_errors, strict=False)
     )
     n = x.size
-    adjusted = 1 - (1 - line.r2) * (n - 1) / line.dof
     return Fit(
         name=name,
         model=STRAIGHT_LINE,
@@ -151,7 +148,7 @@ def line_fit(
         lines=n,
         equations=n,
         dof=line.dof,
-        gof=Goodness(line.r2, adjusted),
+        gof=Goodness(line.r2, 1 - (1 - line.r2) * (n - 1) / line.dof),
         parameters=(*parameters, *extra),
         condition_number=line.condition_number,
         correlation=correlation(line.covariance),
@@ -165,13 +162,10 @@ def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tup
         return ()
     share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
     message = (
-        f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is "
-        f"{share:.2g} % of the range"
+        f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is {share:.2g} % of "
+        "the range"
     )
     return (Finding("model-mismatch", message),)
-
-
-# The ``calibrate:`` section: straight lines through calibration tables.
 
 
 @dataclass(frozen=True)
@@ -189,15 +183,9 @@ class CalibrationSettings(Settings):
         "integer", "x enters as this power: 2 for a string's force over its frequency", default=1
     )
     through_origin: bool = setting("flag", "force the line through the origin", default=False)
-    tolerance: float | None = setting(
-        "value", "slope change allowed in the linear range", unit="1", default=None
-    )
+    tolerance: float | None = quantity("slope change allowed in the linear range", "1", None)
     name: str = ""
     path: Path = Path()
-
-
-# calibrate: tables of set and measured values -> straight lines with their uncertainty, and the range in
-# which they hold.
 
 
 @dataclass(frozen=True)
@@ -268,10 +256,7 @@ def _shown(position: float, unit: str) -> str:
 
 
 def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
-    """A column in SI: its unit as stated in the settings, or by the table itself.
-
-    A pure number where neither says any.
-    """
+    """A column in SI: its unit as stated in the settings, or by the table itself."""
     text = stated or table.units.get(name, "1")
     try:
         unit = parse_unit(text)
@@ -288,7 +273,6 @@ def _powered(x: _Column, power: int) -> _Column:
 
 
 def _units(x: _Column, y: _Column) -> tuple[str, str]:
-    """Units of slope and intercept."""
     if x.unit == "1":
         return y.unit, y.unit
     return (f"{y.unit}/{x.unit}" if "/" not in x.unit else f"{y.unit}/({x.unit})"), y.unit

@@ -6,12 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from labpipe.arrays import FloatArray
+from labpipe.estimation import statistics
+from labpipe.estimation.derived import without_intervals
 from labpipe.methods.floating_bearing.values import Valued
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import GivenUncertainty
+from labpipe.records.identification import Goodness
 from labpipe.records.uncertain import Budget, Uncertainty
 
 # Share of a variance below which an independent error is not listed by itself and stays with the noise.
@@ -23,9 +28,6 @@ def budgeted(
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
     """The parameters with their systematic part, which may be zero, and the budget; none without
     uncertainties.
-
-    A source of several independent errors, the noise of a baseline, is listed as so many, since they are
-    common to all fits on it.
     """
     parameters = tuple(quantity.parameter for quantity in valued)
     slopes = np.stack([quantity.slopes for quantity in valued])
@@ -35,12 +37,10 @@ def budgeted(
         for number, row in enumerate(uncertainty.changes, start=1):
             change = slopes @ row
             if len(uncertainty.changes) == 1 or np.nanmax(change**2 / whole**2) > UNSEEN:
-                name = (
-                    uncertainty.source
-                    if len(uncertainty.changes) == 1
-                    else (f"{uncertainty.source} ({number})")
+                part = f" ({number})" if len(uncertainty.changes) > 1 else ""
+                sources.append(
+                    Uncertainty(uncertainty.source + part, uncertainty.std_error, uncertainty.unit)
                 )
-                sources.append(Uncertainty(name, uncertainty.std_error, uncertainty.unit))
                 changes.append(change)
     if not sources:
         return parameters, None
@@ -51,3 +51,23 @@ def budgeted(
     return tuple(
         p if p.full_error is None else replace(p, systematic=float(size)) for p, size in stated
     ), budget
+
+
+def unconverged(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters of a fit that did not converge, which have no uncertainty."""
+    plain = without_intervals(parameters)
+    return tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in plain)
+
+
+def as_estimate(best: Any, gof: Goodness, amplification: FloatArray | None) -> statistics.Estimate:
+    """A minimum of a balance as other fits state theirs; amplification (n_parameter,) [parameter units]."""
+    return statistics.Estimate(
+        values=best.values,
+        covariance=best.covariance,
+        scaled_design=best.design,
+        gof=gof,
+        dof=best.dof,
+        converged=best.converged,
+        iterations=best.steps,
+        amplification=amplification,
+    )

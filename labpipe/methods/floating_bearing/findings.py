@@ -13,9 +13,6 @@ from labpipe.methods.floating_bearing.values import LIMIT, FittedStiffness, Whir
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty
 
-# What is drawn of a fitted dynamic stiffness: H line by line with its noise, the model and the baseline
-# over frequency.
-
 # Frequencies at which the model is drawn.
 N_DRAWN = 60
 
@@ -55,8 +52,6 @@ def shown_course(
     )
 
 
-# Findings and notes of a floating-bearing fit.
-
 # Ends of the names of coefficients: force in the first direction per motion in the second.
 AXES = ("xx", "xy", "yx", "yy")
 # Standard errors of noise beyond which the shaft is said to move, and the share of the relative motion from
@@ -65,12 +60,10 @@ SEEN, MOVES = 3.0, 0.002
 # Standard deviations of chi-square below its mean beyond which the residual is too small.
 SURE = 5.0
 # Share of the standard error of noise below which an error has cancelled against that of the baseline.
-CANCELS, CANCELLED = (
-    1e-6,
-    ("nothing, since the baseline was measured with the same number and takes its error back"),
-)
-# Degrees of freedom of the covariance below which the estimates lose more than a tenth to it.
-FEW_DOF = 13
+CANCELS = 1e-6
+CANCELLED = "nothing, since the baseline was measured with the same number and takes its error back"
+# Loss of the standard errors to few degrees of freedom beyond which it is said.
+LOSS = 1.1
 
 
 def remedy(group: Sequence[str]) -> str:
@@ -95,7 +88,7 @@ def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
     """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few
     periods.
     """
-    findings = []
+    findings = few_averages(noise)
     if found.reduced < 1 - SURE * noise.spread(found.dof):
         message = (
             f"the residual is only {np.sqrt(found.reduced):.2g} times what the scatter of the channels would "
@@ -103,16 +96,20 @@ def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
             "turning shaft under a probe, counts as noise, and the intervals are too wide. Take it out with "
             "`frf: {remove: {speed: ..., harmonics: 2}}`"
         )
-        findings.append(note("scatter-not-noise", message))
-    if noise.dof >= FEW_DOF:
-        return tuple(findings)
-    loss = np.sqrt(noise.dof / (noise.dof - 2 - 1 / (noise.dof - 2)))
+        findings = (note("scatter-not-noise", message), *findings)
+    return findings
+
+
+def few_averages(noise: Noise) -> tuple[Finding, ...]:
+    """A note where few periods or blocks widen the intervals."""
+    if noise.loss < LOSS:
+        return ()
     message = (
         f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are "
-        f"{loss:.3g} times those with a "
-        "known one. Average more periods, or let neighbouring lines share their noise"
+        f"{noise.loss:.3g} times those with a known one. Average more periods, or let neighbouring lines "
+        "share their noise"
     )
-    return (*findings, note("few-averages", message))
+    return (note("few-averages", message),)
 
 
 def shaft_motion(stator: Stator) -> tuple[float, float] | None:
@@ -154,13 +151,10 @@ def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
         f"{100 * moved[0]:.2g} % of the motion of the stator against it (accelerations against displacements)"
     )
     if given.accelerated or effective_forces(stator):
-        return (
-            note(
-                "shaft-moves",
-                f"the shaft moves by {share}; the balance is of the stator, so that no "
-                "coefficient is wrong by it",
-            ),
+        what = (
+            f"the shaft moves by {share}; the balance is of the stator, so that no coefficient is wrong by it"
         )
+        return (note("shaft-moves", what),)
     message = (
         f"the shaft moves by {share}, and the inertia of the stator is not taken out of the forces: mass and "
         "stiffness are wrong. Give `stator_mass`, or forces less mass times acceleration as derived channels"
@@ -181,21 +175,12 @@ def given_notes(
 ) -> tuple[str, ...]:
     """Which given numbers the intervals hold, and how much of the variance is theirs."""
     if not uncertainties:
-        numbers = [
-            name
-            for name, there in (("the mass of the stator", given.mass), ("the baseline", given.baseline))
-            if there is not None
-        ]
-        stated = (
-            f"{' and '.join(numbers)} {'counts' if len(numbers) == 1 else 'count'} as exact"
-            if numbers
-            else ""
-        )
-        return (
-            (f"dynamic-stiffness: {stated}: give the uncertainty where there is one (60 kg +- 0.6 kg).",)
-            if stated
-            else ()
-        )
+        pairs = (("the mass of the stator", given.mass), ("the baseline", given.baseline))
+        numbers = [name for name, number in pairs if number is not None]
+        if not numbers:
+            return ()
+        stated = f"{' and '.join(numbers)} {'counts' if len(numbers) == 1 else 'count'} as exact"
+        return (f"dynamic-stiffness: {stated}: give the uncertainty where there is one (60 kg +- 0.6 kg).",)
     names = found.model.names
     lines = []
     for uncertainty in uncertainties:
@@ -210,8 +195,8 @@ def given_notes(
         )
         lines.append(f"{uncertainty.source}: {size}")
     return (
-        "dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines "
-        f"and runs. {'; '.join(lines)}.",
+        "dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines and "
+        f"runs. {'; '.join(lines)}.",
     )
 
 

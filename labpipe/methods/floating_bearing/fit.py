@@ -1,19 +1,5 @@
 """Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of
 noise and of given numbers.
-
-ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line from
-two runs.
-
-All lines weigh alike and the noise of the motion is not regarded, so that its errors are larger than need be
-and its intervals, from the residual, are those of noise that is the same at all lines. For comparison with
-published results; `ml` is the better estimate.
-
-Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test beside
-it.
-
-BIC, for the parameters of a form within which a smaller one lies are not determined there: likelihood ratios
-are not chi-square then, and AIC takes the larger form in a third of the cases. A form that BIC chooses may
-still fail its chi-square: then none is right.
 """
 
 from __future__ import annotations
@@ -26,13 +12,12 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation import statistics
-from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, inflation_factors
-from labpipe.methods.floating_bearing.budget import budgeted
+from labpipe.methods.floating_bearing.budget import as_estimate, budgeted, unconverged
 from labpipe.methods.floating_bearing.findings import (
     effective_forces,
     given_notes,
@@ -53,9 +38,9 @@ from labpipe.methods.floating_bearing.given import (
     given_errors,
     given_uncertainties,
     response_of,
+    smeared_balance,
     smoothed_channels,
 )
-from labpipe.methods.floating_bearing.leakage import smeared_balance
 from labpipe.methods.floating_bearing.likelihood import (
     Balance,
     ErrorsInVariables,
@@ -90,8 +75,6 @@ from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, split_uncertainty
 from labpipe.registry import nearest
-
-# Where a baseline comes from: the fit of an earlier test, or given numbers.
 
 NONE = Uncertain(0.0)
 
@@ -156,7 +139,7 @@ def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
 
 
 def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
-    """The baseline of given numbers, the same in x and y; else that of an earlier fit; None without any."""
+    """The baseline of given numbers, the same in x and y; else that of an earlier fit."""
     if own.baseline_stiffness is None and own.baseline_damping is None:
         return own.known
     stiffness, damping = own.baseline_stiffness or NONE, own.baseline_damping or NONE
@@ -179,9 +162,6 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
     )
 
 
-# ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line
-# from two runs.
-
 # Functions of the real and of the imaginary part of H, by form.
 REAL_PARTS = {"kc": 1, "kcm": 2}
 
@@ -199,7 +179,8 @@ def least_squares(
             "least squares is for form kc or kcm without symmetry", hint="estimator: ml", field="estimator"
         )
     lines = line_stiffness(balance)
-    designs = _designs(model, lines.omega)
+    basis = model.form.basis(np.empty(0), lines.omega)
+    designs = basis[_rows_of(model, 0)].real.T, basis[_rows_of(model, 1)].imag.T
     for design in designs:
         if design.shape[0] <= design.shape[1]:
             raise FitError(
@@ -226,24 +207,13 @@ def _rows_of(model: StiffnessModel, part: int) -> list[int]:
     return [1] if part else [number for number in range(len(model.form.matrices)) if number != 1]
 
 
-def _designs(model: StiffnessModel, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Functions of the real and of the imaginary part, (n_line, n) [1, 1/s, 1/s^2]."""
-    basis = model.form.basis(np.empty(0), omega)
-    return basis[_rows_of(model, 0)].real.T, basis[_rows_of(model, 1)].imag.T
-
-
-def _elements(model: StiffnessModel, stiffness: ComplexArray) -> ComplexArray:
-    """(..., n_line, n_element) [N/m] of H (..., n_line, 2, 2)."""
-    return np.einsum("...ij,cij->...c", stiffness, model.elements)
-
-
 def _solved(
     model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary
     part.
     """
-    measured = _elements(model, stiffness)
+    measured = np.einsum("...ij,cij->...c", stiffness, model.elements)
     solution = np.empty((len(model.form.matrices), measured.shape[-1]))
     variance = np.empty((2, measured.shape[-1]))
     for part, (design, side) in enumerate(zip(designs, (measured.real, measured.imag), strict=True)):
@@ -266,9 +236,6 @@ def _response(
     return respond
 
 
-# Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test
-# beside it.
-
 # Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc.
 # 90:773).
 STRONG = 10.0
@@ -290,17 +257,12 @@ def compared(
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
             fits = known is not None and form == known.model.form.name
-            estimates[form] = (
-                known
-                if fits and known is not None
-                else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, uncertain)
-            )
+            model = StiffnessModel(FORMS[form], symmetry)
+            estimates[form] = known if known and fits else estimate(balance, model, noise, uncertain)
         except FitError:
             continue
-    ranked = sorted(
-        (_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()), key=_bic
-    )
-    return tuple(ranked), estimates
+    candidates = [_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()]
+    return tuple(sorted(candidates, key=_bic)), estimates
 
 
 def _bic(candidate: Candidate) -> float:
@@ -340,9 +302,6 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
     return tuple(findings)
 
 
-# Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of
-# noise and of given numbers.
-
 BANDS_BY_DEFAULT = 10
 # Rounds in which what leaks by the model of the last round is taken out of the balance.
 LEAKAGE_ROUNDS = 3
@@ -368,7 +327,7 @@ class Solved:
 
 
 def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band; none of the test that the baseline itself was fitted on.
+    """One fit, or one per band.
 
     ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
     coefficients.
@@ -381,7 +340,6 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError for more than one mass."""
     if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
         raise ConfigError(
             "the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass"
@@ -442,10 +400,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
 
 
 def _given(settings: FitSettings, stator: Stator) -> Given:
-    """Mass and baseline of the settings.
-
-    ConfigError where accelerations are missing, or the inertia is out already.
-    """
     section: DynamicStiffnessSettings = settings.model_settings
     mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
     if mass is not None and mass.value == 0:
@@ -468,10 +422,7 @@ def _given(settings: FitSettings, stator: Stator) -> Given:
 
 
 def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
-    """A number of the settings, else the test's condition of that name.
-
-    ConfigError for one that cannot be read.
-    """
+    """A number of the settings, else the test's condition of that name."""
     if given is not None or condition not in spectra.conditions:
         return given
     try:
@@ -485,7 +436,6 @@ def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: 
 def _solved_fit(
     stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise
 ) -> Solved:
-    """The estimate by the settings' estimator."""
     section: DynamicStiffnessSettings = settings.model_settings
     if not settings.estimates.likelihood:
         best, respond = least_squares(
@@ -502,19 +452,17 @@ def _solved_fit(
             balance = smeared.corrected(measured, functools.partial(best.model.stiffness, best.values))
             best, candidates = _most_likely(balance, settings, noise, uncertain)
     problem = ErrorsInVariables(balance, best.model)
-    stiffness, state, columns = (
-        best.model.stiffness(best.values, stator.omega),
-        problem.at(best.values),
-        problem.columns(best.values),
-    )
+    stiffness = best.model.stiffness(best.values, stator.omega)
+    state, columns = problem.at(best.values), problem.columns(best.values)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
-    uncertainties = given_uncertainties(errors, response_of(state, columns))
+    uncertainties = given_uncertainties(errors, response_of(state.whiten, columns))
     contradicted: tuple[Finding, ...] = ()
     if best.pulls is not None:
         uncertainties, contradicted = contradictions(given, uncertainties, best.pulls)
     amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
-    others = other_excitations(stator, best, columns)
-    return Solved(best, uncertainties, amplification, others, candidates, contradicted)
+    return Solved(
+        best, uncertainties, amplification, other_excitations(stator, best, columns), candidates, contradicted
+    )
 
 
 def _most_likely(
@@ -551,7 +499,6 @@ def _reported(
     band: tuple[float, float],
     parameters: tuple[Parameter, ...],
 ) -> Fit:
-    """The fit with its goodness, and warnings on the estimate."""
     best = solved.best
     names = best.model.names
     stiffness = best.model.stiffness(best.values, balance.omega)
@@ -559,30 +506,16 @@ def _reported(
     r2, adjusted = determination(balance.right, residual, len(names))
     likely = settings.estimates.likelihood
     gof = Goodness(r2, adjusted, best.reduced if likely else None, best.p_value if likely else None)
-    as_estimate = statistics.Estimate(
-        values=best.values,
-        covariance=best.covariance,
-        scaled_design=best.design,
-        gof=gof,
-        dof=best.dof,
-        converged=best.converged,
-        iterations=best.steps,
-        amplification=solved.amplification,
-    )
-    warnings: list[Finding] = estimate_findings(
-        as_estimate, names, balance.omega.size, best.model.units, remedy
-    )
+    stated, n_line = as_estimate(best, gof, solved.amplification), balance.omega.size
+    warnings: list[Finding] = estimate_findings(stated, names, n_line, best.model.units, remedy)
     if best.model.n_shape:
         # What is common to two terms of such a form is told by their correlation and intervals, which hold;
         # the lines are no fault.
         warnings = [finding for finding in warnings if finding.code != "collinear"]
-    if not best.converged:
-        parameters = tuple(
-            replace(parameter, std_error_inflated=None, systematic=None)
-            for parameter in without_intervals(parameters)
-        )
     return replace(
-        reported_fit(settings, as_estimate, parameters, band, balance.omega.size),
+        reported_fit(
+            settings, stated, parameters if best.converged else unconverged(parameters), band, n_line
+        ),
         findings=(*warnings, *goodness_findings(gof)),
         candidates=solved.candidates,
     )

@@ -1,8 +1,8 @@
 """Forms of a dynamic stiffness over frequency: H(w) = sum_k g_k(w; theta) M_k with real matrices M_k and few
 shape parameters theta.
 
-FORMS by name. All are linear in the matrices; theta is what the functions g_k know beside the frequency: a
-relaxation time, the natural frequency of a pad. Positive shape parameters are fitted as their logarithms.
+All are linear in the matrices; theta is what the functions g_k know beside the frequency: a relaxation time,
+the natural frequency of a pad. Positive shape parameters are fitted as their logarithms.
 """
 
 from __future__ import annotations
@@ -235,8 +235,7 @@ class StiffnessModel:
 
     def matrices(self, values: FloatArray) -> FloatArray:
         """The M_k (n_matrix, 2, 2) [N/m, N.s/m, kg] of values (n_parameter,)."""
-        linear = values[: self.n_linear].reshape(len(self.form.matrices), -1)
-        return np.tensordot(linear, self.elements, 1)
+        return np.tensordot(values[: self.n_linear].reshape(len(self.form.matrices), -1), self.elements, 1)
 
     def stiffness(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s].

@@ -1,5 +1,5 @@
-"""What is given, not estimated: the stator's mass and the baseline (hoses, stingers), each with its
-uncertainty and where that comes from.
+"""What is given of a stator's balance: its mass and the baseline (hoses, stingers), each with its
+uncertainty, and what finite blocks of random data leak into it.
 
 F - M_s A - Z_b X_s = H D with the absolute motion X_s = -A / w^2 of the stator. To subtract Z_b from H
 instead is wrong by Z_b X_r D^-1 as soon as the shaft moves.
@@ -9,22 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.estimation.causes import stated_findings
+from labpipe.estimation.diagnostics import ENOUGH_LINES, FEWEST_LINES, rounded_up
+from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.statistics import Pulls
 from labpipe.methods.floating_bearing.forms import StiffnessModel
 from labpipe.methods.floating_bearing.likelihood import Balance, Whitened, real_rows, times
-from labpipe.methods.floating_bearing.stator import Stator
+from labpipe.methods.floating_bearing.stator import ONE_DIRECTION, Stator
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
+from labpipe.spectra.windows import has_kernel, kernel_of
 
 MASS = "mass of the stator"
 
-Respond = Callable[[ComplexArray], FloatArray]
+Respond = Callable[[ComplexArray], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -156,17 +161,15 @@ def given_errors(
             errors.append(
                 (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None])
             )
-    return _joined(errors)
+    return joined(errors)
 
 
-def _joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Errors of one source added with their signs, each source once."""
+def joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
+    """Errors (..., n_line, n_run, n) [N] of one source added with their signs, each source once."""
     sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
     for uncertainty, error in errors:
-        source = sources.get(uncertainty.source)
-        sources[uncertainty.source] = (
-            (uncertainty, error) if source is None else (source[0], source[1] + error)
-        )
+        first, before = sources.get(uncertainty.source, (uncertainty, 0.0))
+        sources[uncertainty.source] = (first, before + error)
     return list(sources.values())
 
 
@@ -197,18 +200,16 @@ def given_uncertainties(
     )
 
 
-def response_of(state: Whitened, columns: FloatArray) -> Respond:
-    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *columns* J (n_equation, n_parameter)
-    [1/parameter unit].
-
-    Equation (ds-given).
+def response_of(whiten: Respond, columns: FloatArray) -> Callable[[ComplexArray], FloatArray]:
+    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *whiten*: L^-1 of forces, *columns* J
+    (n_equation, n_parameter) [1/parameter unit]. Equation (ds-given).
     """
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     gain = -np.linalg.pinv(columns / scale) / scale[:, None]
 
     def respond(errors: ComplexArray) -> FloatArray:
-        return np.asarray(real_rows(state.whiten(errors).reshape(len(errors), -1)) @ gain.T)
+        return np.asarray(real_rows(whiten(errors).reshape(len(errors), -1)) @ gain.T)
 
     return respond
 
@@ -238,3 +239,120 @@ def contradictions(
     )
     values = {} if given.mass is None else {mass_source(given.mass): given.mass.value}
     return widened, tuple(stated_findings(sources, pulls, values))
+
+
+# H (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s].
+Stiffness = Callable[[FloatArray], ComplexArray]
+# Frequencies at which the resonance of the stator is looked for.
+N_SOUGHT = 20_000
+
+
+@dataclass(frozen=True)
+class SmearedBalance:
+    """What blocks of random data do to the balance of a *stator* with what is *given*; *leakage* of the lines
+    of the fit.
+
+    ratio (n_line, 2, 2) [1/s^2]: acceleration per motion of the model, at the lines.
+    """
+
+    stator: Stator
+    given: Given
+    leakage: Leakage
+    ratio: ComplexArray
+
+    @property
+    def by_acceleration(self) -> bool:
+        """Whether the motion of the model is that of the accelerometers over -w^2."""
+        return self.given.absolute and self.stator.accelerated
+
+    def motion_per_force(self, stiffness: Stiffness, omega: FloatArray, ratio: ComplexArray) -> ComplexArray:
+        """(H - side * ratio)^-1 (n, 2, 2) [m/N] at omega (n,) [rad/s]; *ratio* (n, 2, 2) [1/s^2] there."""
+        return np.asarray(np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio))
+
+    def shown(self, stiffness: Stiffness) -> ComplexArray:
+        """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H.
+
+        Equation (ds-smeared).
+        """
+        omega, place = self.leakage.grid
+        lines = self.stator.omega
+        at = omega[place]
+        weights = self.leakage.kernel.weights
+        squared = (at / lines[:, None]) ** 2
+        n_line, n_point = place.shape
+        flat = at.ravel()
+        ratio = (self.ratio[:, None] * squared[..., None, None]).reshape(-1, 2, 2)
+        motion = self.motion_per_force(stiffness, flat, ratio)
+        side = np.repeat(self.given.side(lines), n_point, axis=0) - self.given.side(flat)
+        forces = (stiffness(flat) @ motion + side @ ratio @ motion).reshape(n_line, n_point, 2, 2)
+        moved = motion.reshape(n_line, n_point, 2, 2)
+        seen = squared if self.by_acceleration else np.ones_like(squared)
+        mean_force = np.einsum("p,lpij->lij", weights, forces)
+        return np.asarray(mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved)))
+
+    def corrected(self, balance: Balance, stiffness: Stiffness) -> Balance:
+        """The balance whose force side is without what leaks by the model's own H."""
+        leaked = self.shown(stiffness) - stiffness(balance.omega)
+        return replace(balance, right=balance.right - times(leaked[:, None], balance.motion))
+
+    def finding(self, stiffness: Stiffness, modelled: bool) -> tuple[Finding, ...]:
+        """A warning where the blocks are too short for the resonance of the stator in the band; *modelled*:
+        what leaks is part of the fit.
+        """
+        lines = self.stator.omega
+        omega = np.linspace(lines[0], lines[-1], N_SOUGHT)
+        every = np.arange(lines.size)
+        ratio = np.array(
+            [[np.interp(omega, lines, self.ratio[every, i, j].real) for j in range(2)] for i in range(2)]
+        ).transpose(2, 0, 1)
+        motion = self.motion_per_force(stiffness, omega, ratio.astype(np.complex128))
+        widths = [
+            half_power
+            for axis in range(2)
+            if (half_power := _half_power(omega, np.abs(motion[:, axis, axis]))) is not None
+        ]
+        if not widths:
+            return ()
+        frequency, width = min(widths, key=lambda half_power: half_power[1])
+        length = self.leakage.kernel.blocks.length
+        enough = FEWEST_LINES if modelled else ENOUGH_LINES
+        if length * width >= enough:
+            return ()
+        why = (
+            "its damping comes from the window's leakage more than from the measurement"
+            if modelled
+            else "it shifts stiffness and damping, which no standard error shows"
+        )
+        cure = "" if modelled else ", or the estimator ml, which takes the leakage into the model"
+        message = (
+            f"the stator's resonance at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), "
+            f"{length * width:.2g} lines of blocks of {length:.3g} s: {why}; use blocks of at least "
+            f"{rounded_up(enough / width):g} s{cure}"
+        )
+        return (Finding("leakage", message),)
+
+
+def _half_power(omega: FloatArray, size: FloatArray) -> tuple[float, float] | None:
+    """Frequency and half-power width [Hz] of the highest maximum of *size* (n,) at omega (n,) [rad/s]."""
+    top = int(np.argmax(size))
+    below = np.flatnonzero(size < size[top] / np.sqrt(2))
+    before, after = below[below < top], below[below > top]
+    if not before.size or not after.size:
+        return None
+    return float(omega[top] / (2 * np.pi)), float((omega[after[0]] - omega[before[-1]]) / (2 * np.pi))
+
+
+def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBalance | None:
+    """What leaks into the balance."""
+    blocks = stator.spectra.blocks
+    if blocks is None or not has_kernel(blocks):
+        return None
+    numbers = np.round(stator.omega / (2 * np.pi) * blocks.length).astype(np.intp)
+    leakage = Leakage(kernel_of(blocks), numbers, np.empty(0), 0)
+    ratio = np.asarray(-(stator.omega**2)[:, None, None] * np.eye(2), np.complex128)
+    if not given.absolute and stator.accelerated and balance.motion.shape[1] > 1:
+        # The shaft moves too: acceleration per motion against it, where both runs tell it.
+        motion = balance.motion.swapaxes(-1, -2)
+        tells = np.linalg.cond(motion) < ONE_DIRECTION
+        ratio[tells] = stator.axes[tells, :, 4:].swapaxes(-1, -2) @ np.linalg.pinv(motion[tells])
+    return SmearedBalance(stator, given, leakage, ratio)

@@ -1,15 +1,10 @@
 """Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion
 m.
 
-Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion m.
-
 With u = [G; m] of covariance C, B = [I, -H] and S = B C B^H the likelihood of u over all true u with B u = 0
 is, but for constants, V = sum over lines and runs of e^H S^-1 e (Pintelon and Schoukens 2012, System
-Identification, sec. 9.10). No run is inverted, so that one run with one vector per line is as good as two. 2
-V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n parameters.
-
-ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance
-estimated from few periods.
+Identification, sec. 9.10). 2 V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n
+parameters.
 
 A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu /
 (nu - p), and the covariance of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1)
@@ -32,9 +27,6 @@ from labpipe.estimation.descent import Minimum, minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
-
-# Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion
-# m.
 
 
 @dataclass(frozen=True)
@@ -107,8 +99,7 @@ def whitened(balance: Balance, stiffness: ComplexArray) -> Whitened:
     l_yy = np.sqrt(s[..., 1, 1].real - np.abs(l_yx) ** 2)
     plain = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
     white = Whitened(plain.whiten(plain.white), balance.motion, l_xx, l_yx, l_yy)
-    smoothed = balance.motion - times(of_motion, white.weighted())
-    return Whitened(white.white, smoothed, l_xx, l_yx, l_yy)
+    return Whitened(white.white, balance.motion - times(of_motion, white.weighted()), l_xx, l_yx, l_yy)
 
 
 class ErrorsInVariables:
@@ -165,7 +156,7 @@ class ErrorsInVariables:
         return real_rows(linear).T
 
     def chi2(self, parameters: FloatArray) -> float:
-        """V [1] at *parameters* (n_parameter,); infinite where it is no number. Equation (ds-likelihood)."""
+        """V [1] at *parameters* (n_parameter,). Equation (ds-likelihood)."""
         white = self.at(parameters).white
         total = float(np.sum(white.real**2 + white.imag**2))
         return total if np.isfinite(total) else float("inf")
@@ -176,9 +167,6 @@ def real_rows(rows: ComplexArray) -> FloatArray:
     return np.concatenate([rows.real, rows.imag], axis=1)
 
 
-# Where a descent begins: the matrices by weighted linear least squares, for every shape parameter of a grid
-# at once.
-
 # Descents from the best places of a grid of shape parameters.
 MOST_DESCENTS = 3
 REWEIGHTED = 2
@@ -187,10 +175,7 @@ RIDGE = 1e-10
 
 
 def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
-    """Values (n_parameter,) [parameter units] to begin with, the most promising first.
-
-    One for a model without shape parameters.
-    """
+    """Values (n_parameter,) [parameter units] to begin with, the most promising first."""
     weights = _weights(balance, model.symmetry)
     grid = model.form.starts(balance.omega)
     linear, misfit = solved(balance, model, grid, weights)
@@ -203,17 +188,12 @@ def _weights(balance: Balance, symmetry: str) -> Whitened:
     out.
     """
     model = StiffnessModel(FORMS["kcm"], symmetry)
-    weights = _alike(balance)
+    ones = np.ones(balance.right.shape[:2])
+    weights = Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
     for _ in range(REWEIGHTED):
         values = solved(balance, model, np.empty((1, 0)), weights)[0][0]
         weights = whitened(balance, model.stiffness(values, balance.omega))
     return weights
-
-
-def _alike(balance: Balance) -> Whitened:
-    """Weights that are the same for all lines."""
-    ones = np.ones(balance.right.shape[:2])
-    return Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
 
 
 def solved(
@@ -222,8 +202,7 @@ def solved(
     """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what
     they leave (n_start,) [1].
 
-    grid (n_start, n_shape) of shape parameters. The normal equations of all starts come from the same sums
-    over runs and components, line by line, since the functions g_k are the same for all elements of a matrix.
+    grid (n_start, n_shape) of shape parameters.
     """
     moved = weights.whiten(times(model.elements[:, None, None], balance.motion))
     side = weights.whiten(balance.right)
@@ -243,9 +222,6 @@ def solved(
     linear = np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale
     return linear, float(np.sum(np.abs(side) ** 2)) - np.sum(right * linear, axis=1)
 
-
-# ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance
-# estimated from few periods.
 
 # Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a
 # model.
@@ -308,6 +284,14 @@ class Noise:
         """Degrees of freedom up to which chi-square has no variance."""
         return self.equations + 1.0
 
+    def check_dof(self) -> None:
+        """FitError for a covariance from too few periods."""
+        if self.dof <= self.least_dof:
+            raise FitError(
+                f"the covariance of the channels was estimated from {self.dof:.3g} degrees of freedom only",
+                hint="average more periods or blocks, or let neighbouring lines share their noise",
+            )
+
     @property
     def excess(self) -> float:
         """E[2 V] over its value for a known covariance. Equation (ds-excess)."""
@@ -326,6 +310,13 @@ class Noise:
         p + 1) degrees of freedom.
         """
         return max(self.dof / (self.dof - self.least_dof), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
+
+    @property
+    def loss(self) -> float:
+        """Standard errors over those with a known covariance [1]."""
+        if not np.isfinite(self.dof):
+            return 1.0
+        return float(np.sqrt(self.inflation / self.shared * (self.dof - self.equations) / self.dof))
 
     def spread(self, dof: int) -> float:
         """Standard deviation of chi-square per degree of freedom."""
@@ -347,24 +338,16 @@ class Noise:
 
 def checked(balance: Balance, noise: Noise) -> None:
     """FitError for a balance without noise, or whose covariance comes from too few periods."""
-    power, variance = (
-        np.sum(np.abs(balance.motion) ** 2),
-        np.sum(np.trace(balance.motion_covariance, axis1=-2, axis2=-1).real),
-    )
-    forced, scatter = (
-        np.sum(np.abs(balance.right) ** 2),
-        np.sum(np.trace(balance.right_covariance, axis1=-2, axis2=-1).real),
-    )
-    if variance <= NOISE_FREE * power and scatter <= NOISE_FREE * forced:
+    sides = ((balance.motion, balance.motion_covariance), (balance.right, balance.right_covariance))
+    if all(
+        np.sum(np.trace(covariance, axis1=-2, axis2=-1).real) <= NOISE_FREE * np.sum(np.abs(side) ** 2)
+        for side, covariance in sides
+    ):
         raise FitError(
             "the noise of the channels is not known, so ml cannot weigh them",
             hint="measure several periods or blocks, or `estimator: ls`",
         )
-    if noise.dof <= noise.least_dof:
-        raise FitError(
-            f"the covariance of the channels was estimated from {noise.dof:.3g} degrees of freedom only",
-            hint="average more periods or blocks, or let neighbouring lines share their noise",
-        )
+    noise.check_dof()
 
 
 def estimate(
@@ -401,7 +384,7 @@ def estimate(
 def _pulls(
     problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, noise: Noise
 ) -> Pulls | None:
-    """What the data say of given numbers, each 0 +- 1 standard deviation of its own; None without any.
+    """What the data say of given numbers, each 0 +- 1 standard deviation of its own.
 
     Chi-square loses what their most likely values explain by noise of the *excess* alone; the numbers that
     data ask for have the errors of estimates.
@@ -446,5 +429,4 @@ def inverse_information(jacobian: FloatArray) -> FloatArray:
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     columns = jacobian / scale
-    inverse: FloatArray = np.linalg.pinv(2 * columns.T @ columns, hermitian=True) / np.outer(scale, scale)
-    return inverse
+    return np.linalg.pinv(2 * columns.T @ columns, hermitian=True) / np.outer(scale, scale)

@@ -1,8 +1,8 @@
 """What a force balance states where its residual is not noise: a covariance that includes the model error.
 
-e = right - H m and, of a levitated rotor, e = B z are forces on every line and run. Beside noise they hold
-courses of discrepancy of three types: a force of its own on every axis of every run (another force, other
-modes), the gain of every channel, and an error of every element of the dynamic stiffness (its law).
+Beside noise they hold courses of discrepancy of three types: a force of its own on every axis of every run
+(another force, other modes), the gain of every channel, and an error of every element of the dynamic
+stiffness (its law).
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ class BalanceMisfit:
     n_axis) [N] over it. added, slopes: from values to the forces that they add to those at the minimum, and
     to the slopes of these (n, n_line, n_run, n_axis) [N per parameter unit]. motion (n_line, n_run, n_axis)
     [m]; size (n_axis,) [N]: r.m.s. force of each axis; gains (n_channel, n_line, n_run, n_axis) [N]: what
-    every channel adds to the balance. All of them for the motion that the fit leaves of the measured one, and
-    with the noise at its minimum: the difference between two motions is the residual itself, noise and all,
-    and would explain it.
+    every channel adds to the balance.
     """
 
     names: tuple[str, ...]
@@ -101,8 +99,7 @@ def balance_error(
     """The covariance of an estimate where chi-square speaks against its model, averaged over model errors.
 
     *covariance* (n, n) [parameter units] by noise, *reduced* chi-square per degree of freedom [1], p_value.
-    *cause*, *cure*: what is usually wrong, and what to do. Of too few lines the excess counts as noise.
-    Equation (unc-coefficients).
+    *cause*, *cure*: what is usually wrong, and what to do. Equation (unc-coefficients).
     """
     if p_value >= MISMATCH_P:
         return BalanceError(covariance)

@@ -14,7 +14,6 @@ from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import FREQUENCY
 from labpipe.report.wording import fit_title
 
-# Limits of 95 % of a standard normal value.
 TWO_SIGMA = 1.96
 MEGA = 1e-6
 AXES = "xy"
@@ -61,9 +60,8 @@ def stiffness_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
         f"Dots: measured, {lines}, with 95 % intervals by noise; line: the model.{baseline} The fit itself "
         "uses the channels, not these values."
     )
-    chart = Chart(panels, 4, 2, (WIDTH, 7.2), "x", "above")
     return Figure(
-        chart,
+        Chart(panels, 4, 2, (WIDTH, 7.2), "x", "above"),
         caption,
         f"Real and imaginary parts of the dynamic stiffness of fit {fit_title(fit)} over frequency",
     )

@@ -10,14 +10,11 @@ from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES
 from labpipe.methods.floating_bearing.given import Baseline
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.settings import SPECTRA
-
-# Settings of a floating-bearing fit: the section `dynamic_stiffness:` of a fit with model
-# dynamic-stiffness.
 
 MOTIONS = ("relative", "absolute")
 SYMMETRIES = ("none", "seal", "direct")
@@ -57,17 +54,12 @@ class DynamicStiffnessSettings(Settings):
     baseline_damping: Uncertain | None = setting(
         "uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None
     )
-    band_width: float | None = setting(
-        "value", "form bands: width of one; default: a tenth of the band", unit="Hz", default=None
-    )
+    band_width: float | None = quantity("form bands: width of one; default: a tenth of the band", "Hz", None)
     forms: tuple[str, ...] = setting(
         "names", "forms that `compare` holds against each other", default=COMPARED
     )
-    speed: float | None = setting(
-        "value",
-        "speed of the shaft, from x to y; default: the test's condition `speed`",
-        unit="Hz",
-        default=None,
+    speed: float | None = quantity(
+        "speed of the shaft, from x to y; default: the test's condition `speed`", "Hz", None
     )
     rotor_mass: Uncertain | None = setting(
         "uncertain",
@@ -75,18 +67,14 @@ class DynamicStiffnessSettings(Settings):
         unit="kg",
         default=None,
     )
-    rotor_stiffness: float | None = setting(
-        "value", "stiffness of that rotor; default: rigid", unit="N/m", default=None
+    rotor_stiffness: float | None = quantity("stiffness of that rotor; default: rigid", "N/m", None)
+    load: float | None = quantity(
+        "for coefficients without dimension; default: the condition `load`", "N", None
     )
-    load: float | None = setting(
-        "value", "for coefficients without dimension; default: the condition `load`", unit="N", default=None
-    )
-    clearance: float | None = setting(
-        "value", "radial clearance, for coefficients without dimension", unit="m", default=None
-    )
-    viscosity: float | None = setting("value", "for the Sommerfeld number", unit="Pa.s", default=None)
-    diameter: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
-    length: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
+    clearance: float | None = quantity("radial clearance, for coefficients without dimension", "m", None)
+    viscosity: float | None = quantity("for the Sommerfeld number", "Pa.s", None)
+    diameter: float | None = quantity("for the Sommerfeld number", "m", None)
+    length: float | None = quantity("for the Sommerfeld number", "m", None)
     known: Baseline | None = None
 
     def __post_init__(self) -> None:
@@ -96,10 +84,8 @@ class DynamicStiffnessSettings(Settings):
             mass: Uncertain | None = getattr(self, name)
             if mass is not None and mass.value < 0:
                 raise ConfigError(f"'{name}' is negative", field=name)
-        for name in ("band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter", "length"):
-            value: float | None = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter")
+        require_positive(self, "length")
         for form in self.forms:
             if form not in FORMS:
                 raise ConfigError(
@@ -109,23 +95,13 @@ class DynamicStiffnessSettings(Settings):
             raise ConfigError("'band_width' goes with form: bands", hint="leave it out", field="band_width")
 
 
-# The model dynamic-stiffness as an entry of the table of models. What fits is imported by the first fit.
-
-
 def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.floating_bearing.fit import dynamic_stiffness_fits
 
     return dynamic_stiffness_fits(spectra, settings)
 
 
-def _earlier(settings: FitSettings) -> str:
-    stiffness_settings: DynamicStiffnessSettings = settings.model_settings
-    return stiffness_settings.baseline
-
-
 def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    if not _earlier(settings):
-        return settings
     from labpipe.methods.floating_bearing.fit import with_baseline
 
     return with_baseline(settings, fits)
@@ -137,7 +113,7 @@ DYNAMIC_STIFFNESS = ModelKind(
     DynamicStiffnessSettings,
     "dynamic_stiffness: {form: kcm}",
     optional=True,
-    earlier=_earlier,
+    earlier=lambda settings: settings.model_settings.baseline,
     begin=_begin,
     of=SPECTRA,
     keys=("mass", "input", "output", "bands", "compare"),

@@ -1,12 +1,5 @@
 """Forces on the stator, its motion and acceleration; the dynamic stiffness line by line; what other
 excitations would give.
-
-What another excitation of the same time and peak force would have given, from the information that every line
-brought.
-
-The information of a line about the coefficients goes with the square of its force, whatever the rest does. A
-spectrum of the same r.m.s. and crest factor shifts it among the lines; both forces at once, with the opposite
-sign of one of them in the second run, bring twice as much of it as one after the other.
 """
 
 from __future__ import annotations
@@ -18,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, times, whitened
 from labpipe.records.fit_details import OtherExcitation
@@ -27,9 +20,6 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
-
-# Forces on the stator, its motion against the shaft and its acceleration in x and y, of the channels of a
-# test.
 
 FORCE, DISPLACEMENT, ACCELERATION = "force", "displacement", "acceleration"
 QUANTITIES = (FORCE, DISPLACEMENT, ACCELERATION)
@@ -92,14 +82,12 @@ def stator_of(
         columns = chosen[quantity]
         if columns or quantity != ACCELERATION:
             to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
-    lines: BoolArray = (
-        np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
-    )
+    lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
     if np.count_nonzero(lines) < LEAST_LINES:
         raise FitError(
             f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
         )
-    shared = _shared(spectra, lines)
+    shared = shared_noise(spectra, int(np.count_nonzero(lines)))
     omega = 2 * np.pi * spectra.frequency[lines]
     return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
 
@@ -183,30 +171,22 @@ def _check_once(channels: Sequence[Channel], quantity: str) -> None:
     for channel in channels:
         if channel.dof in seen:
             key = "input" if quantity == FORCE else "output"
-            hint = f"name those of the balance in `{key}`"
             raise ConfigError(
                 f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}",
-                hint=hint,
+                hint=f"name those of the balance in `{key}`",
             )
         seen[channel.dof] = channel.name
 
 
-def _shared(spectra: ChannelSpectra, lines: BoolArray) -> tuple[float, float]:
-    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, as far as
-    both are in the band.
+def shared_noise(spectra: ChannelSpectra, n: int) -> tuple[float, float]:
+    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, among *n*:
+    factors of the noise that they share on the variance of a sum over lines, and on that of a sum of powers.
     """
     correlation = np.array(spectra.line_correlation, np.complex128)
-    if not correlation.size:
-        return 1.0, 1.0
-    n = int(np.count_nonzero(lines))
     pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
-    return max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0), 1 + 2 * float(
-        np.sum(pairs * np.abs(correlation) ** 2)
-    )
+    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
+    return shared, 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))
 
-
-# The dynamic stiffness line by line without a model, for figures and for least squares as in the
-# literature.
 
 # Condition number of the motions of all runs beyond which they are one direction.
 ONE_DIRECTION = 1e3
@@ -256,17 +236,12 @@ def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStif
     """
     state = whitened(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
-    residual, motion, omega = (
-        balance.right - times(stiffness[:, None], balance.motion),
-        balance.motion,
-        balance.omega,
-    )
+    residual = balance.right - times(stiffness[:, None], balance.motion)
+    motion, omega = balance.motion, balance.omega
     paired = motion.shape[1] < 2
     if paired:
-        omega, stiffness = (
-            _pairs(omega[:, None, None]).mean(axis=(1, 2)),
-            _pairs(stiffness.reshape(-1, 1, 4)).mean(axis=1).reshape(-1, 2, 2),
-        )
+        omega = _pairs(omega[:, None, None]).mean(axis=(1, 2))
+        stiffness = _pairs(stiffness.reshape(-1, 1, 4)).mean(axis=1).reshape(-1, 2, 2)
         residual, motion, noise = _pairs(residual), _pairs(motion), _pairs(noise)
     vectors = motion.swapaxes(-1, -2)
     is_determined = np.linalg.cond(vectors) < ONE_DIRECTION
@@ -282,8 +257,7 @@ def _pairs(values: NDArray[Any]) -> NDArray[Any]:
     return values[: 2 * n].reshape(n, 2, values.shape[2])
 
 
-# What another excitation of the same time and peak force would have given, from the information that every
-# line brought.
+# What another excitation of the same time and peak force would have given.
 
 # Share of the power of the forces below which a line or a direction does not act.
 QUIET = 1e-4
@@ -323,12 +297,9 @@ def _errors(information: FloatArray) -> FloatArray:
 
 def _ratios(name: str, ratios: FloatArray, letters: list[str]) -> OtherExcitation:
     """Geometric mean over the elements of K, of C and of M."""
-    means = [
-        (letter, float(np.exp(np.mean(np.log(ratios[[one == letter for one in letters]])))))
-        for letter in LETTERS
-        if letter in letters
-    ]
-    return OtherExcitation(name, tuple(letter for letter, _ in means), tuple(ratio for _, ratio in means))
+    there = tuple(letter for letter in LETTERS if letter in letters)
+    means = (np.mean(np.log(ratios[np.array(letters) == letter])) for letter in there)
+    return OtherExcitation(name, there, tuple(float(np.exp(mean)) for mean in means))
 
 
 def one_at_a_time(stator: Stator) -> bool:

@@ -1,29 +1,17 @@
 """What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, effective and dimensionless
 coefficients.
 
-Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a rotor
-on the bearing.
-
 A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w. The
 imaginary part gives k, the equivalent stiffness, linear in x = w^2; the real part then is a quadratic in x.
 Without M: w^2 = ((k - K_xx)(k - K_yy) - K_xy K_yx) / det C with k = (K_xx C_yy + K_yy C_xx - K_xy C_yx - K_yx
 C_xy) / (C_xx + C_yy) (Lund 1987; San Andres 2006 for seals). Negative: no whirl.
 
-Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping changes
-sign.
-
 On x = r cos wt, y = r sin wt the force along and against the motion is that of H_f = (H_xx + H_yy - j (H_xy -
 H_yx)) / 2: K_eff = Re H_f, C_eff = Im H_f / w; of K, C and M: C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2
 (M_xy - M_yx)) / (2 w).
 
-What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed of
-the shaft.
-
 *std_error* is what noise leaves, *std_error_inflated* with it what given numbers add (and a residual beyond
 the noise); intervals are by the latter.
-
-Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and the
-Sommerfeld number.
 
 S = mu N L D / W (R / c)^2 with N in revolutions per second (Someya 1989, Journal-Bearing Databook).
 """
@@ -43,9 +31,6 @@ from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, Stiffness
 from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertain
 
-# Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a
-# rotor on the bearing.
-
 # Imaginary step of derivatives: exact to rounding.
 STEP = 1e-30
 # Two-sided 95 % of a standard normal value.
@@ -60,8 +45,7 @@ class Whirl:
     """x = w^2 [(rad/s)^2] of the whirl frequency w, its slopes (n_parameter,) [per parameter unit] and its 95
     % interval (Fieller).
 
-    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,). Ends of the interval are
-    infinite where it has none.
+    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,).
     """
 
     square: float
@@ -107,10 +91,7 @@ def _sizes(values: FloatArray) -> FloatArray:
 def _polynomial(
     model: StiffnessModel, values: ComplexArray | FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Coefficients (3,) of the quadratic in x, highest first, and (2,) of k = k_0 + k_1 x.
-
-    Complex for complex values.
-    """
+    """Coefficients (3,) of the quadratic in x, highest first, and (2,) of k = k_0 + k_1 x."""
     # Linear in the values, so that complex steps pass.
     matrices: NDArray[Any] = model.matrices(values)  # type: ignore[arg-type]
     k, c = matrices[0], matrices[1]
@@ -160,9 +141,6 @@ def _fieller(
     below, above = real[real <= square], real[real >= square]
     return float(below[-1]) if below.size else -np.inf, float(above[0]) if above.size else np.inf
 
-
-# Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping
-# changes sign.
 
 # Frequencies at which a change of sign is looked for: from this share of the lowest line to that of the
 # highest.
@@ -253,9 +231,6 @@ def _zero(omega: FloatArray, values: FloatArray, at: int) -> float:
     step = values[at + 1] - values[at]
     return float(omega[at] - values[at] * (omega[at + 1] - omega[at]) / step) if step else float(omega[at])
 
-
-# What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed
-# of the shaft.
 
 # Ratio of the whole standard error to that of noise below which they are the same.
 SAME = 1 + 1e-9
@@ -353,7 +328,9 @@ def _finite(low: float, high: float) -> tuple[float, float] | None:
 def _tied(valued: Valued) -> Valued:
     """k_yy = k_xx and k_yx = -k_xy."""
     parameter = valued.parameter
-    letter, suffix, *rest = _parts(parameter.name)
+    parts = parameter.name.split("_")
+    place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
+    letter, suffix, *rest = ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
     name = "_".join([letter, {"xx": "yy", "xy": "yx"}[suffix], *rest])
     if suffix == "xx":
         return Valued(replace(parameter, name=name, derived=True), valued.slopes)
@@ -363,13 +340,6 @@ def _tied(valued: Valued) -> Valued:
     return Valued(turned, -valued.slopes)
 
 
-def _parts(name: str) -> list[str]:
-    """Letters, suffix and number of a band: k_p_xx gives k_p, xx; k_xx_1 gives k, xx, 1."""
-    parts = name.split("_")
-    place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
-    return ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
-
-
 def derived_values(
     found: FittedStiffness, omega: FloatArray, shaft: Shaft
 ) -> tuple[tuple[Valued, ...], Whirl | None]:
@@ -377,7 +347,8 @@ def derived_values(
 
     Omega (n_line,) [rad/s] of the fit.
     """
-    turning = _whirl_of(found)
+    full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
+    turning = whirl(found.model, found.values, found.whole) if full else None
     parts = [
         *_whirl_values(found, turning, shaft),
         *_crossover(found, omega, shaft),
@@ -386,13 +357,7 @@ def derived_values(
     return tuple(parts), turning
 
 
-def _whirl_of(found: FittedStiffness) -> Whirl | None:
-    full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
-    return whirl(found.model, found.values, found.whole) if full else None
-
-
 def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
-    """Whirl frequency ratio and onset speed; none where there is no whirl."""
     if turning is None or turning.square <= 0 or not shaft.speed:
         return []
     speed = 2 * np.pi * abs(shaft.speed)
@@ -494,15 +459,12 @@ def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> lis
     return values
 
 
-# Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and
-# the Sommerfeld number.
-
 LETTERS = "kcm"
 
 
 @dataclass(frozen=True)
 class Bearing:
-    """Radial *clearance* [m], *load* [N], viscosity [Pa s], diameter and length [m]; None where not given."""
+    """Radial *clearance* [m], *load* [N], viscosity [Pa s], diameter and length [m]."""
 
     clearance: float | None = None
     load: float | None = None
@@ -553,7 +515,6 @@ def _scaled(valued: Valued, factor: float) -> Valued:
 
 
 def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:
-    """Of numbers that are given as exact; none unless all are."""
     needed = (bearing.viscosity, bearing.length, bearing.diameter)
     if bearing.clearance is None or bearing.load is None or any(number is None for number in needed):
         return ()

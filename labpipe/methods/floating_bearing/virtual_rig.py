@@ -2,9 +2,7 @@
 accelerometers see it move.
 
 Stator: (Z_s + H) X_s - H X_r = F, shaft: -H X_s + (Z_r + H) X_r = F_r, with H the film, Z_s = -w^2 m_s + j w
-C_b + K_b the stator on its hoses and soft supports, Z_r the same of the shaft. Measured are F, D = X_s - X_r
-less the runout of the shaft's surface, and A = -w^2 X_s, so that F - m_s A - (K_b + j w C_b) X_s = H D,
-whatever the shaft does.
+C_b + K_b the stator on its hoses and soft supports, Z_r the same of the shaft.
 """
 
 from __future__ import annotations
@@ -21,18 +19,12 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import converged_equilibrium
 from labpipe.methods.journal_bearing.kind import JournalSettings
-from labpipe.raw_files.excitation import Multisine, design_multisine
+from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate.linear import TACHO, dynamic_stiffness, pulses
-from labpipe.simulate.virtual_rigs import (
-    Truth,
-    coefficients_by_name,
-    kind_of_recordings,
-    require_positive,
-    whole_numbers,
-)
+from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
 KIND = "virtual-floating-rig"
 Matrix = tuple[tuple[float, ...], ...]
@@ -51,8 +43,8 @@ FILMS = ("given", "journal")
 class Relaxation(Settings):
     """G j w tau / (1 + j w tau) in either direction: damping that turns into stiffness."""
 
-    stiffness: float = setting("value", "stiffness G that is added at high frequency", unit="N/m")
-    time: float = setting("value", "relaxation time tau", unit="s")
+    stiffness: float = quantity("stiffness G that is added at high frequency", "N/m")
+    time: float = quantity("relaxation time tau", "s")
 
     def __post_init__(self) -> None:
         if not self.time > 0:
@@ -65,10 +57,10 @@ class Pad(Settings):
     tilting-pad bearing.
     """
 
-    stiffness: float = setting("value", "R_0", unit="N/m")
-    damping: float = setting("value", "R_1", unit="N.s/m")
-    frequency: float = setting("value", "natural frequency of the pad, w_0", unit="Hz")
-    damping_ratio: float = setting("value", "damping ratio of the pad", unit="1")
+    stiffness: float = quantity("R_0", "N/m")
+    damping: float = quantity("R_1", "N.s/m")
+    frequency: float = quantity("natural frequency of the pad, w_0", "Hz")
+    damping_ratio: float = quantity("damping ratio of the pad", "1")
 
     def __post_init__(self) -> None:
         if not self.frequency > 0:
@@ -81,11 +73,9 @@ class Condition(Settings):
     it.
     """
 
-    speed: float = setting("value", "shaft speed", unit="Hz", default=0.0)
-    load: float = setting("value", "static load on the bearing, downwards (-y)", unit="N", default=0.0)
-    pressure: float = setting(
-        "value", "pressure drop or supply pressure, for the record", unit="Pa", default=0.0
-    )
+    speed: float = quantity("shaft speed", "Hz", 0.0)
+    load: float = quantity("static load on the bearing, downwards (-y)", "N", 0.0)
+    pressure: float = quantity("pressure drop or supply pressure, for the record", "Pa", 0.0)
     film: str = setting(
         "choice", "K and C as given here, or of the rig's journal bearing", choices=FILMS, default="given"
     )
@@ -111,13 +101,13 @@ class Condition(Settings):
 class FloatingNoise(Settings):
     """Standard deviations of the measuring noise of a sample, white up to half the sampling rate."""
 
-    force: float = setting("value", "load cells", unit="N", default=2.0)
-    displacement: float = setting("value", "relative probes", unit="m", default=2e-7)
-    acceleration: float = setting("value", "accelerometers", unit="m/s^2", default=0.05)
-    drive: float = setting("value", "recorded drives", unit="V", default=1e-4)
+    force: float = quantity("load cells", "N", 2.0)
+    displacement: float = quantity("relative probes", "m", 2e-7)
+    acceleration: float = quantity("accelerometers", "m/s^2", 0.05)
+    drive: float = quantity("recorded drives", "V", 1e-4)
 
     def of(self, quantity: str) -> float:
-        """Standard deviation of a channel of this quantity [SI]; zero for the tacho."""
+        """Standard deviation of a channel of this quantity [SI]."""
         return {
             "force": self.force,
             "displacement": self.displacement,
@@ -134,7 +124,7 @@ class FloatingRig(Settings):
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    stator_mass: float = setting("value", "mass of the stator with its housing", unit="kg")
+    stator_mass: float = quantity("mass of the stator with its housing", "kg")
     conditions: tuple[tuple[str, Condition], ...] = setting(
         "sections", "conditions by name", section=Condition, default=(), needed=True
     )
@@ -147,35 +137,32 @@ class FloatingRig(Settings):
         "matrix", "of hoses and soft supports on the stator", unit="N/m", default=NONE
     )
     baseline_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=NONE)
-    shaft_mass: float = setting("value", "mass that moves with the shaft", unit="kg", default=40.0)
+    shaft_mass: float = quantity("mass that moves with the shaft", "kg", 40.0)
     shaft_stiffness: Matrix = setting(
         "matrix", "of the shaft's own supports", unit="N/m", default=((2.4e8, 0.0), (0.0, 2.4e8))
     )
     shaft_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=((2e4, 0.0), (0.0, 2e4)))
-    shaft_noise: float = setting(
-        "value", "rms of a random force on the shaft in x and in y, white in the band", unit="N", default=0.0
+    shaft_noise: float = quantity(
+        "rms of a random force on the shaft in x and in y, white in the band", "N", 0.0
     )
-    unbalance: float = setting("value", "mass times eccentricity of the shaft", unit="kg.m", default=0.0)
+    unbalance: float = quantity("mass times eccentricity of the shaft", "kg.m", 0.0)
     runout: tuple[float, ...] = setting(
         "values", "amplitudes of 1x, 2x, ... that the probes see of the shaft's surface", unit="m", default=()
     )
     excitation: str = setting(
         "choice", "recordings that are made unless they are named", choices=tuple(RUNS_OF), default="hadamard"
     )
-    force: float = setting("value", "rms force of one shaker", unit="N", default=2000.0)
+    force: float = quantity("rms force of one shaker", "N", 2000.0)
     band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(10.0, 100.0))
-    spacing: float = setting("value", "spacing of the excited lines", unit="Hz", default=1.0)
-    slope: float = setting(
-        "value",
-        "power of frequency with which the amplitude of the lines goes, -1 for 1/f",
-        unit="1",
-        default=0.0,
+    spacing: float = quantity("spacing of the excited lines", "Hz", 1.0)
+    slope: float = quantity(
+        "power of frequency with which the amplitude of the lines goes, -1 for 1/f", "1", 0.0
     )
     periods: int = setting("integer", "periods recorded, all of them steady", default=8)
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=2000.0)
+    sample_rate: float = quantity("sampling rate", "Hz", 2000.0)
     drives: bool = setting("flag", "the drives of the shakers, u_x and u_y, are recorded too", default=False)
-    gain: float = setting("value", "force of a shaker over its drive", unit="N/V", default=1000.0)
-    probe_delay: float = setting("value", "delay of the relative probes", unit="s", default=0.0)
+    gain: float = quantity("force of a shaker over its drive", "N/V", 1000.0)
+    probe_delay: float = quantity("delay of the relative probes", "s", 0.0)
     noise: FloatingNoise = setting(
         "section", "measuring noise", section=FloatingNoise, default=FloatingNoise()
     )
@@ -310,8 +297,13 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     """
     condition = rig.condition(name)
     inside, lines = rig.lines_in_band
+    shape = (lines.size, 2)
+    draws = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     forces = np.concatenate(
-        [SHAKERS[name.rpartition("-")[2]](rig, rng)[inside], _white(rig.shaft_noise, (lines.size, 2), rng)],
+        [
+            SHAKERS[name.rpartition("-")[2]](rig, rng)[inside],
+            np.asarray(draws * rig.shaft_noise / np.sqrt(shape[0])),
+        ],
         axis=1,
     )
     stator, shaft = motions(rig, condition, lines, forces)
@@ -321,7 +313,12 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     )
     phase = rng.uniform(0, 2 * np.pi)
     samples = _in_time(rig, inside, amplitudes) + _synchronous(rig, condition, phase)
-    channels = _channels()
+    kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
+    channels = [
+        Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis])
+        for letter, quantity, role in kinds
+        for axis in AXES
+    ]
     if rig.drives:
         samples = np.concatenate(
             [samples, _in_time(rig, inside, np.asarray(forces[:, :2] / rig.gain))], axis=1
@@ -334,26 +331,11 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     return Recording((*channels, TACHO), np.column_stack([samples, tacho]), rig.sample_rate, name)
 
 
-def _channels() -> list[Channel]:
-    kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
-    return [
-        Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis])
-        for letter, quantity, role in kinds
-        for axis in AXES
-    ]
-
-
 def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
     """(n_sample, n) of amplitudes (n_line, n), 0 to peak, at lines of the whole run."""
     spectrum = np.zeros((rig.n_sample // 2 + 1, amplitudes.shape[1]), np.complex128)
     spectrum[lines] = amplitudes * (rig.n_sample / 2)
     return np.asarray(fft.irfft(spectrum, rig.n_sample, axis=0))
-
-
-def _white(rms: float, shape: tuple[int, int], rng: np.random.Generator) -> ComplexArray:
-    """Amplitudes (n_line, n) of white noise with this rms in all lines together."""
-    draws = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
-    return np.asarray(draws * rms / np.sqrt(shape[0]))
 
 
 def _angle(rig: FloatingRig, speed: float) -> FloatArray:
@@ -370,7 +352,7 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
     angle = _angle(rig, condition.speed) + phase
     if rig.unbalance > 0:
         omega = 2 * np.pi * condition.speed
-        force: ComplexArray = np.array([[0, 0, 1, -1j]], np.complex128) * rig.unbalance * omega**2
+        force = np.array([[0, 0, 1, -1j]], np.complex128) * rig.unbalance * omega**2
         stator, shaft = motions(rig, condition, np.array([condition.speed]), force)
         late = np.exp(-1j * omega * rig.probe_delay)
         amplitudes = np.concatenate([np.zeros(2), (stator - shaft)[0] * late, -(omega**2) * stator[0]])
@@ -383,15 +365,11 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
     return total
 
 
-def _multisine(rig: FloatingRig) -> Multisine:
-    return design_multisine(rig.band, rig.spacing, rig.force)
-
-
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
     """Amplitudes (n_sample // 2 + 1, 2) [N]: the multisine times *shares* in x and y, or its lines to x and y
     in turn.
     """
-    design = _multisine(rig)
+    design = design_multisine(rig.band, rig.spacing, rig.force)
     size = (design.lines * design.spacing) ** rig.slope
     amplitude = size * np.exp(1j * design.phases)
     both = amplitude[:, None] * np.array(shares)
@@ -446,7 +424,6 @@ def _coefficients_by_name(rig: FloatingRig, condition: Condition) -> Truth:
 
 
 def _parameters(rig: FloatingRig, runs: Sequence[str]) -> Truth:
-    """Coefficients of the condition of the runs; ConfigError where they are of several."""
     conditions = dict.fromkeys(run.rpartition("-")[0] for run in runs)
     if len(conditions) != 1:
         raise ConfigError(

@@ -1,17 +1,8 @@
 """Journal bearings with a finite-length oil film: static equilibrium and the eight linear coefficients;
 Ocvirk's closed forms.
 
-Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear
-coefficients.
-
 Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per
 displacement in z: K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
-
-Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over one
-half.
-
-The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`,
-load along -z.
 """
 
 from __future__ import annotations
@@ -25,7 +16,6 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.journal_bearing.film import (
-    FactoredFilm,
     Film,
     FilmMesh,
     band_room,
@@ -33,9 +23,6 @@ from labpipe.methods.journal_bearing.film import (
     film_equations,
     interpolation,
 )
-
-# Static equilibrium of the journal on its film: Newton's method for pressures and displacement together,
-# dimensionless.
 
 # Largest change of displacement (over clearance), or of pressure (over its maximum), in the last step.
 TOLERANCE = 1e-7
@@ -62,7 +49,7 @@ class FilmState:
     journal (2,), Newton steps.
 
     stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step. coarse:
-    roughly, the state of the same film on half the cells each way; None where it was not needed.
+    roughly, the state of the same film on half the cells each way.
     """
 
     displacement: FloatArray
@@ -77,10 +64,9 @@ class FilmState:
         """This state with displacement and pressure changed as from *first* to *second*: a start value, no
         equilibrium.
         """
-        displacement = self.displacement + second.displacement - first.displacement
         return replace(
             self,
-            displacement=displacement,
+            displacement=self.displacement + second.displacement - first.displacement,
             pressure=self.pressure + second.pressure - first.pressure,
             coarse=None,
         )
@@ -109,11 +95,7 @@ def film_equilibrium(
 
 
 def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
-    """The state *near*, changed as the equilibrium on half the cells changes from that film to this.
-
-    Newton's method moves the front of the film by about a cell each step: over many cells it is cheaper to
-    follow it on few of them.
-    """
+    """The state *near*, changed as the equilibrium on half the cells changes from that film to this."""
     coarse = film.coarser() if film.mesh.around * film.mesh.across >= MANY_CELLS else None
     if (
         coarse is None
@@ -208,13 +190,15 @@ def film_at(
         pressure = pressure + changes[0]
         if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):
             force, slopes = (film.force_weights @ field.sum(axis=-1).T for field in (pressure, changes[1:]))
-            return FilmState(displacement, pressure, force, -slopes, _damping(film, factors), step)
+            return FilmState(
+                displacement,
+                pressure,
+                force,
+                -slopes,
+                film.force_weights @ factors.solve(_squeeze(film)).sum(axis=2).T,
+                step,
+            )
     raise FitError("the pressure in the oil film did not converge", hint="check displacement and wear")
-
-
-def _damping(film: Film, factors: FactoredFilm) -> FloatArray:
-    """-dF/d(e'/Omega): the squeeze term through the same factors; symmetric, because they are."""
-    return film.force_weights @ factors.solve(_squeeze(film)).sum(axis=2).T
 
 
 def _squeeze(film: Film) -> FloatArray:
@@ -231,9 +215,6 @@ def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> f
     closing = float(np.max(-(change @ film.grid.at_face) / face))
     return min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
 
-
-# Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear
-# coefficients.
 
 DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
@@ -297,22 +278,18 @@ class JournalBearing:
         return self.pressure_scale(speed) * self.diameter / 2 * self.length
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
-        """Coefficients (2, 2) in y and z [N/m, N.s/m].
-
-        An oil film's depend on load and speed, not on the frequency of the motion.
-        """
+        """Coefficients (2, 2) in y and z [N/m, N.s/m]."""
         film = journal_equilibrium(self, point.load, point.speed)
         return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
         """The dimensionless film on a mesh."""
-        cavitation = self.cavitation_pressure / self.pressure_scale(speed)
         return Film.of(
             mesh,
             self.diameter / self.length,
             self.wear_depth / self.clearance,
             self.wear_angle,
-            cavitation,
+            self.cavitation_pressure / self.pressure_scale(speed),
             self.groove_width,
         )
 
@@ -477,7 +454,8 @@ def converged_equilibrium(
     coarse = journal_equilibrium(bearing, load, speed, half)
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
-        error = _change(coarse, fine) / 3
+        pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
+        error = max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs) / 3
         if error <= tolerance:
             return JournalEquilibrium(bearing, speed, fine.load, mesh, fine.state, error)
         coarse, mesh = fine, FilmMesh(2 * mesh.around, 2 * mesh.across)
@@ -485,15 +463,6 @@ def converged_equilibrium(
         f"the oil film needs more than {MOST_CELLS_AROUND} cells around",
         hint=f"allow a larger error than {tolerance:g}",
     )
-
-
-def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
-    pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
-    return max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs)
-
-
-# Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over
-# one half.
 
 
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:

@@ -1,26 +1,37 @@
-"""Coefficients of an unworn journal bearing as smooth functions of its Sommerfeld number, from the
-finite-volume Reynolds solution.
+"""Journal coefficients as smooth functions: of the Sommerfeld number without wear, and as a table over wear.
 
 At a given L / D and groove, K c / W, C c Omega / W, eccentricity and attitude depend on S = mu N L D / W (R /
-c)^2 only. x points along the static load and y a quarter turn further with the spin: k_xy is force in x per
-displacement in y.
+c)^2 only; extrapolated to cells of no size (Richardson): (4 fine - coarse) / 3 of a mesh and of half its
+cells each way. x points along the static load and y a quarter turn further with the spin: k_xy is force in x
+per displacement in y.
 
-The values are extrapolated to cells of no size (Richardson): (4 fine - coarse) / 3 of a mesh and of half its
-cells each way.
+With wear scaled coefficients depend on sqrt(depth / c), the wear angle, ln S and p_cav L D / W; the table is
+a tensor product of cubic splines over these. The root of the depth resolves shallow wear; the splines are
+even in it, so that at zero depth the angle has no influence and the derivative by depth vanishes.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline, NdBSpline, make_interp_spline
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.bearing import (
+    DEFAULT_MESH,
+    TOLERANCE,
+    JournalBearing,
+    JournalEquilibrium,
+    journal_equilibrium,
+)
 from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.processes import end_with_parent
 
 # Cells of 1.25 deg: an edge of a 20 deg groove lies between two cells, also of half as many. Extrapolated
 # from half of them, thresholds of the shipped rotor lie within .005 % of those of four times the cells; not
@@ -135,17 +146,262 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
     for place in places[::-1]:
         weight = bearing.force_scale(1.0) / (6 * np.pi * float(np.exp(place)))
         near = journal_equilibrium(bearing, (0.0, -weight), 1.0, mesh, near)
-        rows.append(_row(near, weight))
+        scale = near.bearing.clearance / weight
+        turned = (
+            TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale for matrix in (near.stiffness, near.damping)
+        )
+        rows.append(
+            np.concatenate([*(matrix.ravel() for matrix in turned), [near.eccentricity_ratio, near.attitude]])
+        )
     return np.array(rows[::-1])
 
 
-def _row(equilibrium: JournalEquilibrium, weight: float) -> FloatArray:
-    """The spline's values at one equilibrium at 1 rad/s."""
-    scale = equilibrium.bearing.clearance / weight
-    turned = (
-        TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale
-        for matrix in (equilibrium.stiffness, equilibrium.damping)
+AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
+# In the order of the derivatives.
+PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
+# Degree of the splines, and fewest nodes along an axis; three allow a parabola.
+CUBIC, FEWEST_NODES = 3, 3
+# Root of depth over clearance below which the limit of the derivative at zero depth applies.
+LEAST_ROOT = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableRange:
+    """Ranges and numbers of nodes: depth from zero to *depth* [m] (zero: no wear, no axes of depth and
+    angle), angle +-*angle* [rad], viscosity by a factor up and down, clearance likewise, cavitation pressures
+    down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis. *tolerance*
+    [-] of the equilibria, as in `journal_equilibrium`.
+    """
+
+    depth: float = 50e-6
+    angle: float = np.pi / 9
+    viscosity_factor: float = 1.0
+    clearance_factor: float = 1.0
+    cavitation_pressure: float = 0.0
+    n_depth: int = 41
+    n_angle: int = 9
+    n_sommerfeld: int = 4
+    n_cavitation: int = 5
+    tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        if not (self.depth >= 0 and 0 < self.angle < np.pi / 2):
+            raise ConfigError(
+                "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
+            )
+        if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
+            raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
+        if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < FEWEST_NODES:
+            raise ConfigError(f"splines need at least {FEWEST_NODES} nodes along every axis of the table")
+
+    @property
+    def sommerfeld_factor(self) -> float:
+        """Factor of S = mu / c^2 from those of viscosity and clearance."""
+        return self.viscosity_factor * self.clearance_factor**2
+
+
+@dataclass(frozen=True)
+class TableCoefficients:
+    """stiffness [N/m], damping [N s/m], (2, 2).
+
+    Their derivatives by PARAMETERS in SI units, (5, 2, 2) each.
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    stiffness_slopes: FloatArray
+    damping_slopes: FloatArray
+
+
+@dataclass(frozen=True)
+class JournalTable:
+    """Scaled coefficients K c / W and C c Omega / W [-] over the active axes; made by `journal_table`.
+
+    active: indices of the AXES with more than one node; low, high (4,): ranges, equal where there is one
+    node; spline: K, then C.
+    """
+
+    bearing: JournalBearing
+    load: tuple[float, float]
+    active: tuple[int, ...]
+    low: FloatArray
+    high: FloatArray
+    spline: NdBSpline
+
+    def coefficients(
+        self, bearing: JournalBearing, speed: float, size: float | None = None
+    ) -> TableCoefficients:
+        """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the
+        table's.
+
+        *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s]. FitError
+        outside the table. Equation (jour-table).
+        """
+        weight = float(np.hypot(*self.load)) if size is None else size
+        point, slopes = _place(bearing, weight, speed)
+        inside = self._inside(point)
+        values = self.spline(inside)[0]
+        by_axis = np.zeros((len(AXES), 8))
+        for number, axis in enumerate(self.active):
+            by_axis[axis] = self.spline(inside, nu=[int(n == number) for n in range(len(self.active))])[0]
+        scale = weight / bearing.clearance * np.repeat([1, 1 / speed], 4)
+        by_parameter = (slopes @ by_axis) * scale
+        by_parameter[PARAMETERS.index("clearance")] -= values * scale / bearing.clearance
+        split = (values * scale).reshape(2, 2, 2), by_parameter.reshape(-1, 2, 2, 2)
+        return TableCoefficients(split[0][0], split[0][1], split[1][:, 0], split[1][:, 1])
+
+    def _inside(self, point: FloatArray) -> FloatArray:
+        slack = 1e-9 * (1 + np.abs(self.high))
+        for axis in np.flatnonzero((point < self.low - slack) | (point > self.high + slack)):
+            raise FitError(
+                f"the {AXES[axis]} lies outside the table of bearing coefficients",
+                hint="make the table wider",
+            )
+        return np.clip(point, self.low, self.high)[None, list(self.active)]
+
+
+def _place(bearing: JournalBearing, weight: float, speed: float) -> tuple[FloatArray, FloatArray]:
+    """Coordinates (4,) in the table and their derivatives by PARAMETERS, (5, 4)."""
+    c, mu = bearing.clearance, bearing.viscosity
+    root = float(np.sqrt(bearing.wear_depth / c))
+    mean_pressure = weight / (bearing.length * bearing.diameter)
+    sommerfeld = bearing.force_scale(speed) / (6 * np.pi * weight)
+    slopes = np.zeros((len(PARAMETERS), len(AXES)))
+    slopes[0, 0] = 1 / (2 * max(root, LEAST_ROOT) * c)
+    slopes[1, 1] = 1
+    slopes[2, 2] = 1 / mu
+    slopes[3, [0, 2]] = -root / (2 * c), -2 / c
+    slopes[4, 3] = 1 / mean_pressure
+    return np.array(
+        [root, bearing.wear_angle, np.log(sommerfeld), bearing.cavitation_pressure / mean_pressure]
+    ), slopes
+
+
+def journal_table(
+    bearing: JournalBearing,
+    load: tuple[float, float],
+    speed: float,
+    ranges: TableRange | None = None,
+    mesh: FilmMesh = DEFAULT_MESH,
+    workers: int = 1,
+) -> JournalTable:
+    """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure
+    are not used.
+
+    *workers*: number of processes, without influence on the result.
+    """
+    ranges = ranges or TableRange()
+    nodes = _nodes(bearing, float(np.hypot(*load)), speed, ranges)
+    sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
+    if workers > 1:
+        with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
+            rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
+    else:
+        rows = [_sheet(sheet) for sheet in sheets]
+    return _fitted(bearing, load, nodes, np.array(rows))
+
+
+def _nodes(
+    bearing: JournalBearing, weight: float, speed: float, ranges: TableRange
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    mean_pressure = weight / (bearing.length * bearing.diameter)
+    centre = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
+    half = np.log(ranges.sommerfeld_factor)
+    deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
+    return (
+        np.linspace(0, deepest, ranges.n_depth) if ranges.depth > 0 else np.zeros(1),
+        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle)
+        if ranges.depth > 0
+        else np.array([bearing.wear_angle]),
+        np.linspace(centre - half, centre + half, ranges.n_sommerfeld) if half > 0 else np.array([centre]),
+        np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation)
+        if ranges.cavitation_pressure
+        else np.zeros(1),
     )
-    return np.concatenate(
-        [*(matrix.ravel() for matrix in turned), [equilibrium.eccentricity_ratio, equilibrium.attitude]]
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """The part of a table at one *root* of depth over clearance: its equilibria do not depend on those of
+    other parts.
+    """
+
+    bearing: JournalBearing
+    load: tuple[float, float]
+    speed: float
+    mesh: FilmMesh
+    root: float
+    nodes: tuple[FloatArray, ...]
+    tolerance: float
+
+    def equilibrium(
+        self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None
+    ) -> JournalEquilibrium:
+        """At a wear angle [rad], ln S [-] and p_cav L D / W [-]."""
+        bearing, weight = self.bearing, float(np.hypot(*self.load))
+        viscosity = (
+            bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(self.speed)
+        )
+        worn = dataclasses.replace(
+            bearing,
+            viscosity=float(viscosity),
+            wear_depth=float(self.root**2 * bearing.clearance),
+            wear_angle=float(angle),
+            cavitation_pressure=float(cavitation * weight / (bearing.length * bearing.diameter)),
+        )
+        return journal_equilibrium(worn, self.load, self.speed, self.mesh, near, self.tolerance)
+
+    def scaled(self, equilibrium: JournalEquilibrium) -> FloatArray:
+        """K c / W and C c Omega / W (8,) [-]."""
+        matrices = np.concatenate([equilibrium.stiffness.ravel(), equilibrium.damping.ravel() * self.speed])
+        return matrices * (self.bearing.clearance / float(np.hypot(*self.load)))
+
+
+def _sheet(sheet: _Sheet) -> FloatArray:
+    """Scaled coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at one depth.
+
+    The angle changes the film most, so that it varies slowest.
+    """
+    angles, places = sheet.nodes[1], list(product(sheet.nodes[2], sheet.nodes[3]))
+    rows = []
+    before: list[JournalEquilibrium] = []
+    for angle in angles if sheet.root > 0 else angles[:1]:
+        here: list[JournalEquilibrium] = []
+        for number, place in enumerate(places):
+            here.append(sheet.equilibrium(angle, *place, _start(here, before, number)))
+        rows.append([sheet.scaled(equilibrium) for equilibrium in here])
+        before = here
+    shape = (angles.size, sheet.nodes[2].size, sheet.nodes[3].size, 8)
+    return np.broadcast_to(np.reshape(rows, (len(rows), *shape[1:])), shape)
+
+
+def _start(
+    here: list[JournalEquilibrium], before: list[JournalEquilibrium], number: int
+) -> JournalEquilibrium | None:
+    """The last equilibrium, moved as its neighbours at the angle *before* differ."""
+    if not here:
+        return before[number] if before else None
+    if not before:
+        return here[-1]
+    return here[-1].moved(before[number - 1], before[number])
+
+
+def _fitted(
+    bearing: JournalBearing, load: tuple[float, float], nodes: tuple[FloatArray, ...], values: FloatArray
+) -> JournalTable:
+    """Splines through *values* (n_depth, n_angle, n_sommerfeld, n_cavitation, 8), reflected at zero depth."""
+    active = tuple(axis for axis in range(len(AXES)) if nodes[axis].size > 1)
+    values = values.reshape(*(nodes[axis].size for axis in active), 8)
+    places = [nodes[axis] for axis in active]
+    low, high = (np.array([place[end] for place in nodes]) for end in (0, -1))
+    if active[0] == 0:
+        places[0] = np.concatenate([-places[0][:0:-1], places[0]])
+        values = np.concatenate([values[:0:-1], values])
+    knots, degrees = [], tuple(min(CUBIC, place.size - 1) for place in places)
+    for number, (place, degree) in enumerate(zip(places, degrees, strict=True)):
+        along = make_interp_spline(place, np.moveaxis(values, number, 0), degree)
+        knots.append(along.t)
+        values = np.moveaxis(along.c, 0, number)
+    return JournalTable(
+        bearing, load, active, low, high, NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees)
     )

@@ -46,7 +46,8 @@ def _mid_width(
     axes: Axes, film: PressureField, angle: FloatArray, pressure: FloatArray, order: IntArray
 ) -> None:
     """Pressure at mid width [bar] and, on a second ordinate, the thickness [um] over the angle [deg]."""
-    axes.plot(angle, mid_width_pressure(film, pressure), color=PALETTE[0])
+    nearest = np.isclose(np.abs(film.axial), np.abs(film.axial).min(), atol=1e-12)
+    axes.plot(angle, np.asarray(pressure[:, nearest].mean(axis=1)), color=PALETTE[0])
     axes.set_ylabel("pressure at mid width [bar]", color=PALETTE[0])
     beside = axes.twinx()
     beside.plot(angle, UM * film.thickness[order], "--", color=PALETTE[1])
@@ -66,11 +67,3 @@ def contour_levels(pressure: FloatArray) -> FloatArray:
     levels = np.asarray(MaxNLocator(N_CONTOUR).tick_values(low + 2 * TORN * range_of_pressure, high))
     inner = levels[(levels > low + 2 * TORN * range_of_pressure) & (levels < high)]
     return np.concatenate([[low], inner, [high]])
-
-
-def mid_width_pressure(film: PressureField, pressure: FloatArray) -> FloatArray:
-    """(n_theta,) [Pa] mean of the cells (n_theta, n_axial) [Pa] nearest to mid width: the middle ones, or the
-    two beside it.
-    """
-    nearest = np.isclose(np.abs(film.axial), np.abs(film.axial).min(), atol=1e-12)
-    return np.asarray(pressure[:, nearest].mean(axis=1))

@@ -1,9 +1,6 @@
 """The oil film: cells, wear, the Reynolds equation by finite volumes, its exact linearisation and its banded
 factors.
 
-The Reynolds equation of a journal bearing by finite volumes and its exact linearisation; all quantities
-dimensionless.
-
 Lengths over the radial clearance c, angle theta around and zeta = 2 z / L in axial direction, pressures over
 6 mu Omega (R / c)^2:
 
@@ -11,15 +8,12 @@ Lengths over the radial clearance c, angle theta around and zeta = 2 z / L in ax
 
 The pressure is never below the cavitation pressure: with gap = p - p_cav and surplus = A p + dh/dtheta + 2
 dh/d(Omega t), A the discrete operator, gap >= 0, surplus >= 0 and gap * surplus = 0 in every cell
-(complementarity). A front that jumps from cell to cell makes stiffness and damping rough functions of load,
-wear depth and angle. Therefore the equivalent condition gap = max(0, gap - c * surplus) uses a maximum
-rounded over a width proportional to the diverging wedge and to the square of the mesh, so that the front
-crosses about two cells gradually; away from it the equations hold exactly.
+(complementarity). Therefore the equivalent condition gap = max(0, gap - c * surplus) uses a maximum rounded
+over a width proportional to the diverging wedge and to the square of the mesh, so that the front crosses
+about two cells gradually; away from it the equations hold exactly.
 
 Axial grooves over the whole length are at ambient pressure and separate the film before them from that after
 them.
-
-Banded Cholesky factors of the film's equations.
 
 The cells are numbered in axial direction first, so the band is one column of cells wide. The film is periodic
 around the journal: where whole columns are cavitated, the ring is cut there and they are left out; a film
@@ -36,9 +30,6 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
-
-# Wear of a journal bearing: depth of the worn arc about a given angle (Dufrane et al. 1983, rotated by an
-# angle).
 
 
 def wear_edges(depth: float, angle: float) -> tuple[float, float]:
@@ -59,15 +50,13 @@ def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
 
     Equation (jour-wear).
     """
-    added: FloatArray = np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
-    return added
+    return np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
     """`worn_depth` averaged over an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact.
 
-    On a mesh the bare profile, with its kink at both edges, makes results jump as an edge moves from cell to
-    cell; the mean over one cell does not, and preserves the worn volume. Equation (jour-wear-mean).
+    Equation (jour-wear-mean).
     """
     if depth <= 0:
         return np.zeros_like(theta)
@@ -75,12 +64,9 @@ def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float)
     half = np.arccos(1 - depth)
     first = np.clip(from_deepest - width / 2, -half, half)
     last = np.clip(from_deepest + width / 2, -half, half)
-    mean: FloatArray = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
+    mean = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
     return np.maximum(mean, 0.0)
 
-
-# Cells of the oil film: equal arcs around the journal, equal strips over half the width (the film is
-# symmetric).
 
 FEWEST_AROUND = 24
 FEWEST_ACROSS = 4
@@ -139,7 +125,7 @@ class FilmGrid:
 
 @lru_cache(maxsize=16)
 def film_grid(mesh: FilmMesh) -> FilmGrid:
-    """The grid of a mesh; cached, since an identification uses the same one thousands of times."""
+    """The grid of a mesh."""
     centre = (np.arange(mesh.around) + 0.5) * mesh.arc
     face = (np.arange(mesh.around) + 1.0) * mesh.arc
     at_centre = -np.stack([np.cos(centre), np.sin(centre)])
@@ -179,9 +165,6 @@ def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatAr
 def _strips(mesh: FilmMesh) -> FloatArray:
     return (np.arange(mesh.across // 2) + 0.5) * mesh.strip
 
-
-# The Reynolds equation of a journal bearing by finite volumes and its exact linearisation; all quantities
-# dimensionless.
 
 # The front: compliance in units of a cell's own, and the part of the wedge over which the maximum is rounded.
 # Together they make coefficients smooth to .1 % over the angle of wear at 120 x 30 cells and move them by
@@ -358,7 +341,7 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, Floa
     the edge [cells].
     """
     from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
-    grooved: BoolArray = from_split < groove / 2
+    grooved = from_split < groove / 2
     distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
     after = np.roll(grooved, -1)
     opening = np.ones_like(grid.centre)
@@ -386,9 +369,6 @@ def _out(flow: FloatArray) -> FloatArray:
     np.subtract(flow[1:], flow[:-1], out=out[1:])
     np.subtract(flow[0], flow[-1], out=out[0, ...])
     return out
-
-
-# Banded Cholesky factors of the film's equations.
 
 
 @dataclass(frozen=True)
@@ -420,10 +400,7 @@ class FactoredFilm:
 
 
 def band_room(mesh: FilmMesh) -> FloatArray:
-    """Memory (n_room,) [-] for the band of a film, used again by every step of its solution.
-
-    Fresh pages would cost as much as the factors.
-    """
+    """Memory (n_room,) [-] for the band of a film, used again by every step of its solution."""
     n_half = mesh.across // 2
     return np.empty(mesh.around * n_half * (n_half + 1))
 
@@ -434,12 +411,13 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
 
     *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
     """
-    cavitated: BoolArray = np.all(equations.cavitated, axis=1)
+    cavitated = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)
     columns, band = (
         _folded_band(equations) if columns is None else (columns, _open_band(equations, columns, room))
     )
-    diagonal = _diagonal(equations, curvature)
+    around = equations.around + np.roll(equations.around, 1)
+    diagonal = around[:, None] + equations.across[:, None] * np.diagonal(curvature) + equations.diagonal
     band[:, :, 0] = diagonal[columns]
     band[:, :-1, 1] = equations.across[columns, None] * np.diagonal(curvature, 1)
     from scipy.linalg import lapack
@@ -452,16 +430,8 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
     return FactoredFilm(columns, factors, diagonal)
 
 
-def _diagonal(equations: FilmEquations, curvature: FloatArray) -> FloatArray:
-    around = equations.around + np.roll(equations.around, 1)
-    return around[:, None] + equations.across[:, None] * np.diagonal(curvature) + equations.diagonal
-
-
 def _open_ring(cavitated: BoolArray) -> IntArray | None:
-    """Columns from the end of the longest cavitated arc to its start.
-
-    None when no column is completely cavitated.
-    """
+    """Columns from the end of the longest cavitated arc to its start."""
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
         return None

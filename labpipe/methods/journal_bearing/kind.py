@@ -10,12 +10,10 @@ import numpy as np
 
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, PressureField
 from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, converged_equilibrium
-from labpipe.records.settings import Settings, setting
+from labpipe.methods.journal_bearing.bearing import JournalBearing, converged_equilibrium
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.report.chart import WIDTH, Drawing
 from labpipe.report.document import Figure
-
-# The oil film of a journal bearing as a figure: its pressure unrolled, and over it the thickness.
 
 HEIGHT = 5.2
 
@@ -41,10 +39,8 @@ DOFS = ("y", "z")
 class Wear(Settings):
     """Wear of the bushing after Dufrane: an arc of larger radius."""
 
-    depth: float = setting("value", "deepest wear", unit="m", default=0.0)
-    angle: float = setting(
-        "value", "angle of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0
-    )
+    depth: float = quantity("deepest wear", "m", 0.0)
+    angle: float = quantity("angle of the deepest wear from the bottom, positive with the spin", "rad", 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,28 +49,19 @@ class JournalSettings(Settings):
 
     kind: str = setting("choice", "which kind of bearing", choices=(JOURNAL,))
     name: str = setting("text", "name of the bearing", default="")
-    diameter: float = setting("value", "diameter of the journal", unit="m")
-    length: float = setting("value", "length of the bearing", unit="m")
-    clearance: float = setting("value", "radial clearance", unit="m")
-    viscosity: float = setting("value", "dynamic viscosity of the oil", unit="Pa.s")
-    temperature: float | None = setting(
-        "value",
-        "temperature of the film; default: that at which the viscosity is given",
-        unit="K",
-        default=None,
+    diameter: float = quantity("diameter of the journal", "m")
+    length: float = quantity("length of the bearing", "m")
+    clearance: float = quantity("radial clearance", "m")
+    viscosity: float = quantity("dynamic viscosity of the oil", "Pa.s")
+    temperature: float | None = quantity(
+        "temperature of the film; default: that at which the viscosity is given", "K", None
     )
-    viscosity_temperature: float | None = setting(
-        "value", "temperature at which the viscosity is given", unit="K", default=None
+    viscosity_temperature: float | None = quantity("temperature at which the viscosity is given", "K", None)
+    viscosity_slope: float = quantity(
+        "relative fall of the viscosity per kelvin (Reynolds), 3 %/K", "1/K", 0.0
     )
-    viscosity_slope: float = setting(
-        "value", "relative fall of the viscosity per kelvin (Reynolds), 3 %/K", unit="1/K", default=0.0
-    )
-    cavitation_pressure: float = setting(
-        "value", "pressure at which the film tears, against ambient", unit="Pa", default=0.0
-    )
-    groove_width: float = setting(
-        "value", "width of two axial grooves at the horizontal split", unit="rad", default=0.0
-    )
+    cavitation_pressure: float = quantity("pressure at which the film tears, against ambient", "Pa", 0.0)
+    groove_width: float = quantity("width of two axial grooves at the horizontal split", "rad", 0.0)
     wear: Wear = setting("section", "wear of the bushing", section=Wear, default=Wear())
 
     def __post_init__(self) -> None:
@@ -112,12 +99,10 @@ class JournalSettings(Settings):
 class JournalFile(JournalSettings):
     """A journal-bearing file: the bearing at its load and speed."""
 
-    speed: float = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz")
-    load: float = setting("value", "static load, downwards (-z)", unit="N")
-    side_load: float = setting("value", "static load in y (horizontal)", unit="N", default=0.0)
-    accuracy: float = setting(
-        "value", "mesh error allowed, of the largest coefficient", unit="1", default=0.01
-    )
+    speed: float = quantity("speed of the shaft, in Hz or rpm", "Hz")
+    load: float = quantity("static load, downwards (-z)", "N")
+    side_load: float = quantity("static load in y (horizontal)", "N", 0.0)
+    accuracy: float = quantity("mesh error allowed, of the largest coefficient", "1", 0.01)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -140,39 +125,27 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
     load = (settings.side_load, -settings.load)
     state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
     film = PressureField(state.theta, state.axial, state.pressure, state.film_thickness)
+    y, z = state.position
+    assert state.error is not None
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=state.stiffness,
         damping=state.damping,
-        rest=_rest(state),
-        notes=_notes(state),
+        rest=(
+            Amount("eccentricity_ratio", state.eccentricity_ratio, "1"),
+            Amount("attitude_angle", state.attitude, "rad"),
+            Amount("sommerfeld", state.sommerfeld, "1"),
+            Amount("y", float(y), "m"),
+            Amount("z", float(z), "m"),
+            Amount("film_thickness_min", float(state.film_thickness.min()), "m"),
+            Amount("pressure_max", float(state.pressure.max()), "Pa"),
+        ),
+        notes=(
+            Amount("cells_around", float(state.mesh.around), "1"),
+            Amount("cells_across", float(state.mesh.across), "1"),
+            Amount("mesh_error", state.error, "1"),
+        ),
         film=film,
-    )
-
-
-def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:
-    """Eccentricity over clearance, attitude from the load with the spin, Sommerfeld number, displacement,
-    thinnest film.
-    """
-    y, z = state.position
-    return (
-        Amount("eccentricity_ratio", state.eccentricity_ratio, "1"),
-        Amount("attitude_angle", state.attitude, "rad"),
-        Amount("sommerfeld", state.sommerfeld, "1"),
-        Amount("y", float(y), "m"),
-        Amount("z", float(z), "m"),
-        Amount("film_thickness_min", float(state.film_thickness.min()), "m"),
-        Amount("pressure_max", float(state.pressure.max()), "Pa"),
-    )
-
-
-def _notes(state: JournalEquilibrium) -> tuple[Amount, ...]:
-    """The mesh and its estimated error relative to the largest coefficient."""
-    assert state.error is not None
-    return (
-        Amount("cells_around", float(state.mesh.around), "1"),
-        Amount("cells_across", float(state.mesh.across), "1"),
-        Amount("mesh_error", state.error, "1"),
     )
 
 

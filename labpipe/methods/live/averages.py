@@ -72,7 +72,7 @@ class Cutter:
         return "" if there.all() else f"no number in channel '{self.channels[int(np.argmin(there))].name}'"
 
     def _transformed(self, samples: FloatArray) -> ComplexArray:
-        whole: ComplexArray = fft.rfft(samples.T, axis=1)
+        whole = fft.rfft(samples.T, axis=1)
         return np.asarray(whole[:, self._lines].T * (2 / self.n_sample))
 
 

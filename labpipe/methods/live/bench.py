@@ -1,7 +1,7 @@
 """The bench: averages in, after each the wanted coefficients with intervals that hold at this moment.
 
 Stopping on the width of a corrected interval keeps its coverage, stopping on the value does not: a rule of
-`--until` names a width. What speaks against a stop (a misfit, a change during the test) comes before it.
+`--until` names a width.
 """
 
 from __future__ import annotations
@@ -178,11 +178,10 @@ class Bench(Watch):
             for fit in self.fits:
                 fit.look()
             standings = self._standings(variation, again=True)
-        findings = (*self.findings.values(), *self._of_fits(standings))
         return Update(
             self.averages,
             standings=standings,
-            findings=findings,
+            findings=(*self.findings.values(), *self._of_fits(standings)),
             stop=self._enough(standings),
             seconds=self.seconds,
             events=events,
@@ -239,8 +238,8 @@ class Bench(Watch):
                 findings.append(
                     Finding(
                         "model-mismatch",
-                        f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does "
-                        "not explain the averages within their noise; intervals count that",
+                        f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model "
+                        "does not explain the averages within their noise; intervals count that",
                     )
                 )
             findings += self._floors(fit, standings)
@@ -288,7 +287,6 @@ class Bench(Watch):
         return findings
 
     def _enough(self, standings: Mapping[str, Standing]) -> bool:
-        """Whether every goal is reached and nothing speaks against a stop."""
         wanted = [standing for standing in standings.values() if standing.goal is not None]
         judged = all(fit.estimate is not None and fit.estimate.judged for fit in self.fits)
         if not wanted or not judged or any(not standing.reached for standing in wanted):

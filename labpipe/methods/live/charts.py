@@ -1,8 +1,7 @@
 """Self-starting charts of a running fit, and the forecast of how long it still takes.
 
-Each new average is held against the fit before it. A chart needs no phase of learning: a series is
-studentised by its own past, beside what theory expects of it. Together they raise a false alarm in at most
-one sound test of a hundred. Hawkins (1987), self-starting CUSUM charts; Siegmund (1985) for their limits.
+Each new average is held against the fit before it. Together they raise a false alarm in at most one sound
+test of a hundred. Hawkins (1987), self-starting CUSUM charts; Siegmund (1985) for their limits.
 """
 
 from __future__ import annotations
@@ -178,8 +177,6 @@ class Charts:
         limit = LEVEL * ALPHA / (len(LEVEL_LOOKS) * scores.shape[1])
         return any(stats.pearsonr(levels, column).pvalue < limit for column in scores.T)
 
-
-# How long it still takes.
 
 # Quantile of the stated band of 80 %.
 BAND = float(stats.norm.ppf(0.9))

@@ -1,8 +1,4 @@
-"""The section live of a pipeline: what a test is to reach, and its course, average by average.
-
-A run follows the recordings as `labpipe live` did while they grew: the same averages, the same intervals, and
-the number of averages after which every goal was reached.
-"""
+"""The section live of a pipeline: what a test is to reach, and its course, average by average."""
 
 from __future__ import annotations
 

@@ -145,7 +145,6 @@ class FollowedFit:
         }
 
     def _response(self) -> FrequencyResponse | None:
-        """The frequency response so far, as the run at the end measures it; None before every force acted."""
         n_output = len(self.setup.outputs)
         mean, noise = self.sums.mean, self.sums.covariance()
         motion, force = (part.swapaxes(1, 2) for part in (mean[..., :n_output], mean[..., n_output:]))

@@ -1,8 +1,7 @@
 """A fit that follows the averages of a running test, with intervals that hold at the moment of stopping.
 
-Nothing is kept but sums, so that memory stays flat however long the test. The equation of motion
-e = B F - Z X of one average is linear in the coefficients; its weighted squares have an exact gradient, and a
-warm start needs few Gauss-Newton steps per average.
+The equation of motion e = B F - Z X of one average is linear in the coefficients; its weighted squares have
+an exact gradient, and a warm start needs few Gauss-Newton steps per average.
 """
 
 from __future__ import annotations
@@ -78,8 +77,7 @@ class PeriodSums:
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
-    An average counts by the energy of its force. Satisfies the same interface as PeriodSums: the mean is
-    [H; 1], its covariance that of H.
+    An average counts by the energy of its force. 1], its covariance that of H.
     """
 
     def __init__(self) -> None:
@@ -301,7 +299,12 @@ class RunningFit:
         for _ in range(steps):
             _, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
             information, gradient = _normal(slopes, weighted, multiplier)
-            step = _solved(information, gradient)
+            scale = np.sqrt(np.diag(information))
+            scale[scale == 0] = 1.0
+            step = np.asarray(
+                np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0]
+                / scale
+            )
             share = 1.0
             while share > 1e-3:
                 trial = values - share * step
@@ -360,7 +363,9 @@ class RunningFit:
         inflation = smoothed**2 / ((smoothed - n_output) ** 2 - 1)
         covariance_of_values = inflation * inverse
         std_error = np.sqrt(np.diag(covariance_of_values))
-        dof = _satterthwaite(counts, slopes @ inverse, weighted @ inverse)
+        shares = moving_mean(2 * np.sum(((slopes @ inverse).conj() * (weighted @ inverse)).real, axis=2))
+        spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
+        dof = np.asarray(2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0))
         freedom = 2 * residual.size - n_parameter
         reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
         misfit = bool(stats.f.sf(reduced, freedom, smoothed) < MISFIT_P)
@@ -390,18 +395,3 @@ def _normal(
     flat = slopes.reshape(-1, n_parameter)
     information = 2 * (flat.conj().T @ weighted.reshape(-1, n_parameter)).real
     return information, 2 * (flat.conj().T @ multiplier.reshape(-1)).real
-
-
-def _solved(information: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Newton's step with the information scaled to a diagonal of one; what no line tells is not moved."""
-    scale = np.sqrt(np.diag(information))
-    scale[scale == 0] = 1.0
-    scaled = information / np.outer(scale, scale)
-    return np.asarray(np.linalg.lstsq(scaled, gradient / scale, rcond=1e-12)[0] / scale)
-
-
-def _satterthwaite(counts: IntArray, moved: ComplexArray, weighted: ComplexArray) -> FloatArray:
-    """Degrees of freedom of each standard error: how evenly its lines share the variance, (n_parameter,)."""
-    shares = moving_mean(2 * np.sum((moved.conj() * weighted).real, axis=2))
-    spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
-    return np.asarray(2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0))

@@ -45,7 +45,7 @@ PAUSE = 0.1
 
 @dataclass(frozen=True)
 class Prefix:
-    """The samples so far, on disk. Satisfies SampleSource."""
+    """The samples so far, on disk."""
 
     channels: tuple[Channel, ...]
     sample_rate: float
@@ -219,11 +219,8 @@ class Session:
                 self._screen.add(measured)
             self.n_row += piece.shape[0]
             for update in self.bench.add(block):
-                yield replace(update, findings=(*update.findings, *self._of_samples()))
-
-    def _of_samples(self) -> tuple[Finding, ...]:
-        screened = self._screen.findings() if self.n_row else ()
-        return (*self.findings, *screened)
+                screened = self._screen.findings() if self.n_row else ()
+                yield replace(update, findings=(*update.findings, *self.findings, *screened))
 
     def _begun(self) -> bool:
         """Set up the bench once the rate is known."""

@@ -64,8 +64,7 @@ def open_source(path: Path, columns: Sequence[str]) -> SampleStream:
         )
     if not path.parent.is_dir():
         raise DataError("no such folder", where=str(path.parent))
-    stream: SampleStream = SOURCES.load(suffix)(path, columns)
-    return stream
+    return SOURCES.load(suffix)(path, columns)
 
 
 class _Source:

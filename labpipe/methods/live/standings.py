@@ -155,7 +155,7 @@ class Watch:
         self.updates: list[Update] = []
 
     def keep(self, update: Update) -> None:
-        """Remember an update; of very many, every second one, so that a test may last for days."""
+        """Remember an update."""
         self.updates.append(update)
         if len(self.updates) > MOST_UPDATES:
             del self.updates[1:-1:2]

@@ -1,7 +1,5 @@
-"""The balance of a levitated rotor, M x'' = K_i i - K_s x, from currents and displacements of a test.
-
-The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its
-slopes.
+"""The balance of a levitated rotor, M x'' = K_i i - K_s x, from currents and displacements of a test: B z = 0
+with z = [I, X].
 
 Smooth currents: B = [-K_i, K_s - w^2 M + j w C]. Behind a held output the current between samples is not
 smooth; then exactly, with A = M^-1 K_s, x[k+1] + x[k-1] - 2 cos(sqrt(A) T) x[k] = the integral of sin(sqrt(A)
@@ -16,16 +14,15 @@ from math import factorial
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
+from labpipe.methods.floating_bearing.stator import shared_noise
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
-
-# Currents and displacements of the channels of a test, axis by axis, and the rigid rotor that they move.
 
 CURRENT, DISPLACEMENT = "current", "displacement"
 LEAST_LINES = 3
@@ -39,9 +36,9 @@ class Levitation:
 
     omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel,
     n_channel) [SI units]; to_axes (2 n, n_channel) [1]: currents [A], then displacements at the magnets [m],
-    are to_axes @ channels. mass (n, n) [kg] of the rotor at the magnets. currents: their channels; planes:
-    numbers of the axes of every plane. labels (n,) of the axes; bearing (n,): number of the bearing of each.
-    shared, shared_power as for `Noise`.
+    are to_axes @ channels. mass (n, n) [kg] of the rotor at the magnets. Planes: numbers of the axes of every
+    plane. labels (n,) of the axes; bearing (n,): number of the bearing of each. shared, shared_power as for
+    `Noise`.
     """
 
     omega: FloatArray
@@ -83,9 +80,7 @@ def levitation_of(
     displacements = _chosen(spectra, DISPLACEMENT, ("output",), names[1], "output")
     displacements = _paired(spectra.channels, currents, displacements)
     chosen = [spectra.channels[n] for n in currents]
-    lines: BoolArray = (
-        np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
-    )
+    lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
     if np.count_nonzero(lines) < LEAST_LINES:
         hint = (
             f"{LEAST_LINES} or more: widen `band`, or raise the level, since lines at which no current "
@@ -93,6 +88,7 @@ def levitation_of(
         )
         raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=hint)
     n = len(currents)
+    shared, shared_power = shared_noise(spectra, int(np.count_nonzero(lines)))
     to_axes = np.zeros((2 * n, len(spectra.channels)))
     to_axes[np.arange(n), currents] = 1.0
     at_magnets, bearing, planes = _at_magnets(chosen, [spectra.channels[k] for k in displacements])
@@ -108,14 +104,14 @@ def levitation_of(
         labels=tuple(channel.dof for channel in chosen),
         bearing=bearing,
         spectra=spectra,
-        **_shared(spectra, int(np.count_nonzero(lines))),
+        shared=shared,
+        shared_power=shared_power,
     )
 
 
 def _chosen(
     spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str
 ) -> list[int]:
-    """Columns of a quantity in one of its roles that are named, or all."""
     columns = [n for role in roles for n in spectra.columns(quantity, role)]
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
@@ -138,7 +134,6 @@ def _chosen(
 
 
 def _paired(channels: Sequence[Channel], currents: Sequence[int], displacements: Sequence[int]) -> list[int]:
-    """The displacement of every current's axis, in the order of the currents."""
     of_dof = {channels[n].dof: n for n in displacements}
     missing = [channels[n] for n in currents if channels[n].dof not in of_dof]
     if missing:
@@ -190,17 +185,13 @@ def _plane(channel: Channel) -> float | str:
 
 
 def _places(channels: Sequence[Channel]) -> FloatArray:
-    """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope.
-
-    ConfigError where they are not known.
-    """
+    """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope."""
     places = [channel.position for channel in channels]
     for channel, place in zip(channels, places, strict=True):
         if place is None:
-            hint = "position: 120 mm, along the axis"
             raise ConfigError(
                 f"two bearings act in one plane, and the place of channel '{channel.name}' is not known",
-                hint=hint,
+                hint="position: 120 mm, along the axis",
             )
     matrix = np.column_stack([np.ones(2), np.array(places, float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
@@ -223,7 +214,7 @@ def mass_matrix(
     """
     n = len(currents)
     if not isinstance(mass, float):
-        matrix: FloatArray = np.asarray(mass, float)
+        matrix = np.asarray(mass, float)
         if matrix.shape != (n, n):
             raise ConfigError(
                 f"the mass has {matrix.shape[0]} axes, the currents {n}",
@@ -248,23 +239,11 @@ def mass_matrix(
     return matrix
 
 
-def _shared(spectra: ChannelSpectra, n: int) -> dict[str, float]:
-    """Factor of the noise that neighbouring lines share on the variance of a sum over lines, and on that of a
-    sum of powers.
-    """
-    correlation = np.array(spectra.line_correlation, np.complex128)
-    pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
-    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
-    return {"shared": shared, "shared_power": 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))}
-
-
-# The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its
-# slopes.
+# The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples.
 
 # Powers of A T^2, the square of the pole times the sampling interval, beyond which rounding is larger.
 POWERS = 6
 NODES = 24
-# Relative step of differences.
 STEP = 1e-5
 UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
 
@@ -293,15 +272,15 @@ class Between:
             later = np.expm1(-corner * t) / np.expm1(-corner * interval)
         z = np.exp(1j * np.asarray(omega) * interval)[:, None]
         ahead, behind = (1 - later) + z * later, (1 - later) / z + later
-        moments = []
-        for j in range(POWERS):
-            power = 2 * j + 1
-            moments.append(
-                (((interval - t) ** power * ahead + t**power * behind) @ weights)
+        return np.array(
+            [
+                ((interval - t) ** power * ahead + t**power * behind)
+                @ weights
                 / factorial(power)
                 * self.rate**2
-            )
-        return np.array(moments)
+                for power in range(1, 2 * POWERS, 2)
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -357,23 +336,15 @@ class MagnetModel:
         """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not
         linear.
         """
-        scale = np.maximum(np.abs(values), self._sizes(omega))
-        changes = []
-        for number in range(values.size):
-            step = STEP * scale[number] * np.eye(values.size)[number]
-            changes.append(
-                (self.rows(values + step, omega) - self.rows(values - step, omega))
-                / (2 * STEP * scale[number])
-            )
-        return np.array(changes)
-
-    def _sizes(self, omega: FloatArray) -> FloatArray:
-        """Sizes of parameters that count [their units], from the inertia at the middle of the band."""
-        inertia = float(np.max(np.abs(self.mass))) * float(np.median(omega)) ** 2
+        # Sizes of parameters that count, from the inertia at the middle of the band.
+        middle = float(np.median(omega))
+        inertia = float(np.max(np.abs(self.mass))) * middle**2
+        sizes = {"k_i": 1.0, "k_s": inertia, "c": inertia / middle}
+        scale = np.maximum(np.abs(values), [sizes[kind] for kind, _, _ in self.places])
         return np.array(
             [
-                {"k_i": 1.0, "k_s": inertia, "c": inertia / float(np.median(omega))}[kind]
-                for kind, _, _ in self.places
+                (self.rows(values + step, omega) - self.rows(values - step, omega)) / (2 * step.sum())
+                for step in np.diag(STEP * scale)
             ]
         )
 
@@ -391,7 +362,10 @@ def magnet_model(
     """
     n = len(labels)
     pairs = [
-        (row, column) for row in range(n) for column in range(n) if _estimated(coupling, row, column, bearing)
+        (row, column)
+        for row in range(n)
+        for column in range(n)
+        if row == column or (coupling != DIRECT and (coupling != BEARING or bearing[row] == bearing[column]))
     ]
     kinds = [kind for kind in UNITS if kind != "c" or damping]
     places = tuple((kind, row, column) for kind in kinds for row, column in pairs)
@@ -400,9 +374,3 @@ def magnet_model(
         kind if n == 1 else f"{kind}_{labels[row]}{glue}{labels[column]}" for kind, row, column in places
     )
     return MagnetModel(names, places, mass, between)
-
-
-def _estimated(coupling: str, row: int, column: int, bearing: tuple[int, ...]) -> bool:
-    if coupling == DIRECT:
-        return row == column
-    return coupling != BEARING or bearing[row] == bearing[column]

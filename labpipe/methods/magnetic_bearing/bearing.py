@@ -1,6 +1,4 @@
-"""Magnetic bearings as a kind of bearing: reluctance network, settings of their file, stiffness, damping,
-poles.
-"""
+"""Magnetic bearings as a kind of bearing: reluctance network, settings of their file, coefficients, poles."""
 
 from __future__ import annotations
 
@@ -29,11 +27,8 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.registry import nearest
-
-# Magnet of a homopolar hybrid magnetic bearing as a reluctance network: force-current factor and negative
-# stiffness.
 
 MU_0 = 4e-7 * np.pi
 RINGS = 2
@@ -56,25 +51,17 @@ class Magnet(Settings):
     """
 
     turns: int = setting("integer", "turns of the coil on each pole")
-    gap: float = setting("value", "effective air gap of the centred rotor", unit="m")
-    pole_area: float = setting("value", "area of one pole", unit="m^2")
-    bias_current: float = setting(
-        "value", "steady current that adds to the permanent magnet's flux", unit="A", default=0.0
+    gap: float = quantity("effective air gap of the centred rotor", "m")
+    pole_area: float = quantity("area of one pole", "m^2")
+    bias_current: float = quantity("steady current that adds to the permanent magnet's flux", "A", 0.0)
+    coercivity: float = quantity("coercivity H_c of the permanent-magnet ring", "A/m", 0.0)
+    magnet_length: float = quantity("length of the permanent-magnet ring along its magnetisation", "m", 0.0)
+    magnet_area: float | None = quantity(
+        "area of the ring; by default its reluctance is neglected", "m^2", None
     )
-    coercivity: float = setting(
-        "value", "coercivity H_c of the permanent-magnet ring", unit="A/m", default=0.0
-    )
-    magnet_length: float = setting(
-        "value", "length of the permanent-magnet ring along its magnetisation", unit="m", default=0.0
-    )
-    magnet_area: float | None = setting(
-        "value", "area of the ring; by default its reluctance is neglected", unit="m^2", default=None
-    )
-    recoil: float = setting(
-        "value", "relative recoil permeability of the permanent magnet", unit="1", default=1.05
-    )
-    iron_path: float = setting("value", "length of the iron path of one pole", unit="m", default=0.0)
-    iron_permeability: float = setting("value", "relative permeability of the iron", unit="1", default=4000.0)
+    recoil: float = quantity("relative recoil permeability of the permanent magnet", "1", 1.05)
+    iron_path: float = quantity("length of the iron path of one pole", "m", 0.0)
+    iron_permeability: float = quantity("relative permeability of the iron", "1", 4000.0)
 
     def __post_init__(self) -> None:
         positive = {"turns": self.turns, "gap": self.gap, "pole_area": self.pole_area, "recoil": self.recoil}
@@ -131,8 +118,7 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
     potential = (source - magnet.magnet_reluctance * (permeance @ coils)) / (
         RINGS + magnet.magnet_reluctance * permeance.sum()
     )
-    fluxes: FloatArray = permeance * (potential + coils)
-    return fluxes
+    return permeance * (potential + coils)
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
@@ -148,8 +134,7 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
     """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the
     bias flux of a pole.
 
-    Neither x nor i changes the total flux of the ring to first order, so the permanent magnet acts through
-    phi_0 alone. Equation (mag-factors).
+    Equation (mag-factors).
     """
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
@@ -177,9 +162,6 @@ def inferred_pole_area(turns: int, gap: float, force_per_current: float, negativ
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
 
-# Magnetic bearings as a kind of bearing: settings of their file, and stiffness, damping, poles and
-# sensitivity from them.
-
 MAGNETIC = "magnetic-bearing"
 DOFS = ("x", "y")
 
@@ -195,26 +177,19 @@ class MagneticFile(Settings):
 
     kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
     name: str = setting("text", "name of the bearing", default="")
-    mass: float = setting("value", "mass that this bearing carries, for poles and sensitivity", unit="kg")
-    speed: float | None = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz", default=None)
-    frequency: float | None = setting(
-        "value", "frequency of the motion; default: the speed", unit="Hz", default=None
-    )
+    mass: float = quantity("mass that this bearing carries, for poles and sensitivity", "kg")
+    speed: float | None = quantity("speed of the shaft, in Hz or rpm", "Hz", None)
+    frequency: float | None = quantity("frequency of the motion; default: the speed", "Hz", None)
     loop: ControlLoop = setting("section", "the position control", section=ControlLoop, default=ControlLoop())
     magnet: Magnet | None = setting(
         "section", "geometry of the magnet; gives both factors unless given", section=Magnet, default=None
     )
-    force_per_current: float | None = setting(
-        "value",
-        "force-current factor; default: the magnet's, without one the loop's",
-        unit="N/A",
-        default=None,
+    force_per_current: float | None = quantity(
+        "force-current factor; default: the magnet's, without one the loop's", "N/A", None
     )
-    negative_stiffness: float | None = setting(
-        "value", "pull of the bias field per displacement, k_n", unit="N/m", default=None
-    )
-    static_stiffness: float | None = setting(
-        "value", "stiffness of the closed loop at rest; k_n is inferred", unit="N/m", default=None
+    negative_stiffness: float | None = quantity("pull of the bias field per displacement, k_n", "N/m", None)
+    static_stiffness: float | None = quantity(
+        "stiffness of the closed loop at rest; k_n is inferred", "N/m", None
     )
     inferred: tuple[str, ...] = setting(
         "names", "entries neither published nor measured; stated with the result", default=()
@@ -240,7 +215,6 @@ class MagneticFile(Settings):
             )
 
     def _check_inferred(self) -> None:
-        """ConfigError for an inferred entry that is no entry of a magnetic bearing."""
         entries = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
         for name in self.inferred:
             if name not in entries:
@@ -255,33 +229,28 @@ class MagneticFile(Settings):
 
     def levitated(self) -> Levitated:
         """Control loop, negative stiffness and mass, from whichever entries the file has."""
-        factors = None if self.magnet is None else magnet_factors(self.magnet)
-        factor = (
-            self.force_per_current
-            if factors is None or self.force_per_current is not None
-            else factors.force_per_current
-        )
+        factor, pull = self.force_per_current, self.negative_stiffness
+        if self.magnet is not None:
+            factors = magnet_factors(self.magnet)
+            factor = factors.force_per_current if factor is None else factor
+            pull = factors.negative_stiffness if pull is None else pull
         loop = self.loop if factor is None else replace(self.loop, force_per_current=factor)
         if self.static_stiffness is not None:
-            return Levitated(loop, inferred_negative_stiffness(loop, self.static_stiffness), self.mass)
-        if self.negative_stiffness is not None:
-            return Levitated(loop, self.negative_stiffness, self.mass)
-        assert factors is not None
-        return Levitated(loop, factors.negative_stiffness, self.mass)
+            pull = inferred_negative_stiffness(loop, self.static_stiffness)
+        assert pull is not None
+        return Levitated(loop, pull, self.mass)
 
     def assumptions(self) -> str:
         """Assumptions of the result, with the inferred values named."""
-        alike = (
-            ["both directions alike, without coupling"]
-            if self.loop.cross is None
-            else ["mass and magnet alike in both directions"]
-        )
-        poles = f"poles: delay by Pade approximation of order {PADE_ORDER}"
-        if self.loop.rate is not None:
-            poles = (
-                f"poles: of the loop sampled at {self.loop.rate:g} Hz, blocks of s by the bilinear transform"
-            )
-        assumptions = [*alike, poles]
+        single, rate = self.loop.cross is None, self.loop.rate
+        assumptions = [
+            "both directions alike, without coupling"
+            if single
+            else "mass and magnet alike in both directions",
+            f"poles: delay by Pade approximation of order {PADE_ORDER}"
+            if rate is None
+            else f"poles: of the loop sampled at {rate:g} Hz, blocks of s by the bilinear transform",
+        ]
         if self.static_stiffness is not None:
             assumptions.append("negative stiffness inferred from the static stiffness")
         if self.inferred:
@@ -304,7 +273,7 @@ class Verdict:
 
 @lru_cache(maxsize=32)
 def verdict(plant: Levitated) -> Verdict:
-    """Poles and sensitivity; cached, since a sweep over frequency needs them at every value."""
+    """Poles and sensitivity."""
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
 
 
@@ -324,7 +293,12 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
         stiffness=total.real,
         damping=total.imag / omega[0],
         notes=_notes(settings, plant, stability),
-        shares=_shares(plant, omega),
+        shares=tuple(
+            Amount(f"{letter}_{name}", float(value), unit)
+            for letter, unit in (("k", "N/m"), ("c", "N.s/m"))
+            for name, (share,) in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()
+            for value in [share.real if letter == "k" else share.imag / omega[0]]
+        ),
         poles=stability.poles,
         words={
             "stability": "unstable" if stability.unstable else "stable",
@@ -335,40 +309,27 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     )
 
 
-def _shares(plant: Levitated, omega: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[Amount, ...]:
-    """k and c of every element at one frequency [N/m, N.s/m]."""
-    shares = {
-        name: share[0]
-        for name, share in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()
-    }
-    stiffness = [Amount(f"k_{name}", float(share.real), "N/m") for name, share in shares.items()]
-    damping = [Amount(f"c_{name}", float(share.imag / omega[0]), "N.s/m") for name, share in shares.items()]
-    return (*stiffness, *damping)
-
-
 def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tuple[Amount, ...]:
     # The stiffness of an integrating controller at rest is infinite.
     at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
     static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
-    notes = [
+    peak = [
+        Amount("sensitivity_peak", stability.peak.value, "1"),
+        Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
+    ]
+    return (
         Amount("frequency", settings.motion_frequency, "Hz"),
         *static,
         Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
         Amount("force_per_current", plant.loop.force_per_current, "N/A"),
         Amount("unstable_poles", float(stability.unstable), "1"),
-    ]
-    if stability.unstable == 0:
-        notes += [
-            Amount("sensitivity_peak", stability.peak.value, "1"),
-            Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
-        ]
-    return tuple(notes)
+        *(peak if stability.unstable == 0 else []),
+    )
 
 
 def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
-    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay.
-
-    A sensitivity beyond zone B.
+    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay; a sensitivity
+    beyond zone B.
     """
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
@@ -376,18 +337,14 @@ def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
         return (
             Finding(
                 "unstable-loop",
-                f"the loop is unstable: {stability.unstable} poles grow; at "
-                f"{listed} rad/s (delay approximated)",
+                f"the loop is unstable: {stability.unstable} poles grow; at {listed} rad/s (delay "
+                "approximated)",
             ),
         )
     warnings = []
     if right.size:
-        warnings.append(
-            Finding(
-                "delay-approximation",
-                "the approximated delay gives poles that grow, the exact one gives none",
-            )
-        )
+        what = "the approximated delay gives poles that grow, the exact one gives none"
+        warnings.append(Finding("delay-approximation", what))
     if stability.peak.zone in ("C", "D"):
         peak = (
             f"sensitivity reaches {stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz: zone "

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.derived import reported_fit, without_intervals
-from labpipe.estimation.descent import Minimum, minimise
+from labpipe.estimation.descent import Minimum, minimise, sum_of_squares
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
@@ -20,7 +20,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widened
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSettings
-from labpipe.records.finding import Finding, Parameter
+from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import lines_in
@@ -53,9 +53,7 @@ class Block:
     def response(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """G (n_line,) [1] of values (n,) [1] at omega (n_line,) [rad/s]. Equation (mag-block)."""
         s = 1j * omega
-        total: ComplexArray = self.sign * np.exp(
-            np.clip(values[0], -FARTHEST, FARTHEST) - s * values[1] / self.highest
-        )
+        total = self.sign * np.exp(np.clip(values[0], -FARTHEST, FARTHEST) - s * values[1] / self.highest)
         rest = list(np.exp(np.clip(values[2:], -FARTHEST, FARTHEST)))
         if self.order in (1, 3):
             total = total / (1 + s / (2 * np.pi * rest.pop(0)))
@@ -86,26 +84,17 @@ class _Problem:
         return float(np.linalg.norm(self.weight * self.matrix))
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """(n_equation,) [1] at *parameters* (n,) [1]."""
         with np.errstate(all="ignore"):
             left = self.weight * (self.matrix - self.block.response(parameters, self.omega))
         return np.concatenate([left.real, left.imag])
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """(n_equation, n) [1] by centred differences."""
         steps = STEP * np.eye(parameters.size)
-        return np.column_stack(
-            [
-                (self.residual(parameters + step) - self.residual(parameters - step)) / (2 * STEP)
-                for step in steps
-            ]
-        )
+        pairs = [(self.residual(parameters + step), self.residual(parameters - step)) for step in steps]
+        return np.column_stack([(ahead - behind) / (2 * STEP) for ahead, behind in pairs])
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] at *parameters* (n,) [1]; infinite where it is no number."""
-        with np.errstate(all="ignore"):
-            total = float(np.sum(self.residual(parameters) ** 2))
-        return total if np.isfinite(total) else float("inf")
+        return sum_of_squares(self.residual, parameters)
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
@@ -135,32 +124,19 @@ def _fit(measured: Measured, response: FrequencyResponse, settings: FitSettings)
         raise FitError(
             f"{measured.omega.size} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
         )
-    orders = (
-        [int(block_settings.order)] if block_settings.order != AUTO else [int(order) for order in ORDERS[1:]]
-    )
-    minima = [
-        minimum_of_order
-        for minimum_of_order in (_most_likely(measured, order) for order in orders)
-        if minimum_of_order is not None
-    ]
+    orders = ORDERS[1:] if block_settings.order == AUTO else [block_settings.order]
+    minima = [minimum for order in orders if (minimum := _most_likely(measured, int(order))) is not None]
     if not minima:
         raise FitError("no block can be determined by these lines", hint="widen the band")
-    ranked = sorted(
-        (_candidate(measured, *minimum_of_order) for minimum_of_order in minima),
-        key=lambda candidate: candidate.bic or 0.0,
+    pairs = sorted(
+        ((_candidate(measured, *minimum), minimum) for minimum in minima), key=lambda pair: pair[0].bic or 0.0
     )
-    problem, minimum = next(
-        minimum_of_order
-        for minimum_of_order in minima
-        if f"order {minimum_of_order[0].block.order}" == ranked[0].name
-    )
-    return _reported(
-        measured, response, settings, problem, minimum, tuple(ranked) if block_settings.order == AUTO else ()
-    )
+    candidates = tuple(candidate for candidate, _ in pairs) if block_settings.order == AUTO else ()
+    return _reported(measured, response, settings, *pairs[0][1], candidates)
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:
-    """The best of the descents from several corner frequencies; none where no descent ends."""
+    """The best of the descents from several corner frequencies."""
     sign = float(np.sign(measured.matrix[0, 0, 0].real)) or 1.0
     problem = _Problem(measured, Block(order, sign, float(measured.omega[-1])))
     level = float(np.log(np.abs(measured.matrix[0, 0, 0])))
@@ -197,9 +173,8 @@ def _reported(
     covariance = weight_uncertainty(measured, best.dof).inflation * np.linalg.pinv(
         jacobian.T @ jacobian, hermitian=True
     )
-    factor = (
-        float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p is not None and best.chi2_p < MISMATCH_P else 1.0
-    )
+    assert best.chi2_p is not None
+    factor = float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p < MISMATCH_P else 1.0
     design = triangle_of(jacobian)
     values, slopes = problem.block.reported(minimum.values)
     fitted = problem.block.response(minimum.values, measured.omega)[:, None, None]
@@ -207,12 +182,11 @@ def _reported(
     gof = Goodness(r2, adjusted, best.chi2 / best.dof, best.chi2_p)
     names = tuple(name for name, _ in problem.block.names)
     vifs, errors = inflation_factors(design), slopes * np.sqrt(np.diag(covariance))
-    parameters: list[Parameter] = []
-    for number, (name, unit) in enumerate(problem.block.names):
-        plain = estimated(
-            name, unit, float(values[number]), float(errors[number]), best.dof, float(vifs[number])
-        )
-        parameters.append(widened(plain, factor) if factor > 1 else plain)
+    plain = [
+        estimated(name, unit, float(value), float(error), best.dof, float(vif))
+        for (name, unit), value, error, vif in zip(problem.block.names, values, errors, vifs, strict=True)
+    ]
+    parameters = [widened(parameter, factor) if factor > 1 else parameter for parameter in plain]
     as_estimate = Estimate(
         values=values,
         covariance=covariance,
@@ -232,6 +206,8 @@ def _reported(
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))
     shown = tuple(parameters) if minimum.converged else without_intervals(parameters)
+    ports = (measured.outputs, measured.inputs)
+    outputs, inputs = (tuple(port.label for port in side) for side in ports)
     return replace(
         reported_fit(settings, as_estimate, shown, band, frequency.size),
         findings=(
@@ -246,8 +222,8 @@ def _reported(
             measured.matrix,
             fitted,
             variance=measured.covariance[:, :1, :1].real,
-            outputs=tuple(port.label for port in measured.outputs),
-            inputs=tuple(port.label for port in measured.inputs),
+            outputs=outputs,
+            inputs=inputs,
             form=response.form,
         ),
     )

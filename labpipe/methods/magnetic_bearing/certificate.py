@@ -1,9 +1,5 @@
 """Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its
 interval, and a verdict.
-
-Without a model S is measured line by line, of one loop or of several that are coupled. With a bearing file
-its unknowns are fitted to all that was recorded, and what the fitted loop says holds between the lines and
-beyond the measured band as well.
 """
 
 from __future__ import annotations
@@ -22,7 +18,10 @@ from labpipe.methods.magnetic_bearing.limits import (
     CertificateSettings,
     Limit,
     below,
+    cause_of,
     probabilities,
+    recorded_loop,
+    sound,
     undecided,
     verdict_of,
     words,
@@ -40,7 +39,6 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import GAIN, MEASURED, measured_margins
-from labpipe.methods.magnetic_bearing.recorded_loop import cause_of, recorded_loop, sound
 from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, peak_of
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,
@@ -58,9 +56,6 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
-
-# What a fitted loop says of its closed loop: margins, peak of the sensitivity, modes with their decrements,
-# each with its interval.
 
 # Step of differences in standard errors of the unknowns.
 STEP = 0.02
@@ -139,7 +134,7 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
     """
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
-    unstable = unstable_of(plant, rate)
+    unstable = unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
     poles = modes_of(loop_poles(plant, rate), highest_mode)
 
     def at(changed: Mapping[str, float]) -> dict[str, float]:
@@ -212,11 +207,6 @@ def loop_poles(plant: Levitated, rate: float | None) -> ComplexArray:
     return closed_loop_poles(plant) if rate is None else sampled_poles(sampled(plant, rate), rate)
 
 
-def unstable_of(plant: Levitated, rate: float | None) -> int:
-    """Number of poles that grow."""
-    return unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
-
-
 def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
     """The poles (n_mode,) [rad/s] of modes that swing, by their natural frequency up to *highest* [Hz]."""
     chosen = poles[(poles.imag > 1e-9 * np.abs(poles)) & (np.abs(poles) <= 2 * np.pi * highest)]
@@ -253,9 +243,6 @@ def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: 
     return amounts
 
 
-# Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its
-# interval, and a verdict.
-
 # Modes are looked for up to this multiple of the measured band.
 BEYOND = 1.5
 
@@ -263,7 +250,7 @@ BEYOND = 1.5
 def certificate(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """The certificate of the loops of one test; with a bearing *file* by its fitted unknowns as well.
+    """The certificate of the loops of one test.
 
     ConfigError for channels and settings that do not fit together, FitError without a covariance.
     """
@@ -288,6 +275,8 @@ def certificate(
             [*budgets, model.fit.budget],
         )
     verdict = verdict_of(limits, certificate_settings.confidence)
+    parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
+    parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
     return Comparison(
         name=settings.name,
         kind="certificate",
@@ -296,7 +285,10 @@ def certificate(
         points=(),
         amounts=tuple(amounts),
         verdict=verdict,
-        statement=_statement(verdict, limits, worst, model),
+        statement=(
+            f"{verdict.capitalize()}: "
+            f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
+        ),
         curves=_curves(matrix, model),
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
@@ -358,7 +350,6 @@ def resolved(settings: CompareSettings) -> CertificateSettings:
 
 
 def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
-    """The peak of |S_ii| of every loop."""
     peaks = []
     for number in range(len(matrix.loops)):
         size, error = matrix.size(number)
@@ -401,8 +392,9 @@ def _measured_amounts(
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
     dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
     factors = [amount.name for amount in amounts if amount.name.startswith(f"{MEASURED}{GAIN}")]
-    sources = [error.uncertainty for error in matrix.errors]
-    return with_budget(amounts, sources, np.array(changes).T, dof, factors)
+    return with_budget(
+        amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof, factors
+    )
 
 
 def _fitted(
@@ -448,11 +440,7 @@ def _why_rejected(fit: LoopFit) -> str:
 
 
 def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None) -> Limit:
-    """Probability that the peak of |S| lies within the demanded zone, by its logarithm; of a sound model that
-    of the fitted loop.
-
-    The measured peak at an edge of the band is the least that it can be.
-    """
+    """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
     peak, error, whose = worst.value, worst.combined, "measured"
     by_model = (
         model is not None
@@ -475,10 +463,6 @@ def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None
 
 
 def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> list[Limit]:
-    """Probability that the least damped mode has its decrement.
-
-    None where neither a model nor a decrement was asked for.
-    """
     if model is None and own.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
@@ -504,15 +488,6 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
         f"with {words(probability)}"
     )
     return [Limit("log_decrement", probability, said)]
-
-
-def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, model: FittedModel | None) -> str:
-    parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
-    parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
-    return (
-        f"{verdict.capitalize()}: "
-        f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
-    )
 
 
 def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:

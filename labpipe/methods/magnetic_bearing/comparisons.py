@@ -1,27 +1,237 @@
-"""Comparisons of control loops with a magnetic-bearing file: prediction, sensitivity, certificate."""
+"""Comparisons of control loops with a magnetic-bearing file: prediction over sliding bands, sensitivity,
+certificate.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from labpipe.errors import ConfigError
-from labpipe.methods.magnetic_bearing.bearing import MAGNETIC, MagneticFile
+from labpipe.methods.magnetic_bearing.bearing import MAGNETIC, MagneticFile, stability_findings, verdict
 from labpipe.methods.magnetic_bearing.certificate import certificate, resolved
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings, decrement_certificate
+from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
+from labpipe.methods.magnetic_bearing.loop_fit import (
+    LoopFit,
+    fit_statement,
+    goodness,
+    identifiability_findings,
+    loop_fit,
+)
 from labpipe.methods.magnetic_bearing.loop_matrix import per_injection
-from labpipe.methods.magnetic_bearing.loop_problem import View, checked_view, directions_left_out
-from labpipe.methods.magnetic_bearing.prediction import MagneticTheory, prediction
+from labpipe.methods.magnetic_bearing.loop_problem import (
+    View,
+    checked_view,
+    directions_left_out,
+    predicted_fits,
+    with_unknowns,
+)
 from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity
 from labpipe.project.bearing_file import open_bearing
-from labpipe.records.comparison import Comparison
-from labpipe.records.finding import Finding
+from labpipe.records.comparison import ComparedBand, Comparison, Curve
+from labpipe.records.finding import Finding, Parameter, note
+from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
+from labpipe.registry import nearest
 from labpipe.uncertainty.compare import Evidence
 from labpipe.uncertainty.observations import condition_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
+
+# Least share of bands whose interval holds the prediction: 95 % are expected, and neighbouring bands share
+# lines.
+ENOUGH = 0.9
+LETTERS = ("k", "c")
+
+# The bearing file at a condition (value, SI unit), or unchanged.
+MagneticTheory = Callable[[float | None, str], MagneticFile]
+
+
+def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
+    """k and c of every band with the same fit of the predicted response, the share of bands that hold it, and
+    fitted unknowns.
+
+    Raises ConfigError for unknown parameters or unknowns, FitError for responses without noise estimate.
+    """
+    names = _names(settings, views[0].fits[0])
+    bands = [band for view in views for band in _bands(view, view.file, names)]
+    fitted = loop_fit([view.observation for view in views], settings.estimate)
+    changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.usable else None
+    after = (
+        []
+        if changed is None
+        else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
+    )
+    findings = (
+        *_unstable(views),
+        *identifiability_findings(fitted),
+        note("assumptions", views[0].file.assumptions()),
+    )
+    unstable = any(verdict(view.file.levitated()).unstable for view in views)
+    shares = [_share(bands, name) for name in names]
+    word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
+    return Comparison(
+        name=settings.name,
+        kind="prediction",
+        subject=f"{names[0]} and {names[1]}, fit {settings.fit}",
+        unit="N/m",
+        points=(),
+        amounts=(*_amounts(bands, after, names), *_stability(views), *goodness(fitted), *fitted.parameters),
+        verdict=word,
+        statement=_statement(bands, after, names, fitted, word, views),
+        condition=settings.condition,
+        bands=tuple(bands),
+        curves=tuple(
+            _curve(view, letter, None if changed is None else changed[n])
+            for n, view in enumerate(views)
+            for letter in LETTERS
+        ),
+        correlations=fitted.correlations,
+        findings=findings,
+        budgets=() if fitted.budget is None else (fitted.budget,),
+    )
+
+
+def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
+    """The stiffness of the settings and the corresponding damping."""
+    names = [parameter.name for parameter in fit.parameters if parameter.unit in ("N/m", "N.s/m")]
+    stiffness = settings.parameter
+    if stiffness == "k" and "k" not in names:
+        stiffness = next((name for name in names if name.startswith("k")), stiffness)
+    pair = (stiffness, "c" + stiffness[1:])
+    missing = next((name for name in pair if name not in names), None)
+    if missing is not None or not stiffness.startswith("k"):
+        raise ConfigError(
+            f"fit '{fit.name}' has no '{missing or stiffness}' as stiffness and damping",
+            hint=nearest(stiffness, names),
+        )
+    return pair
+
+
+def _bands(view: View, file: MagneticFile, names: tuple[str, str]) -> list[ComparedBand]:
+    predicted = predicted_fits(view, file)
+    return [
+        _band(view.test, fit, theory, name)
+        for fit, theory in zip(view.fits, predicted, strict=True)
+        for name in names
+    ]
+
+
+def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
+    measured, predicted = fit.parameter(name).as_fitted, theory.parameter(name).value
+    # A fit without convergence has no interval and does not hold the prediction. What the model lacks it
+    # lacks on both sides.
+    low, high = measured.measured_ci95 or (float("nan"), float("nan"))
+    ends = sorted((low / predicted, high / predicted))
+    band = ComparedBand(
+        test,
+        name,
+        measured.unit,
+        band_hz=fit.band_hz,
+        value=measured.value,
+        ci95=(low, high),
+        other=predicted,
+    )
+    return replace(band, ratio=measured.value / predicted, ratio_ci95=(ends[0], ends[1]))
+
+
+def _share(bands: Sequence[ComparedBand], name: str) -> float:
+    return float(np.mean([band.holds for band in bands if band.parameter == name]))
+
+
+def _amounts(
+    bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]
+) -> list[Parameter]:
+    amounts = [
+        Parameter(f"share_{letter}", _share(bands, name), "1", derived=True)
+        for letter, name in zip(LETTERS, names, strict=True)
+    ]
+    if after:
+        pairs = zip(LETTERS, names, strict=True)
+        amounts += [
+            Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True)
+            for letter, name in pairs
+        ]
+    return [*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
+
+
+def _stability(views: Sequence[View]) -> list[Parameter]:
+    """Number of unstable poles, and the largest sensitivity of the stable settings."""
+    verdicts = [verdict(view.file.levitated()) for view in views]
+    peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
+    unstable = Parameter(
+        "unstable_poles", float(max(stability.unstable for stability in verdicts)), "1", derived=True
+    )
+    return [unstable, *([Parameter("sensitivity_peak", max(peaks), "1", derived=True)] if peaks else [])]
+
+
+def _unstable(views: Sequence[View]) -> list[Finding]:
+    """Warnings of the predicted rotor alone: an unstable loop, or one beyond zone B."""
+    findings = []
+    for view in views:
+        plant = view.file.levitated()
+        prefix = (
+            f"{f'test {view.test}: ' if view.test else ''}prediction for the {plant.mass:g} kg of the "
+            "bearing file: "
+        )
+        findings += [
+            replace(finding, message=prefix + finding.message)
+            for finding in stability_findings(verdict(plant))
+        ]
+    return findings
+
+
+def _statement(
+    bands: Sequence[ComparedBand],
+    after: Sequence[ComparedBand],
+    names: tuple[str, str],
+    fitted: LoopFit,
+    word: str,
+    views: Sequence[View],
+) -> str:
+    counts = [
+        (sum(b.holds for b in bands if b.parameter == name), sum(b.parameter == name for b in bands))
+        for name in names
+    ]
+    shares = " and ".join(
+        f"{name} in {holding} of {whole}" for name, (holding, whole) in zip(names, counts, strict=True)
+    )
+    sentences = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
+    if word == "unstable":
+        tests = ", ".join(
+            view.test or "the test" for view in views if verdict(view.file.levitated()).unstable
+        )
+        sentences.append(
+            f"The loop as stated is unstable on the mass of the bearing file ({tests}), "
+            "whatever the bands show."
+        )
+    sentences.append(fit_statement(fitted))
+    if after:
+        shares_after = " and ".join(f"{name} in {100 * _share(after, name):.0f} %" for name in names)
+        sentences.append(f"With the fitted values the bands hold {shares_after}.")
+    return " ".join(sentences)
+
+
+def _curve(view: View, letter: str, changed: MagneticFile | None) -> Curve:
+    frequency = view.measured.omega / (2 * np.pi)
+    unit = "N/m" if letter == "k" else "N.s/m"
+    theory, matched = (
+        _values(view.file, letter, frequency),
+        () if changed is None else _values(changed, letter, frequency),
+    )
+    return Curve(view.test, letter, unit, frequency=tuple(frequency.tolist()), theory=theory, matched=matched)
+
+
+def _values(
+    file: MagneticFile, letter: str, frequency: np.ndarray[tuple[int], np.dtype[np.floating]]
+) -> tuple[float, ...]:
+    plant, omega = file.levitated(), 2 * np.pi * frequency
+    total = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    return tuple((total.real if letter == "k" else total.imag / omega).tolist())
 
 
 def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
@@ -38,10 +248,7 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
         )
 
     def at(condition: float | None, unit: str) -> MagneticFile:
-        bearing: MagneticFile = (
-            file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])
-        )
-        return bearing
+        return file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])
 
     return at
 
@@ -52,7 +259,6 @@ def _file_of(settings: CompareSettings, evidence: Evidence) -> MagneticFile | No
 
 
 def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | None:
-    """The theory that was given, else the bearing file that the settings name; None without either."""
     given: MagneticTheory | None = evidence.theory
     return (
         magnetic_theory(evidence.folder, settings.theory)

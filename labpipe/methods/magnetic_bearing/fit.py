@@ -10,12 +10,12 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.errors import ConfigError
-from labpipe.estimation import statistics
-from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.diagnostics import estimate_findings, goodness_findings
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, estimated, inflation_factors, widened
-from labpipe.methods.floating_bearing.budget import budgeted
+from labpipe.methods.floating_bearing.budget import as_estimate, budgeted, unconverged
+from labpipe.methods.floating_bearing.findings import few_averages
 from labpipe.methods.floating_bearing.model_error import BalanceError, BalanceMisfit, balance_error
 from labpipe.methods.floating_bearing.values import SAME, Valued
 from labpipe.methods.magnetic_bearing.balance import (
@@ -34,15 +34,12 @@ from labpipe.methods.magnetic_bearing.likelihood import (
     unweighted,
 )
 from labpipe.methods.magnetic_bearing.settings import MagnetSettings
-from labpipe.records.finding import Finding, Parameter, note
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import RobustPlant, systematic
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.settings import ESTIMATE, Uncertainties
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
-
-# Hand-over to robust control design: the levitated rotor as state space, and the smallest band that covers
-# the measured scatter.
 
 # Corner frequencies of an overbound that are tried, per decade and beyond the lines [decades].
 PER_DECADE, BEYOND = 12, 1.5
@@ -52,8 +49,7 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
     """The band of radius |G^ - G_nominal| + r, r of the measured scatter, which holds the true plant at all
     lines with *confidence*.
 
-    |G^ - G|^2 / var is F with 2 and 2 nu degrees of freedom, of which the quantile of one line is that of all
-    by their number (Sidak). *dof* nu: complex ones behind the variance.
+    *dof* nu: complex ones behind the variance.
     """
     assert curve.variance is not None
     radius = np.abs(curve.measured - curve.fitted) + np.sqrt(curve.variance) * scatter_radius(
@@ -123,10 +119,8 @@ def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, 
     return float(np.exp(gain[zero, pole])), float(corners[zero]), float(corners[pole])
 
 
-# What a magnet's fit says besides its numbers: findings, notes, and the response that its figure draws.
+# What a magnet's fit says besides its numbers.
 
-# Loss of the standard errors to few degrees of freedom beyond which it is said.
-LOSS = 1.1
 # Condition number of the currents of all runs beyond which a line does not tell X per I.
 ONE_DIRECTION = 1e3
 
@@ -178,24 +172,6 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
     return (Finding("unphysical", f"{what}; `invert: true` for one of the two in the rig file"),)
 
 
-def noise_findings(rotor: Levitation) -> tuple[Finding, ...]:
-    """A note where few periods or blocks widen the intervals."""
-    noise = noise_of(rotor)
-    loss = (
-        float(np.sqrt(noise.inflation / noise.shared * (noise.dof - noise.equations) / noise.dof))
-        if np.isfinite(noise.dof)
-        else 1.0
-    )
-    if loss < LOSS:
-        return ()
-    message = (
-        f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are "
-        f"{loss:.3g} times those with a "
-        "known one. Average more periods, or let neighbouring lines share their noise"
-    )
-    return (note("few-averages", message),)
-
-
 def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
     """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
     would give.
@@ -217,7 +193,7 @@ def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertaint
         )
         notes.append(
             f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, "
-            f"quantity: force}}."
+            "quantity: force}."
         )
     plain = zip(best.model.names, unweighted(rotor, best.model), best.model.units, strict=True)
     listed = ", ".join(
@@ -268,10 +244,6 @@ def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) 
     return np.asarray(np.einsum("lrk,lrm->lkm", noise, np.abs(inverse) ** 2))
 
 
-# Model magnet: force per current and stiffness of magnetic bearings from a levitated rotor of known mass,
-# in a closed loop.
-
-
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     """One fit, or one per band.
 
@@ -283,7 +255,6 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError without the mass."""
     if settings.mass == ESTIMATE:
         hint = "mass: 4 kg +- 5 g, in the rig file or in the fit"
         raise ConfigError(
@@ -313,27 +284,15 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
     parameters, budget = budgeted(_valued(best, whole), best.uncertainties, best.dof)
     if not best.converged:
-        parameters = tuple(
-            replace(parameter, std_error_inflated=None, systematic=None)
-            for parameter in without_intervals(parameters)
-        )
+        parameters = unconverged(parameters)
     gof = _goodness(rotor, model, best)
-    as_estimate = statistics.Estimate(
-        values=best.values,
-        covariance=best.covariance,
-        scaled_design=best.design,
-        gof=gof,
-        dof=best.dof,
-        converged=best.converged,
-        iterations=best.steps,
-        amplification=best.amplification,
-    )
+    stated, n_line = as_estimate(best, gof, best.amplification), rotor.omega.size
     findings = (
-        *estimate_findings(as_estimate, model.names, rotor.omega.size, model.units, remedy),
+        *estimate_findings(stated, model.names, n_line, model.units, remedy),
         *goodness_findings(gof),
         *error.finding,
         *sign_findings(model, parameters),
-        *noise_findings(rotor),
+        *few_averages(noise_of(rotor)),
         *spectra.findings,
     )
     curve = drawn(rotor, best)
@@ -344,7 +303,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
     band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
     return replace(
-        reported_fit(settings, as_estimate, error.named(parameters), band, rotor.omega.size),
+        reported_fit(settings, stated, error.named(parameters), band, n_line),
         findings=findings,
         notes=fit_notes(rotor, best, settings.uncertainties),
         curve=curve,
@@ -391,10 +350,6 @@ def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -
 
 
 def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
-    """The parameters with their slopes.
-
-    Intervals by the *whole* covariance (n_parameter, n_parameter) [their units].
-    """
     vifs = inflation_factors(best.design)
     parameters = []
     for place, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):
@@ -406,7 +361,6 @@ def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
 
 
 def _goodness(rotor: Levitation, model: MagnetModel, best: MagnetEstimate) -> Goodness:
-    """R^2 of the rotor's inertia explained by the magnets' forces, and chi-square."""
     axes, n = rotor.axes, rotor.n_axis
     inertia = rotor.omega[:, None, None] ** 2 * (axes[..., n:] @ rotor.mass.T)
     residual = (model.rows(best.values, rotor.omega)[:, None] @ axes[..., None])[..., 0]

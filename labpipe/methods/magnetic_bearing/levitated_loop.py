@@ -21,11 +21,7 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
     step_matrices,
     tustin,
 )
-from labpipe.records.settings import Settings, setting
-from labpipe.simulate.virtual_rigs import require_positive
-
-# Settings of the virtual levitated rig: rotor, magnetic bearings, controller, injection, and what disturbs
-# them.
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -42,13 +38,13 @@ class BendingMode(Settings):
     shape times force.
     """
 
-    frequency: float = setting("value", "natural frequency w_0", unit="Hz")
+    frequency: float = quantity("natural frequency w_0", "Hz")
     at_bearings: tuple[float, ...] = setting(
         "values", "its shape at both bearings, for a modal mass of 1 kg", unit="1"
     )
     at_sensors: tuple[float, ...] = setting("values", "its shape at both sensors", unit="1")
-    damping_ratio: float = setting("value", "damping ratio of the mode", unit="1", default=0.003)
-    at_unbalance: float = setting("value", "its shape at the unbalance", unit="1", default=0.0)
+    damping_ratio: float = quantity("damping ratio of the mode", "1", 0.003)
+    at_unbalance: float = quantity("its shape at the unbalance", "1", 0.0)
 
     def __post_init__(self) -> None:
         if not self.frequency > 0:
@@ -62,12 +58,10 @@ class BendingMode(Settings):
 class LongRotor(Settings):
     """A rotor on two bearings: its inertias, and places along the axis from the centre of gravity on."""
 
-    inertia: float = setting(
-        "value", "transverse moment of inertia about the centre of gravity", unit="kg.m^2"
-    )
+    inertia: float = quantity("transverse moment of inertia about the centre of gravity", "kg.m^2")
     bearings: tuple[float, ...] = setting("values", "places of the two bearings", unit="m")
     sensors: tuple[float, ...] = setting("values", "places of the two sensors, of either axis", unit="m")
-    polar_inertia: float = setting("value", "polar moment of inertia", unit="kg.m^2", default=0.0)
+    polar_inertia: float = quantity("polar moment of inertia", "kg.m^2", 0.0)
     bending: BendingMode | None = setting("section", "a bending mode", section=BendingMode, default=None)
 
     def __post_init__(self) -> None:
@@ -87,11 +81,11 @@ class SampledPid(Settings):
     y are the readings of all sensors, X mixes them: the unit matrix unless `mixing` is given.
     """
 
-    proportional: float = setting("value", "P, current per displacement", unit="A/m")
-    derivative: float = setting("value", "D, current per velocity", unit="A.s/m")
-    integral: float = setting("value", "I, current per displacement and time", unit="A/(m.s)", default=0.0)
-    derivative_time: float = setting("value", "time constant T of the differentiator", unit="s", default=2e-4)
-    rate: float = setting("value", "sampling rate of the controller", unit="Hz", default=10e3)
+    proportional: float = quantity("P, current per displacement", "A/m")
+    derivative: float = quantity("D, current per velocity", "A.s/m")
+    integral: float = quantity("I, current per displacement and time", "A/(m.s)", 0.0)
+    derivative_time: float = quantity("time constant T of the differentiator", "s", 2e-4)
+    rate: float = quantity("sampling rate of the controller", "Hz", 10e3)
     delay: int = setting(
         "integer", "whole intervals from a reading to the output computed from it", default=1
     )
@@ -113,18 +107,13 @@ class Injection(Settings):
     Its rms is that of one axis.
     """
 
-    rms: float = setting(
-        "value",
-        "rms at the output [A]; at the input [m] it is this times `per_ampere`",
-        unit="A",
-        default=0.1,
-    )
+    rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
     place: str = setting("choice", "where it is added", choices=PLACES, default="output")
-    per_ampere: float = setting("value", "displacement added at the input for 1 A", unit="m/A", default=1e-4)
+    per_ampere: float = quantity("displacement added at the input for 1 A", "m/A", 1e-4)
     band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(5.0, 500.0))
-    spacing: float = setting("value", "spacing of the lines of a multisine", unit="Hz", default=1.0)
+    spacing: float = quantity("spacing of the lines of a multisine", "Hz", 1.0)
     periods: int = setting("integer", "periods of a multisine recorded, all of them steady", default=20)
-    duration: float = setting("value", "length of the other runs", unit="s", default=20.0)
+    duration: float = quantity("length of the other runs", "s", 20.0)
 
     def __post_init__(self) -> None:
         require_positive(self, "rms", "per_ampere", "spacing", "periods", "duration")
@@ -136,15 +125,11 @@ class LevitatedNoise(Settings):
     the recording.
     """
 
-    displacement: float = setting("value", "position sensors; it is in the loop", unit="m", default=1e-7)
-    current: float = setting("value", "measured currents", unit="A", default=1e-4)
-    force: float = setting("value", "measured force of a shaker", unit="N", default=0.05)
-    disturbance: float = setting(
-        "value", "random force on the rotor at every bearing and axis", unit="N", default=1.0
-    )
-    reference: float = setting(
-        "value", "recorded injection, of the unit in which it is recorded", unit="1", default=0.0
-    )
+    displacement: float = quantity("position sensors; it is in the loop", "m", 1e-7)
+    current: float = quantity("measured currents", "A", 1e-4)
+    force: float = quantity("measured force of a shaker", "N", 0.05)
+    disturbance: float = quantity("random force on the rotor at every bearing and axis", "N", 1.0)
+    reference: float = quantity("recorded injection, of the unit in which it is recorded", "1", 0.0)
 
 
 @dataclass(frozen=True)
@@ -152,7 +137,7 @@ class LevitatedRig(Settings):
     """A rotor in magnetic bearings under a sampled controller: a mass on one bearing, or a `rotor` on two."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    mass: float = setting("value", "mass of the rotor", unit="kg")
+    mass: float = quantity("mass of the rotor", "kg")
     control: SampledPid = setting("section", "the controller", section=SampledPid)
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual levitated rotor")
@@ -160,34 +145,25 @@ class LevitatedRig(Settings):
     rotor: LongRotor | None = setting(
         "section", "rotor on two bearings; without it, a mass on one", section=LongRotor, default=None
     )
-    force_per_current: float = setting("value", "k_i of one bearing", unit="N/A", default=80.0)
-    negative_stiffness: float = setting(
-        "value", "pull of one bearing's bias field per displacement, -k_s", unit="N/m", default=2e5
+    force_per_current: float = quantity("k_i of one bearing", "N/A", 80.0)
+    negative_stiffness: float = quantity(
+        "pull of one bearing's bias field per displacement, -k_s", "N/m", 2e5
     )
-    damping: float = setting("value", "passive damping at every bearing", unit="N.s/m", default=0.0)
-    cross_stiffness: float = setting(
-        "value", "k_xy = -k_yx at every bearing, as of a seal", unit="N/m", default=0.0
-    )
-    amplifier_bandwidth: float = setting(
-        "value", "-3 dB bandwidth of the current amplifiers", unit="Hz", default=2000.0
-    )
+    damping: float = quantity("passive damping at every bearing", "N.s/m", 0.0)
+    cross_stiffness: float = quantity("k_xy = -k_yx at every bearing, as of a seal", "N/m", 0.0)
+    amplifier_bandwidth: float = quantity("-3 dB bandwidth of the current amplifiers", "Hz", 2000.0)
     injection: Injection = setting(
         "section", "what is added in the loop", section=Injection, default=Injection()
     )
-    shaker: float = setting(
-        "value", "rms force of a shaker at every bearing and axis (run shaker)", unit="N", default=10.0
-    )
-    speed: float = setting("value", "shaft speed", unit="Hz", default=0.0)
-    unbalance: float = setting("value", "mass times eccentricity", unit="kg.m", default=0.0)
-    unbalance_place: float = setting("value", "its place along the axis", unit="m", default=0.0)
+    shaker: float = quantity("rms force of a shaker at every bearing and axis (run shaker)", "N", 10.0)
+    speed: float = quantity("shaft speed", "Hz", 0.0)
+    unbalance: float = quantity("mass times eccentricity", "kg.m", 0.0)
+    unbalance_place: float = quantity("its place along the axis", "m", 0.0)
     runout: tuple[float, ...] = setting(
         "values", "amplitudes of 1x, 2x, ... that the sensors see", unit="m", default=()
     )
-    sample_rate: float = setting(
-        "value",
-        "sampling rate of the recording: the controller's over a whole number",
-        unit="Hz",
-        default=2000.0,
+    sample_rate: float = quantity(
+        "sampling rate of the recording: the controller's over a whole number", "Hz", 2000.0
     )
     force_recorded: bool = setting("flag", "the currents are recorded as the forces k_i i", default=False)
     output_recorded: bool = setting(
@@ -258,16 +234,13 @@ def _whole(number: float, what: str) -> None:
         raise ConfigError(what, field="sample_rate")
 
 
-# The virtual levitated rig as matrices: rotor, bearings and amplifiers in continuous time, the loop closed
-# from step to step.
-
 # Times in an interval of the controller at which motion and current are known.
 BETWEEN = 8
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q); tilts in kg.m^2 and so on.
+    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q).
 
     at_bearings, at_sensors (n_axis, n_q) [1, m]: displacement there per coordinate; at_unbalance
     (n_direction, n_q).
@@ -430,7 +403,7 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
     interval = 1 / control.rate
     terms = [
         tustin(control.derivative, 0.0, control.derivative_time, interval),
-        _integrator(control.integral, interval),
+        (control.integral * interval / 2, control.integral * interval / 2, -1.0),
     ]
     mixing = np.eye(n_axis) if control.mixing is None else np.array(control.mixing, float)
 
@@ -452,11 +425,6 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
 
     n_state = n_plant + 2 * n_axis + control.delay * n_axis
     return LevitatedLoop(*step_matrices(advance, n_state, 2 * n_q + 3 * n_axis), control.rate, n_axis)
-
-
-def _integrator(gain: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) of gain / s by the bilinear transform."""
-    return gain * interval / 2, gain * interval / 2, -1.0
 
 
 def _sampled_plant(

@@ -1,9 +1,5 @@
 """A virtual levitated rotor in the time domain: an unstable plant that a sampled controller holds, with
 injection in the loop.
-
-Recorded are the currents, the readings of the sensors and what is injected. The force k_i i that moves the
-rotor is fed back from its displacement, so an FRF from current to displacement is that of the rotor only by
-way of the injection.
 """
 
 from __future__ import annotations
@@ -45,10 +41,22 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
     """Currents i_ or forces f_, readings, injections r_ or forces s_ of shakers, and the tacho n of a shaft
     that turns.
     """
-    n_sample, n_axis = _n_sample(rig, name), len(rig.labels)
+    period = round(rig.sample_rate / rig.injection.spacing)
+    n_sample, n_axis = (
+        (
+            rig.injection.periods * period
+            if name.startswith(MULTISINE)
+            else round(rig.injection.duration * rig.sample_rate)
+        ),
+        len(rig.labels),
+    )
     length = n_sample * rig.decimation + round((SETTLING + MARGIN) * rig.control.rate)
     angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
-    added, push = _injected(rig, name, length, rng), _pushed(rig, name, length + 1, rng)
+    shape = ((length + 1), len(rig.labels))
+    added, push = (
+        _injected(rig, name, length, rng),
+        (_random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)),
+    )
     seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(
         rig, angle[:-1]
     )
@@ -74,15 +82,6 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
             [samples, pulses(angle[round(SETTLING * rig.control.rate) :: rig.decimation][:n_sample])]
         )
     return Recording(tuple(channels), samples, rig.sample_rate, name)
-
-
-def _n_sample(rig: LevitatedRig, name: str) -> int:
-    period = round(rig.sample_rate / rig.injection.spacing)
-    return (
-        rig.injection.periods * period
-        if name.startswith(MULTISINE)
-        else round(rig.injection.duration * rig.sample_rate)
-    )
 
 
 def _inputs(
@@ -124,12 +123,6 @@ def _injected(rig: LevitatedRig, name: str, length: int, rng: np.random.Generato
     return added
 
 
-def _pushed(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
-    """Forces of shakers at the bearings (length, n_axis) [N]."""
-    shape = (length, len(rig.labels))
-    return _random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)
-
-
 def _random(
     rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.random.Generator, *, straight_lines: bool
 ) -> FloatArray:
@@ -148,10 +141,6 @@ def _random(
 
 
 def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
-    """What sensors see of the turning surface (n_sample, n_axis) [m].
-
-    The sensor in y sees it a quarter of a turn later.
-    """
     quarters = np.resize(np.array([0.0, np.pi / 2])[: len(AXES[rig.axes])], len(rig.labels))
     seen = np.zeros((angle.size, quarters.size))
     for order, amplitude in enumerate(rig.runout, 1):
@@ -174,7 +163,6 @@ def _logged(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int
 
 
 def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
-    """Currents are what drives the rotor unless a shaker does; readings, injections."""
     quantity, letter = ("force", "f") if rig.force_recorded else ("current", "i")
     added = "current" if rig.injection.place == "output" else "displacement"
     kinds = [
@@ -235,10 +223,6 @@ def truth(rig: LevitatedRig) -> dict[str, Any]:
 
 
 def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
-    """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement; k_x_x ...
-
-    of two axes of one bearing.
-    """
     values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass, **_magnets(rig)}
     if rig.rotor is not None:
         return values

@@ -1,9 +1,6 @@
 """The most likely K_i and K_s by errors in variables, what noise leaves of them, and what uncertainties of
 given numbers do.
 
-Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the
-channels free of noise.
-
 With S = B C B^H the likelihood of z over all true z with B z = 0 is, but for constants, V = sum over lines
 and runs of (B z)^H S^-1 (B z) (Pintelon and Schoukens 2012, System Identification, sec. 9.10); the gradient
 is that of L^-1 dB/dp z^ with z^ the channels without the noise that the residual tells.
@@ -20,13 +17,11 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.regression import triangle_of
-from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information
+from labpipe.methods.floating_bearing.given import given_uncertainties, joined, response_of
+from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.uncertain import Uncertainty
-
-# Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the
-# channels free of noise.
 
 REWEIGHTED = 4
 
@@ -67,10 +62,8 @@ class MagnetLikelihood:
         """The whitened residual at *values* (n_parameter,) [parameter units]."""
         key = values.tobytes()
         if self._at is None or self._at[0] != key:
-            self._at = (
-                key,
-                residual(self.rotor, self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes),
-            )
+            rows = self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes
+            self._at = key, residual(self.rotor, rows)
         return self._at[1]
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -81,8 +74,9 @@ class MagnetLikelihood:
         """L^-1 dB/dp z^ as real columns (n_equation, n_parameter) [1/parameter unit]."""
         state = self.at(parameters)
         slopes = self.model.slopes(parameters, self.rotor.omega) @ self.rotor.to_axes
-        changes = np.einsum("plac,lrc->plra", slopes, state.smoothed)
-        return real_rows(state.whiten(changes).reshape(len(slopes), -1)).T
+        return real_rows(
+            state.whiten(np.einsum("plac,lrc->plra", slopes, state.smoothed)).reshape(len(slopes), -1)
+        ).T
 
     def chi2(self, parameters: FloatArray) -> float:
         """V [1] at *parameters* (n_parameter,) [parameter units]; infinite where it is no number."""
@@ -106,8 +100,7 @@ def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
     lower = np.linalg.cholesky(b @ of_channels)
     white = np.linalg.solve(lower, e[..., None])
     weighted = np.linalg.solve(lower.conj().swapaxes(-1, -2), white)
-    smoothed = rotor.channels - (of_channels @ weighted)[..., 0]
-    return Residual(e, lower, white[..., 0], smoothed)
+    return Residual(e, lower, white[..., 0], rotor.channels - (of_channels @ weighted)[..., 0])
 
 
 def start(problem: MagnetLikelihood) -> FloatArray:
@@ -115,22 +108,21 @@ def start(problem: MagnetLikelihood) -> FloatArray:
     weights that it gives.
 
     The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with
-    k_i = 0, since the noise of w^2 x grows with frequency. The best of all repeats counts.
+    k_i = 0, since the noise of w^2 x grows with frequency.
     """
     rotor, model = problem.rotor, problem.model
     smooth = MagnetModel(model.names, model.places, model.mass)
     none = np.zeros(len(model.names))
     slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
     columns = np.einsum("plac,lrc->plra", slopes, rotor.channels)
-    values, starts = none, []
+    values: FloatArray = none
+    starts = []
     for _ in range(REWEIGHTED):
         state = residual(rotor, smooth.rows(values, rotor.omega) @ rotor.to_axes)
         free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
         design = real_rows(state.whiten(columns).reshape(len(none), -1)).T
         side = real_rows(state.whiten(free[..., 0]).reshape(1, -1))[0]
-        scale = np.linalg.norm(design, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        values = -np.linalg.lstsq(design / scale, side, rcond=None)[0] / scale
+        values = _least_squares(design, side)
         starts.append(values)
     return min(starts, key=problem.chi2)
 
@@ -144,18 +136,14 @@ def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
     columns = np.einsum("plac,lrc->plra", smooth.slopes(none, rotor.omega) @ rotor.to_axes, rotor.channels)
     free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
     design, side = real_rows(columns.reshape(len(none), -1)).T, real_rows(free[..., 0].reshape(1, -1))[0]
+    return _least_squares(design, side)
+
+
+def _least_squares(design: FloatArray, side: FloatArray) -> FloatArray:
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     return np.asarray(-np.linalg.lstsq(design / scale, side, rcond=None)[0] / scale)
 
-
-def real_rows(rows: ComplexArray) -> FloatArray:
-    """Complex rows (n, m) [any unit] as real parts, then imaginary parts, (n, 2 m)."""
-    return np.concatenate([rows.real, rows.imag], axis=1)
-
-
-# The most likely K_i and K_s, what noise leaves of them, and what the uncertainties of given numbers do to
-# them.
 
 NEAR, MOST_STEPS = 1e-4, 60
 # Relative noise below which a covariance is rounding.
@@ -220,12 +208,13 @@ def magnet_estimate(
     jacobian = problem.jacobian(best.values)
     dof = n_equation - n
     squares = 2 * problem.chi2(best.values) / noise.excess
-    uncertainties = _uncertainties(problem, best.values, jacobian, given)
-    squares -= (
-        _explained(problem, best.values, jacobian, uncertainties, given, noise.excess)
-        if uncertainties
-        else 0.0
+    errors = errors_by_given(problem, best.values, given)
+    uncertainties = given_uncertainties(
+        [(uncertainty, error[None]) for uncertainty, error in errors],
+        response_of(problem.at(best.values).whiten, jacobian),
     )
+    if errors:
+        squares -= _explained(problem, best.values, jacobian, uncertainties, errors, noise.excess)
     information = inverse_information(jacobian)
     return MagnetEstimate(
         model=model,
@@ -249,11 +238,7 @@ def _check_noise(rotor: Levitation, noise: Noise) -> None:
             "the noise of the channels is not known, so ml cannot weigh them",
             hint="measure several periods or blocks",
         )
-    if noise.dof <= noise.least_dof:
-        raise FitError(
-            f"the covariance of the channels was estimated from {noise.dof:.3g} degrees of freedom only",
-            hint="average more periods or blocks, or let neighbouring lines share their noise",
-        )
+    noise.check_dof()
 
 
 def errors_by_given(
@@ -261,8 +246,6 @@ def errors_by_given(
 ) -> list[tuple[Uncertainty, ComplexArray]]:
     """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
     source once.
-
-    The mass, and numbers of the rig that stand in sums of channels or calibrate them.
     """
     rotor, model = problem.rotor, problem.model
     smoothed = problem.at(values).smoothed
@@ -279,35 +262,7 @@ def errors_by_given(
             errors.append(
                 (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error)
             )
-    sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
-    for uncertainty, error in errors:
-        source = sources.get(uncertainty.source)
-        sources[uncertainty.source] = (
-            (uncertainty, error) if source is None else (source[0], source[1] + error)
-        )
-    return list(sources.values())
-
-
-def _uncertainties(
-    problem: MagnetLikelihood,
-    values: FloatArray,
-    jacobian: FloatArray,
-    given: Sequence[tuple[Uncertainty, FloatArray]],
-) -> tuple[GivenUncertainty, ...]:
-    """dp = -J^+ L^-1 de of every source."""
-    state = problem.at(values)
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    gain = -np.linalg.pinv(jacobian / scale) / scale[:, None]
-    uncertainties = []
-    for uncertainty, error in errors_by_given(problem, values, given):
-        changes = real_rows(state.whiten(error).reshape(1, -1)) @ gain.T
-        uncertainties.append(
-            GivenUncertainty(
-                uncertainty.source, changes, std_error=uncertainty.std_error, unit=uncertainty.unit
-            )
-        )
-    return tuple(uncertainties)
+    return joined(errors)
 
 
 def _explained(
@@ -315,19 +270,17 @@ def _explained(
     values: FloatArray,
     jacobian: FloatArray,
     uncertainties: Sequence[GivenUncertainty],
-    given: Sequence[tuple[Uncertainty, FloatArray]],
+    errors: Sequence[tuple[Uncertainty, ComplexArray]],
     excess: float,
 ) -> float:
     """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs
     counting as one.
     """
     state = problem.at(values)
-    white = np.stack(
-        [state.whiten(error).reshape(-1) for _, error in errors_by_given(problem, values, given)]
-    )
-    changes = real_rows(white)
+    changes = real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
     # What the parameters can follow is theirs already.
     changes = changes + np.concatenate([uncertainty.changes for uncertainty in uncertainties]) @ jacobian.T
     along = 2 * changes @ problem.residual(values) / excess
-    stiff = np.eye(len(changes)) + 2 * changes @ changes.T / excess
-    return float(excess * along @ np.linalg.solve(stiff, along))
+    return float(
+        excess * along @ np.linalg.solve(np.eye(len(changes)) + 2 * changes @ changes.T / excess, along)
+    )

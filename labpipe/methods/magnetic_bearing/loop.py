@@ -1,7 +1,5 @@
 """The position control of a magnetic bearing: stiffness and damping over frequency, and margins of its loop.
 
-Margins of a loop transfer function: gain, phase, delay and disk, and the peak of the sensitivity.
-
 A loop around an unstable plant has two gain margins: it becomes unstable by too much gain and by too little.
 """
 
@@ -16,10 +14,7 @@ from scipy import optimize
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
-from labpipe.records.settings import Settings, setting
-
-# Position control of a magnetic bearing: stiffness and damping of its loop over frequency, and each
-# element's share.
+from labpipe.records.settings import Settings, quantity, setting
 
 # Entries of the PID, which a controller of blocks takes the place of.
 PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
@@ -32,30 +27,23 @@ class ControlLoop(Settings):
 
     Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag
     reduces damping below 21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone
-    is unstable; with -0.25 a static load is released as in zero-power levitation: stiffness rises from its
-    static value and damping is positive. Delay: one sampling interval of 20 kHz for computation, half of one
-    for the hold. Bandwidth and sign are a choice of this project. A *controller* of blocks in series takes
-    the place of the PID, any transfer function of s or z; *cross* makes it a matrix of x and y.
+    is unstable. Delay: one sampling interval of 20 kHz for computation, half of one for the hold. A
+    *controller* of blocks in series takes the place of the PID, any transfer function of s or z; *cross*
+    makes it a matrix of x and y.
     """
 
-    proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
-    derivative: float = setting("value", "derivative gain k_d", unit="s", default=6.5e-4)
-    derivative_time: float = setting(
-        "value", "time constant T_d of the differentiator", unit="s", default=1e-4
-    )
-    lag: float = setting("value", "gain k_i of the first-order lag", unit="1", default=-0.25)
-    lag_time: float = setting("value", "time constant T_i of the lag", unit="s", default=0.0318)
-    sensor: float = setting("value", "sensitivity of the position probe", unit="V/m", default=8000.0)
-    amplifier: float = setting("value", "gain of the current amplifier", unit="A/V", default=1.0)
-    force_per_current: float = setting(
-        "value", "force-current factor of one bearing", unit="N/A", default=5.8
-    )
-    bandwidth: float = setting(
-        "value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0
-    )
-    delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
-    sensor_bandwidth: float | None = setting(
-        "value", "-3 dB bandwidth of the probe; without it, unlimited", unit="Hz", default=None
+    proportional: float = quantity("proportional gain k_p", "1", 1.0)
+    derivative: float = quantity("derivative gain k_d", "s", 6.5e-4)
+    derivative_time: float = quantity("time constant T_d of the differentiator", "s", 1e-4)
+    lag: float = quantity("gain k_i of the first-order lag", "1", -0.25)
+    lag_time: float = quantity("time constant T_i of the lag", "s", 0.0318)
+    sensor: float = quantity("sensitivity of the position probe", "V/m", 8000.0)
+    amplifier: float = quantity("gain of the current amplifier", "A/V", 1.0)
+    force_per_current: float = quantity("force-current factor of one bearing", "N/A", 5.8)
+    bandwidth: float = quantity("-3 dB bandwidth w_a / 2 pi of the amplifier", "Hz", 1000.0)
+    delay: float = quantity("delay tau of sampling and computing", "s", 75e-6)
+    sensor_bandwidth: float | None = quantity(
+        "-3 dB bandwidth of the probe; without it, unlimited", "Hz", None
     )
     controller: tuple[ControllerBlock, ...] = setting(
         "entries", "blocks in series, instead of the PID", section=ControllerBlock, default=()
@@ -80,10 +68,9 @@ class ControlLoop(Settings):
         if self.controller:
             for name in PID:
                 if getattr(self, name) != self.__dataclass_fields__[name].default:
-                    hint = "leave it out, or put {form: pid, ...} among the blocks"
                     raise ConfigError(
                         f"{name}: belongs to the PID, and there is a controller of blocks",
-                        hint=hint,
+                        hint="leave it out, or put {form: pid, ...} among the blocks",
                         field=name,
                     )
         elif self.cross is not None:
@@ -120,10 +107,8 @@ class ControlLoop(Settings):
     @property
     def corners(self) -> tuple[float, ...]:
         """Time constants of the amplifier's and, where it is limited, the probe's first-order lag [s]."""
-        limits = (
-            (self.bandwidth,) if self.sensor_bandwidth is None else (self.bandwidth, self.sensor_bandwidth)
-        )
-        return tuple(1 / (2 * np.pi * limit) for limit in limits)
+        limits = (self.bandwidth, self.sensor_bandwidth)
+        return tuple(1 / (2 * np.pi * limit) for limit in limits if limit is not None)
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
@@ -133,7 +118,7 @@ def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexA
     """
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
-    s: ComplexArray = 1j * omega
+    s = 1j * omega
     return {
         "proportional": np.full(omega.shape, loop.proportional, np.complex128),
         "derivative": loop.derivative * s / (1 + s * loop.derivative_time),
@@ -148,7 +133,7 @@ def _in_series(blocks: tuple[ControllerBlock, ...], omega: FloatArray) -> Comple
 
 def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
     """Factors of the loop besides the PID, by name: delay, amplifier and probe, each (n_line,) [1]."""
-    s: ComplexArray = 1j * omega
+    s = 1j * omega
     factors = {"delay": np.exp(-s * loop.delay)}
     for name, corner in zip(("amplifier", "sensor"), loop.corners, strict=False):
         factors[name] = 1 / (1 + s * corner)
@@ -160,7 +145,7 @@ def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
 
     Equation (mag-controller).
     """
-    total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+    total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
     return total
@@ -191,10 +176,9 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
     Equation (mag-static).
     """
     if not np.isfinite(loop.at_rest):
-        hint = "give negative_stiffness"
         raise ConfigError(
             "static_stiffness: the controller integrates, so the loop is rigid at rest",
-            hint=hint,
+            hint="give negative_stiffness",
             field="static_stiffness",
         )
     return loop_stiffness(loop) * loop.at_rest - static
@@ -210,10 +194,7 @@ def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: Float
 
 def stiffness_matrix(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
     """K G(jw) - k_n I of both directions at *omega* [rad/s], (n_line, 2, 2) [N/m]."""
-    matrix: ComplexArray = loop_stiffness(loop) * controller_matrix(
-        loop, omega
-    ) - negative_stiffness * np.eye(2)
-    return matrix
+    return loop_stiffness(loop) * controller_matrix(loop, omega) - negative_stiffness * np.eye(2)
 
 
 def stiffness_shares(
@@ -226,7 +207,7 @@ def stiffness_shares(
     delay, amplifier, probe; the negative stiffness of the bias field, -k_n. Equation (mag-shares).
     """
     shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
-    total: ComplexArray = np.sum(list(shares.values()), axis=0)
+    total = np.sum(list(shares.values()), axis=0)
     for name, factor in chain_factors(loop, omega).items():
         shares[name] = total * (factor - 1)
         total = total * factor
@@ -234,7 +215,7 @@ def stiffness_shares(
     return shares
 
 
-# Margins of a loop transfer function: gain, phase, delay and disk, and the peak of the sensitivity.
+# Margins of a loop transfer function.
 
 # Lines of the search, and its lowest frequency over the highest.
 LINES, LOWEST = 1201, 1e-6
@@ -287,10 +268,7 @@ def margins(loop: LoopTransfer, highest: float) -> Margins:
 
 
 def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
-    """Factors that bring L onto -1, where it crosses the negative real axis.
-
-    At rest it lies on the real axis.
-    """
+    """Factors that bring L onto -1, where it crosses the negative real axis."""
     gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
     for place in _roots(lambda w: loop(w).imag, omega, values.imag):
         at = loop(np.array([place]))[0].real

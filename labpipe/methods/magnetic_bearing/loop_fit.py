@@ -17,10 +17,8 @@ from labpipe.estimation.statistics import SAYS_NOTHING, Pulls, correlation, step
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.uncertain import Budget, Uncertainty
+from labpipe.records.uncertain import Budget
 from labpipe.uncertainty.amounts import chance, with_budget, with_error
-
-# The end of a loop's fit at the edge of what a bearing can have: an unknown that fits best at zero.
 
 # An unknown less than this share of its start value above zero stands at the edge where no bearing can have
 # one below.
@@ -81,10 +79,7 @@ def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
 
 
 def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
-    """The minimum with the unknowns at zero that a descent stopped at.
-
-    *minimum* as it is where it stopped for another reason.
-    """
+    """The minimum with the unknowns at zero that a descent stopped at."""
     if minimum.converged:
         return minimum
     at_zero = at_edge(problem, minimum.values)
@@ -101,8 +96,7 @@ def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
     return Minimum(values, end.converged and stays, minimum.steps + end.steps)
 
 
-# The end of a loop's fit: what noise and systematic sources leave of its parameters, to first order and
-# where that bends.
+# The end of a loop's fit.
 
 # Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
 UNDETERMINED = 1e6
@@ -181,8 +175,7 @@ class LoopMinimum:
         """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance*
         combined standard errors away.
 
-        None where none is found. The step of Gauss-Newton from the truth to its estimate is normal whatever
-        the course of the response between the two. Equation (comp-end).
+        None where none is found. Equation (comp-end).
         """
         here: LoopMinimum = self
         for stage in range(1, STAGES + 1):
@@ -211,7 +204,7 @@ class LoopMinimum:
         return here, False
 
     def moved(self, move: FloatArray) -> LoopMinimum | None:
-        """The problem *move* (n_parameter,) [1] away, as much of it as is possible; None where nothing is."""
+        """The problem *move* (n_parameter,) [1] away, as much of it as is possible."""
         for halving in range(MOST_HALVINGS):
             try:
                 return LoopMinimum.of(self.problem, self.u + move / 2**halving)
@@ -223,9 +216,9 @@ class LoopMinimum:
         """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
         away.
 
-        covariance (n_parameter, n_parameter) [1] of u, combined. Equation (comp-bent).
+        Equation (comp-bent).
         """
-        bends: FloatArray = np.zeros(len(self.problem.unknowns))
+        bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
         for column in range(bends.size):
             for sign in (1.0, -1.0):
@@ -238,8 +231,6 @@ class LoopMinimum:
                 bends = np.maximum(bends, np.abs(shift / errors)[: bends.size] / REACH)
         return bends
 
-
-# Fit of a control loop's unknowns to measured responses, and goodness of fit of the loop.
 
 # Distance to the minimum in standard errors at which a descent that can go no further has ended.
 SETTLED = 0.5
@@ -284,7 +275,7 @@ class LoopFit:
 
     @property
     def changes(self) -> FloatArray:
-        """Changes (n_source, n) [units of the unknowns] by the sources of the budget; (0, n) without one."""
+        """Changes (n_source, n) [units of the unknowns] by the sources of the budget."""
         return np.zeros((0, len(self.parameters))) if self.budget is None else self.budget.changes
 
     def values(self) -> dict[str, float]:
@@ -299,9 +290,9 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     responses without noise estimate. Equation (comp-loop).
     """
     if not all(has_noise(observation.measured) for observation in observations):
-        hint = "average several periods or blocks"
         raise FitError(
-            "the noise of the response is not known, so a loop cannot be compared with it", hint=hint
+            "the noise of the response is not known, so a loop cannot be compared with it",
+            hint="average several periods or blocks",
         )
     unknowns = tuple(unknown(observations[0].file, name) for name in names)
     support = observations[0].support
@@ -337,7 +328,6 @@ def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
 
 
 def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str, ...]:
-    """Unknowns without influence on the response."""
     lengths = np.linalg.norm(jacobian, axis=0)
     return tuple(
         entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0
@@ -358,7 +348,12 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
         _identifiable(problem, at_end.jacobian[:, : problem.n_shared]) if problem.unknowns else (1.0, ())
     )
     whole = LoopFit(
-        parameters=_last_step(problem, minimum),
+        parameters=(
+            tuple(
+                Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
+                for number, entry in enumerate(problem.unknowns)
+            )
+        ),
         correlations=(),
         chi2_reduced=reduced,
         chi2_p=uncertainty.p_value(reduced, dof),
@@ -387,7 +382,6 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
 
 
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
-    """The condition number of the scaled Jacobian, and the unknowns that cause it."""
     idle = _without_influence(problem, jacobian)
     if idle:
         return float("inf"), idle
@@ -402,8 +396,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by
     both.
 
-    *curved*: ends of intervals follow the response where it bends; of a model that the response rejects there
-    is nothing to follow, unless an unknown stands at zero, where its interval has one side only.
+    *curved*: ends of intervals follow the response where it bends.
     """
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
@@ -419,7 +412,11 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     # say little of it, what they ask for is far off by chance.
     pulls = at_end.pulls
     changes = steps[:, :n] * values * np.where(pulls.far, pulls.sizes, 1.0)[:, None]
-    parameters, budget = with_budget(plain, *_by_name(problem.sources, changes), dof)
+    first = {source.source: source for source in reversed(problem.sources)}
+    rows = [changes[[origin.source == name for origin in problem.sources]].sum(axis=0) for name in first]
+    parameters, budget = with_budget(
+        plain, list(first.values()), np.array(rows).reshape(len(first), changes.shape[1]), dof
+    )
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
@@ -437,9 +434,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
 def _curved(
     parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool
 ) -> Parameter:
-    """The unknown with an interval that follows the response; as it is where an end is not found. *at_zero*:
-    an unknown is held there.
-    """
+    """The unknown with an interval that follows the response. *at_zero*: an unknown is held there."""
     factor = parameter.coverage_factor or limit
     ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
     if ends[0] is None or ends[1] is None:
@@ -457,13 +452,6 @@ def _curved(
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
 
 
-def _by_name(sources: Sequence[Uncertainty], changes: FloatArray) -> tuple[list[Uncertainty], FloatArray]:
-    """Sources of one name as one, their changes (n_source, n) added up."""
-    first = {source.source: source for source in reversed(sources)}
-    rows = [changes[[origin.source == name for origin in sources]].sum(axis=0) for name in first]
-    return list(first.values()), np.array(rows).reshape(len(first), changes.shape[1])
-
-
 def _weighed(observation: LoopObservation) -> Measured:
     """The measurement with as many outputs as count: a complex unknown of every line takes one of them."""
     taken = observation.nuisance // (2 * observation.measured.omega.size)
@@ -471,14 +459,6 @@ def _weighed(observation: LoopObservation) -> Measured:
         replace(observation.measured, matrix=observation.measured.matrix[:, taken:])
         if taken
         else observation.measured
-    )
-
-
-def _last_step(problem: LoopProblem, minimum: Minimum) -> tuple[Parameter, ...]:
-    """The values of the last step without standard errors."""
-    return tuple(
-        Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
-        for number, entry in enumerate(problem.unknowns)
     )
 
 
@@ -523,7 +503,6 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
 
 
 def _edge_findings(fit: LoopFit) -> list[Finding]:
-    """A warning where an unknown fits best at zero."""
     if not fit.at_zero:
         return []
     names = " and ".join(fit.at_zero)
@@ -534,7 +513,6 @@ def _edge_findings(fit: LoopFit) -> list[Finding]:
 
 
 def _bent_findings(fit: LoopFit) -> list[Finding]:
-    """A warning where the response bends within the errors of the unknowns."""
     names = [name for name, size in fit.bent if size > BENT]
     if not names:
         return []

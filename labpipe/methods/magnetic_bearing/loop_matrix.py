@@ -18,9 +18,6 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import MatrixError, Uncertainty
 
-# Spectra of all channels as responses to the injections: signals of several quantities, none of them taken
-# as free of noise.
-
 # Condition number of the injections of all runs beyond which they are one.
 ONE_INJECTION = 1e6
 
@@ -73,7 +70,7 @@ def _covariance(
     rows[:, np.arange(len(outputs)), outputs] = 1.0
     rows[:, :, inputs] -= matrix
     noise = np.einsum("loc,lrcd,lpd->lrop", rows, spectra.covariance, rows.conj())
-    joint: ComplexArray = np.einsum("lrop,lri,lrj->loipj", noise, inverse, inverse.conj())
+    joint = np.einsum("lrop,lri,lrj->loipj", noise, inverse, inverse.conj())
     n = matrix.shape[1] * matrix.shape[2]
     return joint.reshape(-1, n, n)
 
@@ -114,9 +111,6 @@ def _port(spectra: ChannelSpectra, number: int) -> Port:
     )
     return Port(channel.name, channel.name, channel.dof, channel.angle, left)
 
-
-# Sensitivity of one loop or of several that are coupled, line by line from both sides of the sums where
-# excitations are added.
 
 SAME_SIGNAL = 1e-9
 
@@ -186,7 +180,7 @@ class SensitivityMatrix:
     def _largest_slopes(self) -> ComplexArray:
         """u_i* v_j of the largest singular value, (n_line, n^2) [1]."""
         left, _, right = np.linalg.svd(self.values)
-        slopes: ComplexArray = left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]
+        slopes = left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]
         return slopes.reshape(len(slopes), -1)
 
     def loop_transfer(self, loop: int) -> tuple[ComplexArray, FloatArray]:
@@ -262,9 +256,6 @@ def sensitivity_matrix(
 def _recorded_errors(
     response: FrequencyResponse, places: tuple[list[int], list[int]], picked: ComplexArray
 ) -> tuple[MatrixError, ...]:
-    """Changes (n_line, n_output, n_input) of all responses by the sources of those behind and ahead of the
-    sums.
-    """
     used = list(dict.fromkeys([*places[0], *places[1]]))
     errors = []
     for error in response_errors(response, used, list(range(len(response.inputs)))):

@@ -34,8 +34,6 @@ from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
 
-# Unknowns of a magnetic-bearing file by name: their values in the file, and the file with other values.
-
 ALIASES = {"gain": "amplifier"}
 FACTORS = ("force_per_current", "negative_stiffness")
 _LOOP = {name: entry.unit for name, (entry, _) in settings_of(ControlLoop).items() if entry.kind == "value"}
@@ -78,9 +76,9 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     elif field in _MAGNET:
         value_and_unit = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
     else:
-        entries = list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))
         raise ConfigError(
-            f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, entries)
+            f"estimate: '{name}' is no unknown of a magnetic bearing",
+            hint=nearest(name, list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))),
         )
     if value_and_unit is None or value_and_unit[0] is None:
         where = (
@@ -100,7 +98,6 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
 
 
 def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
-    """Value and unit of an entry of a block; ConfigError where there is no such block or entry."""
     place, _, entry = name.removeprefix(BLOCK).partition(".")
     count = len(file.loop.controller)
     if not place.isdigit() or not 1 <= int(place) <= count:
@@ -113,12 +110,6 @@ def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
     return getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
 
 
-def _with_block(blocks: tuple[ControllerBlock, ...], name: str, value: float) -> tuple[ControllerBlock, ...]:
-    place, _, entry = name.removeprefix(BLOCK).partition(".")
-    number = int(place) - 1
-    return (*blocks[:number], replace(blocks[number], **{entry: value}), *blocks[number + 1 :])  # type: ignore[arg-type]
-
-
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
     """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
     loop: dict[str, Any] = {}
@@ -127,7 +118,14 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     for name, value in values.items():
         field = ALIASES.get(name, name)
         if field.startswith(BLOCK):
-            loop["controller"] = _with_block(loop.get("controller", file.loop.controller), name, value)
+            blocks = loop.get("controller", file.loop.controller)
+            place, _, entry = name.removeprefix(BLOCK).partition(".")
+            number = int(place) - 1
+            loop["controller"] = (
+                *blocks[:number],
+                replace(blocks[number], **{entry: value}),
+                *blocks[number + 1 :],
+            )
         elif field in (*FACTORS, "static_stiffness"):
             factors[field] = value
         elif field in _LOOP:
@@ -140,10 +138,6 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     if not magnet or file.magnet is None:
         return changed
     return replace(changed, magnet=replace(file.magnet, **magnet))  # type: ignore[arg-type]
-
-
-# Systematic errors of a recorded loop: what the uncertainties of its channels and of sums of channels do to
-# its responses.
 
 
 def response_errors(
@@ -192,9 +186,6 @@ def directions_left_out(ports: Iterable[Port]) -> list[str]:
     )
 
 
-# Measured responses of a control loop beside the prediction of a bearing file: the residual over its
-# unknowns, and what moves it.
-
 STEP = 1e-5
 
 # Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
@@ -209,7 +200,7 @@ class LoopObservation:
     the bearings.
 
     *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of channels, and of
-    numbers that the prediction rests on; the support is no part of them.
+    numbers that the prediction rests on.
     """
 
     measured: Measured
@@ -299,8 +290,6 @@ class LoopProblem:
     def changes(self, u: FloatArray) -> FloatArray:
         """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
         each source beside the support.
-
-        A source of several responses changes all of them.
         """
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
@@ -351,13 +340,9 @@ class LoopProblem:
             return None
 
     def chi2(self, u: FloatArray) -> float:
-        """Sum of squares [1] at u (n_parameter,) [1]; infinite for values that no bearing can have."""
+        """Sum of squares [1] at u (n_parameter,) [1]."""
         residual = self.residual_within(u)
         return float("inf") if residual is None else float(residual @ residual)
-
-
-# Response of a rig with a magnetic bearing: mass, support and bearings as in a fit, from the bearing's
-# prediction.
 
 
 @dataclass(frozen=True)
@@ -449,19 +434,15 @@ def receptance(
     *support* (k_s, c_s), default: nominal.
     """
     stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
-    matrix: ComplexArray = _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
-    return matrix
+    return _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
 
 
 def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:
     """k_s + j w c_s + n (K G(jw) - k_n) - m w^2, (n_line,) [N/m]."""
     plant = file.levitated()
-    bearings: ComplexArray = view.settings.share * dynamic_stiffness(
-        plant.loop, plant.negative_stiffness, omega
-    )
+    bearings = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     assert isinstance(view.settings.mass, float)
-    total: ComplexArray = support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2
-    return total
+    return support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2
 
 
 def view_errors(
@@ -470,9 +451,8 @@ def view_errors(
     """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard
     uncertainty of every source.
 
-    Channels and sums change what is *measured*. A given mass changes the prediction, and so does a direction,
-    unless other sensors tell the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation
-    (comp-loop-change).
+    A given mass changes the prediction, and so does a direction, unless other sensors tell the motion across
+    it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
     # Of the prediction: in proportion to the measurement a gain would shrink its noise with it.
@@ -516,7 +496,7 @@ def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:
     """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are
-    known; else zero.
+    known.
     """
     sines = np.zeros((len(measured.outputs), len(measured.inputs)))
     for row, output in enumerate(measured.outputs):

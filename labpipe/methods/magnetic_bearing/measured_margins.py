@@ -4,7 +4,7 @@ a parabola follows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,8 +126,7 @@ def _through(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatA
     over log omega at other places (..., n_place) [rad/s].
     """
     count = min(coefficients, omega.shape[-1])
-    weights: FloatArray = _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
-    return weights
+    return _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
 
 
 def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
@@ -153,8 +152,7 @@ class Smooth:
     def of(self, margin: Margin, n: int) -> Found:
         """A margin between the places n and n + 1, its standard error and its changes.
 
-        Half of the covariance (n_place, n_place) [1] of a response is of its real and half of its imaginary
-        part. Equation (comp-margins-change).
+        Equation (comp-margins-change).
         """
         part = slice(n, n + 2)
         pair, places, total = self.values[part], self.omega[part], 0.0
@@ -172,9 +170,6 @@ class Smooth:
         return margin(pair, places), float(np.sqrt(total)), moved
 
 
-# Margins of a measured loop transfer function.
-
-
 def measured_margins(
     frequency: FloatArray,
     transfer: tuple[ComplexArray, FloatArray],
@@ -189,9 +184,7 @@ def measured_margins(
     changes L by *changes* (n_source, n_line) [1]. noise: complex degrees of freedom behind the variance, and
     standard errors to either side of a 95 % interval. *frequency* (n_line,) [Hz].
 
-    L follows a polynomial over neighbouring lines, since noise makes it cross several times; where it does so
-    all the same, one parabola over all these crossings and as much again, since the least of several would be
-    too small. Equation (comp-margins).
+    Equation (comp-margins).
     """
     dof, quantile = noise
     if frequency.size < LOCAL:
@@ -238,7 +231,13 @@ def _crossings(
     signed = function(smooth.values)
     error = np.sqrt(np.diag(smooth.covariance) / 2)
     sure = np.abs(signed) > SURE * error
-    for first, last in _together(_changes(signed), sure):
+    groups: list[tuple[int, int]] = []
+    for n in _changes(signed):
+        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
+            groups[-1] = (groups[-1][0], n)
+        else:
+            groups.append((n, n))
+    for first, last in groups:
         # Not where noise crosses up to an end of the lines, or a function that only touches zero.
         before, after = np.flatnonzero(sure[: first + 1]), np.flatnonzero(sure[last + 1 :])
         if before.size == 0 or after.size == 0 or signed[before[-1]] * signed[last + 1 + after[0]] > 0:
@@ -256,19 +255,7 @@ def _crossings(
                 break
 
 
-def _together(crossings: Sequence[int], sure: BoolArray) -> list[tuple[int, int]]:
-    """First and last of the *crossings* between which no line is *sure* (n_line,) of its sign."""
-    groups: list[tuple[int, int]] = []
-    for n in crossings:
-        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
-            groups[-1] = (groups[-1][0], n)
-        else:
-            groups.append((n, n))
-    return groups
-
-
 def _changes(values: FloatArray) -> list[int]:
-    """Numbers of the places behind which a function changes its sign."""
     return [int(n) for n in np.flatnonzero(values[:-1] * values[1:] < 0)]
 
 
@@ -312,8 +299,7 @@ def crest_of(course: Course) -> Crest | None:
     """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
     lies at an end of the lines.
 
-    Place and curvature are those of the parabola where that follows the lines; from there the polynomial of
-    fourth degree tells the rest. Equation (comp-peak).
+    Equation (comp-peak).
     """
     count = course.omega.size
     if count < FEWEST:
@@ -380,7 +366,7 @@ def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> floa
     """Distance [rad/s] between the maximum of |S| and the minimum of |1/S| by polynomials of fourth degree
     through the same lines, a step of Newton each: what lines far apart leave of the place.
 
-    1/S = 1 + L has no resonance of the closed loop and bends far less. Equation (comp-peak-truncation).
+    Equation (comp-peak-truncation).
     """
     places = of_place.omega[top - 1 : top + 2]
     step = float(np.log(places[1] / places[0]))

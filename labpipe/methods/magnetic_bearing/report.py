@@ -36,8 +36,8 @@ def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
     )
     confidence = f"{100 * plant.confidence:g} %"
     caption = (
-        f"{fit_title(fit)}: nominal plant and the band that holds the true one at all lines "
-        f"({confidence}); weight: radius / |G|."
+        f"{fit_title(fit)}: nominal plant and the band that holds the true one at all lines ({confidence}); "
+        "weight: radius / |G|."
     )
     sentence = (
         "For robust control design: the true plant lies within the radius around the nominal one at all "

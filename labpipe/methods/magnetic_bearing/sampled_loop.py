@@ -1,8 +1,7 @@
-"""One direction of a levitated rotor in the time domain: mass, springs and bias field under a controller that
-samples, computes and holds.
+"""One direction of a levitated rotor in the time domain under a controller that samples, computes and holds.
 
-The frequency-domain twin is bearings/magnetic_loop: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a
-sampling interval of delay.
+The frequency-domain twin is `loop`: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a sampling interval
+of delay.
 """
 
 from __future__ import annotations
@@ -86,8 +85,7 @@ class SampledLoop:
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
         force = (whole[:, :, :1] + z * whole[:, :, 1:2]) / straight(omega, self.rate)[:, None, None]
-        joined: ComplexArray = np.concatenate([force, whole[:, :, 2:]], axis=2)
-        return joined
+        return np.concatenate([force, whole[:, :, 2:]], axis=2)
 
 
 def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
@@ -116,12 +114,8 @@ def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
 
 
 def straight(omega: FloatArray, rate: float) -> FloatArray:
-    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-].
-
-    Samples are divided by it.
-    """
-    shape: FloatArray = np.sinc(omega / (2 * np.pi * rate)) ** 2
-    return shape
+    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-]."""
+    return np.sinc(omega / (2 * np.pi * rate)) ** 2
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,6 @@ from labpipe.records.uncertain import Budget, MatrixError
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
-# Sensitivity of a control loop from an excitation added in the loop: its peak, the zone of ISO 14839-3, and
-# the prediction.
-
 COMPLEX_PARTS = 2
 # Ratio of predicted to measured S (1 - S) up to which a change is scaled by it: beyond is noise about zero.
 MOST_SCALED = 2.0
@@ -141,11 +138,9 @@ class Peak:
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
     """S = H_after / (H_after - H_before), both against the excitation that is added between them.
 
-    after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain
-    nor delay of the recorded excitation. To first order dS = (H_after dH_before - H_before dH_after) /
-    (H_after - H_before)^2; half of E|dS|^2 is along |S|. Systematic errors of both go the same way, so that
-    what they have in common cancels. ConfigError for unknown points, FitError without a covariance or where
-    both points are the same. Equation (mag-measured-sensitivity).
+    after = before + e and before = -L after give S = 1 / (1 + L) = after / e. To first order dS = (H_after
+    dH_before - H_before dH_after) / (H_after - H_before)^2. ConfigError for unknown points, FitError without
+    a covariance or where both points are the same. Equation (mag-measured-sensitivity).
     """
     rows, columns = select_ports(response, (), (before, after))
     if len(rows) != 2 or len(columns) != 1:
@@ -182,7 +177,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     """The maximum of |S| by a polynomial through the lines around it; at an edge of the band the highest line
     itself.
 
-    The highest line alone would be biased upwards by its noise. Equation (comp-peak-change).
+    Equation (comp-peak-change).
     """
     frequency, error = measured.frequency, measured.error
     changes = np.array([one.change[:, 0, 0] for one in measured.errors]).reshape(-1, frequency.size)
@@ -218,8 +213,10 @@ def loop_sensitivity(
     measured_amounts, budget = _measured_amounts(measured, peak, predicted)
     amounts, budgets = list(measured_amounts), [budget]
     if theory is not None and predicted is not None:
+        holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
+        pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
         amounts += [
-            *_predicted_amounts(measured, predicted),
+            *tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items()),
             *goodness(theory.fitted),
             *theory.fitted.parameters,
         ]
@@ -248,7 +245,6 @@ class _Theory:
     fitted: LoopFit
 
     def size(self, file: MagneticFile, frequency: FloatArray) -> FloatArray:
-        """|S| of a file."""
         return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
 
 
@@ -275,7 +271,6 @@ def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: 
 def _measured_amounts(
     measured: MeasuredSensitivity, peak: Peak, predicted: FloatArray | None
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The peak, its frequency, and measured over predicted peak, with what systematic errors add."""
     amounts, changes = peak.amounts(measured.quantile), [peak.changes, peak.frequency_changes]
     if predicted is not None:
         highest = float(np.max(predicted))
@@ -290,15 +285,6 @@ def _measured_amounts(
         np.array(changes).T,
         dof if np.isfinite(dof) else None,
     )
-
-
-def _predicted_amounts(measured: MeasuredSensitivity, predicted: FloatArray) -> tuple[Parameter, ...]:
-    """The predicted peak within the measured band, and the share of lines whose interval holds the
-    prediction.
-    """
-    holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
-    pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
-    return tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items())
 
 
 def _statement(

@@ -8,12 +8,10 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.settings import SPECTRA
-
-# Settings of the fits of a magnet and of a block: their sections `magnet:` and `block:`.
 
 DIRECT, BEARING, FULL = "direct", "bearing", "full"
 AUTO = "auto"
@@ -40,31 +38,21 @@ class MagnetSettings(Settings):
         unit="kg.m^2",
         default=None,
     )
-    centre: float = setting(
-        "value",
-        "place of the centre of gravity, from where the channels' positions are",
-        unit="m",
-        default=0.0,
+    centre: float = quantity(
+        "place of the centre of gravity, from where the channels' positions are", "m", 0.0
     )
-    hold: float | None = setting(
-        "value",
+    hold: float | None = quantity(
         "rate of the recording, where no filter stands between the held output of a controller and the "
         "samples; default: a smooth current",
-        unit="Hz",
-        default=None,
+        "Hz",
+        None,
     )
-    amplifier_bandwidth: float | None = setting(
-        "value",
-        "with hold: -3 dB bandwidth of the amplifier behind the held output; default: unlimited",
-        unit="Hz",
-        default=None,
+    amplifier_bandwidth: float | None = quantity(
+        "with hold: -3 dB bandwidth of the amplifier behind the held output; default: unlimited", "Hz", None
     )
 
-    band_confidence: float = setting(
-        "value",
-        "probability that the band for robust control design holds the true plant at all lines",
-        unit="1",
-        default=0.95,
+    band_confidence: float = quantity(
+        "probability that the band for robust control design holds the true plant at all lines", "1", 0.95
     )
 
     def __post_init__(self) -> None:
@@ -89,9 +77,6 @@ class BlockSettings(Settings):
     order: str = setting(
         "choice", "order of the low-pass; auto: the one of the least BIC", choices=ORDERS, default=AUTO
     )
-
-
-# The models magnet and block as entries of the table of models. What fits is imported by the first fit.
 
 
 def _fit_magnet(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:

@@ -8,11 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.magnetic_bearing.loop import (
@@ -33,9 +31,6 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
     sampled_plant,
 )
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
-
-# Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the sensitivity
-# with its zone.
 
 PADE_ORDER = 4
 # Sizes of z: of what is no state but an empty place in a delay line, and beyond 1 of a pole that grows.
@@ -59,10 +54,7 @@ class Levitated:
 
 @dataclass(frozen=True)
 class SensitivityPeak:
-    """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3.
-
-    At 0 Hz where the static value is the largest.
-    """
+    """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3."""
 
     value: float
     frequency: float
@@ -85,14 +77,14 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
     return Polynomial([(-1) ** k * term for k, term in enumerate(terms)]), Polynomial(terms)
 
 
-def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_ORDER) -> Polynomial:
+def characteristic_polynomial(plant: Levitated, time: float) -> Polynomial:
     """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the
     coefficients are of equal magnitude.
 
     Of one direction unless the controller is a matrix. Equation (mag-characteristic).
     """
     loop = plant.loop
-    ahead, behind = pade(loop.delay / time, order if loop.delay > 0 else 0)
+    ahead, behind = pade(loop.delay / time, PADE_ORDER if loop.delay > 0 else 0)
     for corner in loop.corners:
         behind = behind * Polynomial([1.0, corner / time])
     ahead = loop_stiffness(loop) * ahead
@@ -112,10 +104,7 @@ def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial,
     """Numerator and denominator of the controller x by x in s * *time*."""
     if loop.controller:
         return _polynomials(loop.controller, time)
-    differentiator, lag = (
-        Polynomial([1.0, loop.derivative_time / time]),
-        Polynomial([1.0, loop.lag_time / time]),
-    )
+    differentiator, lag = (Polynomial([1.0, t / time]) for t in (loop.derivative_time, loop.lag_time))
     pid = (
         loop.proportional * differentiator * lag
         + Polynomial([0.0, loop.derivative / time]) * lag
@@ -130,14 +119,10 @@ def _polynomials(blocks: Sequence[ControllerBlock], time: float) -> tuple[Polyno
         return Polynomial([0.0]), Polynomial([1.0])
     continuous, _ = in_series(blocks)
     above, below = (
-        Polynomial(_from_roots(np.array(roots) * time)) for roots in (continuous.zeros, continuous.poles)
+        Polynomial(np.atleast_1d(np.poly(np.array(roots) * time)).real[::-1])
+        for roots in (continuous.zeros, continuous.poles)
     )
     return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
-
-
-def _from_roots(roots: NDArray[Any]) -> FloatArray:
-    """Coefficients (n + 1,) [1] of prod(s - root), roots in conjugate pairs."""
-    return np.asarray(Polynomial.fromroots(roots).coef.real if roots.size else np.ones(1))
 
 
 def sampled(plant: Levitated, rate: float) -> FloatArray:
@@ -148,9 +133,8 @@ def sampled(plant: Levitated, rate: float) -> FloatArray:
     return sampled_loop(suspended, rate).a if plant.loop.cross is None else sampled_matrix(suspended, rate)
 
 
-def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray:
-    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation of
-    *order*.
+def closed_loop_poles(plant: Levitated) -> ComplexArray:
+    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation.
 
     With discrete blocks s = f_s ln z of the sampled loop, without approximation.
     """
@@ -158,9 +142,7 @@ def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray
     if rate is not None:
         return ordered_poles(sampled_poles(sampled(plant, rate), rate))
     time = 1e-3
-    return ordered_poles(
-        np.asarray(characteristic_polynomial(plant, time, order).roots(), np.complex128) / time
-    )
+    return ordered_poles(np.asarray(characteristic_polynomial(plant, time).roots(), np.complex128) / time)
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
@@ -175,8 +157,7 @@ def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
 
 def ordered_poles(poles: ComplexArray) -> ComplexArray:
     """Least damped first, (n_pole,) [rad/s]."""
-    ordered: ComplexArray = poles[np.lexsort((np.abs(poles.imag), -poles.real))]
-    return ordered
+    return poles[np.lexsort((np.abs(poles.imag), -poles.real))]
 
 
 def unstable_poles(plant: Levitated) -> int:
@@ -194,7 +175,7 @@ def unstable_poles(plant: Levitated) -> int:
     dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega) - plant.mass * omega[
         :, None, None
     ] ** 2 * np.eye(2)
-    curve: ComplexArray = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
+    curve = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
     poles = np.array(
         [pole for blocks in _elements(loop) for pole in in_series(blocks)[0].poles], np.complex128
     )
@@ -212,7 +193,6 @@ def unstable_poles(plant: Levitated) -> int:
 
 
 def _elements(loop: ControlLoop) -> list[tuple[ControllerBlock, ...]]:
-    """The blocks of every element of the controller that is not zero."""
     pairs = ["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"]
     return [blocks for blocks in (loop.blocks(*pair) for pair in pairs) if blocks]
 
@@ -224,12 +204,12 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
     """
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
-    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     controlled = loop_stiffness(plant.loop) * controller(plant.loop, omega)
     # An integrator at rest: S = 0.
     # At a pole on the axis it is infinite, and says so.
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio: ComplexArray = rotor / (rotor + controlled)
+        ratio = rotor / (rotor + controlled)
     return np.where(np.isfinite(controlled), ratio, 0.0)
 
 
@@ -239,11 +219,10 @@ def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
     Equation (mag-sensitivity).
     """
-    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
-    ratio: ComplexArray = rotor[:, None, None] * np.linalg.inv(
+    rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    return rotor[:, None, None] * np.linalg.inv(
         rotor[:, None, None] * np.eye(2) + loop_stiffness(plant.loop) * controller_matrix(plant.loop, omega)
     )
-    return ratio
 
 
 def zone_of(peak: float) -> str:
@@ -265,9 +244,6 @@ def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
     place = int(np.argmax(size))
     return SensitivityPeak(float(size[place]), float(frequency[place]), zone_of(float(size[place])))
 
-
-# A magnetic-bearing loop cut open: controller, and motion and current per command, in continuous time or
-# sampled with its hold.
 
 # Signals of a loop that an injection e moves; the units are per volt at either place.
 SIGNALS = ("before", "after", "output", "displacement", "current")
@@ -307,7 +283,7 @@ class OpenLoop:
         """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it
         (output).
 
-        before and after are the two sides of the sum where it is added; output is the command behind it.
+        before and after are the two sides of the sum where it is added.
         """
         s = self.sensitivity
         command = self.controller * s if place == INPUT else s

@@ -13,10 +13,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, setting
-
-# A transfer function by zeros, poles and gain, of s or of z; from polynomials, from filters, and from
-# objects of other packages.
+from labpipe.records.settings import Settings, quantity, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
@@ -38,7 +35,7 @@ class Transfer:
 
     def response(self, omega: FloatArray) -> ComplexArray:
         """G at *omega* [rad/s], (n_line,) [1]; infinite at a pole."""
-        s: ComplexArray = 1j * np.asarray(omega)
+        s = 1j * np.asarray(omega)
         v = s if self.rate is None else np.exp(s / self.rate)
         total = np.full(v.shape, self.gain, np.complex128)
         # Factor by factor: the product of all zeros alone may exceed what numbers hold.
@@ -55,13 +52,15 @@ class Transfer:
         return value.real if np.isfinite(value) else float("inf")
 
     def times(self, other: Transfer) -> Transfer:
-        """Both in series; they must be of one variable."""
+        """Both in series."""
         return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain, self.rate)
 
 
 def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | None = None) -> Transfer:
     """From coefficients in descending powers of s or z; ConfigError for a denominator that is zero."""
-    above, below = _trimmed(numerator), _trimmed(denominator)
+    above, below = (
+        np.trim_zeros(np.atleast_1d(np.asarray(power, float)), "f") for power in (numerator, denominator)
+    )
     if not below.size:
         raise ConfigError(
             "denominator: is zero",
@@ -72,12 +71,8 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
     above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
     if not above.size:
         return Transfer((), (), 0.0, rate)
-    return Transfer(_roots(above), tuple(map(complex, poles)), float(above[0] / below[0]), rate)
-
-
-def _trimmed(coefficients: ArrayLike) -> FloatArray:
-    """Without leading zeros."""
-    return np.trim_zeros(np.atleast_1d(np.asarray(coefficients, float)), "f")
+    zeros = tuple(map(complex, np.roots(above)))
+    return Transfer(zeros, tuple(map(complex, poles)), float(above[0] / below[0]), rate)
 
 
 def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
@@ -87,10 +82,6 @@ def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
     while coefficients.size > 1 and abs(coefficients[1]) > FAR * largest * abs(coefficients[0]) > 0:
         coefficients = coefficients[1:]
     return coefficients
-
-
-def _roots(coefficients: FloatArray) -> tuple[complex, ...]:
-    return tuple(complex(root) for root in np.roots(coefficients))
 
 
 def lead_lag(zero: float, pole: float) -> Transfer:
@@ -138,18 +129,24 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
     """
     rate = _rate_of(getattr(system, "dt", None))
     if all(hasattr(system, name) for name in ("num", "den")):
-        above, below = _nested(system.num), _nested(system.den)
+        single = np.isscalar(system.num[0])
+        above, below = (
+            [[part]] if single else [list(row) for row in part] for part in (system.num, system.den)
+        )
         return [
             [of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)]
             for pair in zip(above, below, strict=True)
         ]
     if all(hasattr(system, name) for name in "ABCD"):
         a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, name), float)) for name in "ABCD")
-        return _of_states(a, b, c, d, rate)
+        columns = range(d.shape[1])
+        return [
+            [_element(a, b[:, [column]], c[[row]], d[[row]][:, [column]], rate) for column in columns]
+            for row in range(d.shape[0])
+        ]
     if all(hasattr(system, name) for name in ("zeros", "poles", "gain")) and not callable(system.zeros):
         zeros, poles = (
-            tuple(complex(root) for root in np.atleast_1d(getattr(system, name)))
-            for name in ("zeros", "poles")
+            tuple(map(complex, np.atleast_1d(getattr(system, name)))) for name in ("zeros", "poles")
         )
         return [[Transfer(zeros, poles, float(system.gain), rate)]]
     raise ConfigError(
@@ -165,22 +162,6 @@ def _rate_of(interval: Any) -> float | None:
     if isinstance(interval, bool):
         raise ConfigError("a discrete transfer function has no sampling time", hint="give dt in seconds")
     return 1 / float(interval)
-
-
-def _nested(polynomials: Any) -> list[list[ArrayLike]]:
-    """Coefficients [output][input]; a single polynomial as one element."""
-    single = np.isscalar(polynomials[0])
-    return [[polynomials]] if single else [list(row) for row in polynomials]
-
-
-def _of_states(
-    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None
-) -> list[list[Transfer]]:
-    columns = range(d.shape[1])
-    return [
-        [_element(a, b[:, [column]], c[[row]], d[[row]][:, [column]], rate) for column in columns]
-        for row in range(d.shape[0])
-    ]
 
 
 def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> Transfer:
@@ -249,8 +230,7 @@ def _confirmed(
     return found
 
 
-# Blocks of a controller in series as a bearing file has them. FORMS by name: the entries that a block
-# needs, and its transfer function.
+# Blocks of a controller in series as a bearing file has them. FORMS by name.
 
 # Relative distance at which two roots are conjugate.
 CONJUGATE = 1e-6
@@ -270,15 +250,10 @@ class Form:
 def _checked_roots(block: ControllerBlock) -> Transfer:
     for name in ("zeros", "poles"):
         roots = np.array(getattr(block, name), np.complex128)
-        lonely = [
-            root
-            for root in roots
-            if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300)
-        ]
-        if lonely:
-            root = lonely[0]
-            hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
-            raise ConfigError(f"{name}: {root:g} stands without its conjugate", hint=hint, field=name)
+        for root in roots:
+            if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300):
+                hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
+                raise ConfigError(f"{name}: {root:g} stands without its conjugate", hint=hint, field=name)
     return Transfer(block.zeros, block.poles, block.gain, block.rate)
 
 
@@ -309,7 +284,7 @@ FORMS: dict[str, Form] = {
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerBlock(Settings):
-    """One block of a controller in series with the others; which entries it has depends on its form."""
+    """One block of a controller in series with the others."""
 
     form: str = setting("choice", "what the block is given by", choices=tuple(FORMS))
     zeros: tuple[complex, ...] = setting(
@@ -318,35 +293,27 @@ class ControllerBlock(Settings):
     poles: tuple[complex, ...] = setting(
         "roots", "roots: of the denominator, [rad/s]; with a rate of z, [1]", default=()
     )
-    gain: float = setting(
-        "value", "roots: factor before (s - zeros) / (s - poles); gain: the gain", unit="1", default=1.0
-    )
+    gain: float = quantity("roots: factor before (s - zeros) / (s - poles); gain: the gain", "1", 1.0)
     numerator: tuple[float, ...] = setting(
         "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
     )
     denominator: tuple[float, ...] = setting(
         "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
     )
-    rate: float | None = setting(
-        "value", "roots, polynomial: sampling rate, which makes them functions of z", unit="Hz", default=None
+    rate: float | None = quantity(
+        "roots, polynomial: sampling rate, which makes them functions of z", "Hz", None
     )
-    proportional: float = setting("value", "pid: proportional gain", unit="1", default=0.0)
-    integral: float = setting("value", "pid: gain of the integral", unit="1/s", default=0.0)
-    derivative: float = setting("value", "pid: gain of the derivative", unit="s", default=0.0)
-    derivative_time: float = setting(
-        "value", "pid: time constant of the differentiator", unit="s", default=0.0
-    )
-    zero: float | None = setting(
-        "value", "lead-lag: corner frequency of the numerator", unit="Hz", default=None
-    )
-    pole: float | None = setting(
-        "value", "lead-lag: corner frequency of the denominator", unit="Hz", default=None
-    )
-    frequency: float | None = setting("value", "low-pass: corner; notch: centre", unit="Hz", default=None)
+    proportional: float = quantity("pid: proportional gain", "1", 0.0)
+    integral: float = quantity("pid: gain of the integral", "1/s", 0.0)
+    derivative: float = quantity("pid: gain of the derivative", "s", 0.0)
+    derivative_time: float = quantity("pid: time constant of the differentiator", "s", 0.0)
+    zero: float | None = quantity("lead-lag: corner frequency of the numerator", "Hz", None)
+    pole: float | None = quantity("lead-lag: corner frequency of the denominator", "Hz", None)
+    frequency: float | None = quantity("low-pass: corner; notch: centre", "Hz", None)
     order: int = setting("integer", "low-pass: 1 or 2", default=1)
-    damping: float = setting("value", "low-pass of order 2: damping ratio", unit="1", default=2**-0.5)
-    depth: float = setting("value", "notch: gain at the centre", unit="1", default=0.0)
-    width: float = setting("value", "notch: width at -3 dB over the centre frequency", unit="1", default=0.2)
+    damping: float = quantity("low-pass of order 2: damping ratio", "1", 2**-0.5)
+    depth: float = quantity("notch: gain at the centre", "1", 0.0)
+    width: float = quantity("notch: width at -3 dB over the centre frequency", "1", 0.2)
 
     def __post_init__(self) -> None:
         form = FORMS[self.form]
@@ -446,10 +413,8 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
 def in_series(blocks: Iterable[ControllerBlock]) -> tuple[Transfer, Transfer]:
     """All blocks in series: those of s, and those of z, which are 1 where there are none."""
     parts = [block.transfer for block in blocks]
-    continuous, discrete = (
-        Transfer(),
-        Transfer(rate=next((part.rate for part in parts if part.rate is not None), None)),
-    )
+    continuous = Transfer()
+    discrete = Transfer(rate=next((part.rate for part in parts if part.rate is not None), None))
     for part in parts:
         if part.rate is None:
             continuous = continuous.times(part)

@@ -1,12 +1,11 @@
 """Runs on the virtual magnetic-bearing rig closed by its loop in the time domain: recordings that hold the
-loop. LOOP_RUNS by name.
+loop.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
     straight,
 )
 from labpipe.methods.magnetic_bearing.virtual_mechanics import PERIODS, VirtualMagneticRig, negative_stiffness
-from labpipe.raw_files.excitation import Multisine, design_multisine
+from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.simulate.linear import TACHO, line_frequencies, pulses
@@ -46,10 +45,9 @@ def suspended(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspe
     The bias field is that of the rig's own loop, whatever gains *loop* has.
     """
     levitation = rig.levitation
-    pull = negative_stiffness(levitation)
     return Suspended(
         loop or levitation.loop,
-        pull,
+        negative_stiffness(levitation),
         rig.rotor_mass,
         levitation.bearings,
         rig.pedestal_stiffness,
@@ -68,17 +66,18 @@ def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods.
-
-    X, y, current and controller output.
-    """
+    """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods."""
     loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
     plant = suspended(rig, loop)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     periods, rate = 1 + PERIODS, 2000.0
     closed = sampled_loop(plant)
     length = _length(periods / force.spacing)
-    force_samples = np.resize(_straight_force(force), length + 1) * np.cos(np.pi / 4)
+    spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
+    spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
+    force_samples = np.resize(
+        np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing)), length + 1
+    ) * np.cos(np.pi / 4)
     noise = _probe_noise(rig, rate, (length, 2), rng)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _logged(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
@@ -95,33 +94,28 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
             Channel(f"u{dof}", "voltage", "reference", f"u{dof}"),
         ]
         columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
-    return SimulatedRun(
-        name,
-        _radial_truth(rig, plant, force),
-        Recording(tuple(channels), np.column_stack(columns), rate, name),
-    )
-
-
-def _radial_truth(rig: VirtualMagneticRig, plant: Suspended, force: Multisine) -> dict[str, Any]:
     omega = line_frequencies(force)
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
-    return {
-        "mass": rig.rotor_mass,
-        "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
-        "proportional": plant.loop.proportional,
-        "delay": plant.loop.delay,
-        "negative_stiffness_per_bearing": plant.negative_stiffness,
-        "frequency_hz": (omega / (2 * np.pi)).tolist(),
-        "k_per_bearing": bearing.real.tolist(),
-        "c_per_bearing": (bearing.imag / omega).tolist(),
-    }
+    return SimulatedRun(
+        name,
+        {
+            "mass": rig.rotor_mass,
+            "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
+            "proportional": plant.loop.proportional,
+            "delay": plant.loop.delay,
+            "negative_stiffness_per_bearing": plant.negative_stiffness,
+            "frequency_hz": (omega / (2 * np.pi)).tolist(),
+            "k_per_bearing": bearing.real.tolist(),
+            "c_per_bearing": (bearing.imag / omega).tolist(),
+        },
+        Recording(tuple(channels), np.column_stack(columns), rate, name),
+    )
 
 
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """The rotor alone.
 
-    A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded; 1 + 5
-    periods.
+    A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded.
     """
     plant = rotor_alone(rig)
     added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
@@ -188,26 +182,15 @@ def _unbalance_force(
     mass: float, speed: FloatArray, angle: FloatArray, eccentricity: float, place: float, quarter: float
 ) -> FloatArray:
     """m e (2 pi n)^2 cos(theta + place - quarter) [N]."""
-    force: FloatArray = mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
-    return force
+    return mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
 
 
 def _length(seconds: float) -> int:
     return round((seconds + MARGIN) * CONTROL_RATE)
 
 
-def _straight_force(force: Multisine) -> FloatArray:
-    """One period at the controller's rate whose straight lines between samples have the multisine's lines."""
-    spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
-    spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
-    return np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing))
-
-
 def _inputs(force: FloatArray, noise: FloatArray) -> FloatArray:
-    """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise.
-
-    Nothing injected.
-    """
+    """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise."""
     return np.stack([force[:-1], force[1:], noise, np.zeros_like(noise)], axis=2)
 
 
@@ -229,8 +212,7 @@ def _hover_force(
         plant.stiffness
         + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
     )
-    force: FloatArray = static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
-    return force
+    return static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:
@@ -245,9 +227,6 @@ def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) ->
 
 
 def _logged(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
-    """The loop's signals as a logger with its filter stores them: every channel by the same filter without
-    delay.
-    """
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
 

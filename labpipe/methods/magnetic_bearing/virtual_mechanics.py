@@ -10,11 +10,8 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate import linear
-from labpipe.simulate.virtual_rigs import require_positive
-
-# The parameters of the virtual magnetic-bearing rig; its runs are in the table RUNS.
 
 KIND = "virtual-magnetic-rig"
 LAWS = ("relaxation", "control-loop")
@@ -25,15 +22,14 @@ class Levitation(Settings):
     """One magnetic bearing: static stiffness k_0, and the law by which it changes with frequency.
 
     relaxation: k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive,
-    and like the measured bearings soft at 2 Hz and stiffer by far at 250 Hz. It stands for control loop and
-    eddy currents together. control-loop: the loop alone, k_0 + K (G(jw) - G(0)); K = probe * amplifier *
-    force-current factor [N/m].
+    and like the measured bearings soft at 2 Hz and stiffer by far at 250 Hz. control-loop: the loop alone,
+    k_0 + K (G(jw) - G(0)); K = probe * amplifier * force-current factor [N/m].
     """
 
     law: str = setting("choice", "how stiffness changes with frequency", choices=LAWS, default="relaxation")
-    static: float = setting("value", "static stiffness k_0 of one bearing", unit="N/m", default=1694.0)
-    dynamic: float = setting("value", "stiffness gained far above the corner, k_1", unit="N/m", default=110e3)
-    corner: float = setting("value", "corner frequency f_c", unit="Hz", default=150.0)
+    static: float = quantity("static stiffness k_0 of one bearing", "N/m", 1694.0)
+    dynamic: float = quantity("stiffness gained far above the corner, k_1", "N/m", 110e3)
+    corner: float = quantity("corner frequency f_c", "Hz", 150.0)
     bearings: int = setting("integer", "equal bearings in parallel", default=2)
     loop: ControlLoop = setting(
         "section", "the position control (law control-loop)", section=ControlLoop, default=ControlLoop()
@@ -49,9 +45,9 @@ class Levitation(Settings):
 class Noise(Settings):
     """Standard deviations of the measuring noise and of the rotor's wander."""
 
-    displacement: float = setting("value", "displacement sensors", unit="m", default=0.3e-6)
-    force: float = setting("value", "force transducer", unit="N", default=0.02)
-    hover: float = setting("value", "slow wander of the levitated rotor", unit="m", default=1e-6)
+    displacement: float = quantity("displacement sensors", "m", 0.3e-6)
+    force: float = quantity("force transducer", "N", 0.02)
+    hover: float = quantity("slow wander of the levitated rotor", "m", 1e-6)
 
 
 @dataclass(frozen=True)
@@ -61,21 +57,17 @@ class VirtualMagneticRig(Settings):
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual magnetic-bearing rig")
-    pedestal_mass: float = setting("value", "mass of the pedestal alone", unit="kg", default=0.79)
-    rotor_mass: float = setting(
-        "value", "mass of pedestal and rotor, moving radially", unit="kg", default=0.92
-    )
-    axial_mass: float = setting("value", "mass moving axially", unit="kg", default=0.13)
-    pedestal_stiffness: float = setting("value", "springs of the pedestal", unit="N/m", default=134.5e3)
-    pedestal_damping: float = setting("value", "guides of the pedestal", unit="N.s/m", default=3.682)
-    axial_stiffness: float = setting("value", "passive axial stiffness", unit="N/m", default=2471.0)
-    axial_damping: float = setting("value", "axial damping", unit="N.s/m", default=3.108)
-    actuator_gain: float = setting(
-        "value", "force per control voltage at the centre", unit="N/V", default=5.8
-    )
-    speed: float = setting("value", "shaft speed of the rotating run", unit="Hz", default=8000 / 60)
-    unbalance: float = setting("value", "1x amplitude of the rotating run", unit="m", default=4e-6)
-    radial_force: float = setting("value", "rms force of the shaker in radial runs", unit="N", default=2.0)
+    pedestal_mass: float = quantity("mass of the pedestal alone", "kg", 0.79)
+    rotor_mass: float = quantity("mass of pedestal and rotor, moving radially", "kg", 0.92)
+    axial_mass: float = quantity("mass moving axially", "kg", 0.13)
+    pedestal_stiffness: float = quantity("springs of the pedestal", "N/m", 134.5e3)
+    pedestal_damping: float = quantity("guides of the pedestal", "N.s/m", 3.682)
+    axial_stiffness: float = quantity("passive axial stiffness", "N/m", 2471.0)
+    axial_damping: float = quantity("axial damping", "N.s/m", 3.108)
+    actuator_gain: float = quantity("force per control voltage at the centre", "N/V", 5.8)
+    speed: float = quantity("shaft speed of the rotating run", "Hz", 8000 / 60)
+    unbalance: float = quantity("1x amplitude of the rotating run", "m", 4e-6)
+    radial_force: float = quantity("rms force of the shaker in radial runs", "N", 2.0)
     levitation: Levitation = setting(
         "section", "the magnetic bearings", section=Levitation, default=Levitation()
     )
@@ -86,8 +78,6 @@ class VirtualMagneticRig(Settings):
             self, "pedestal_mass", "rotor_mass", "axial_mass", "pedestal_stiffness", "axial_stiffness"
         )
 
-
-# Truth of the virtual rig: dynamic stiffness over frequency.
 
 # Two force directions are tested on coefficients that differ in every place, as a fluid-film bearing's do.
 COUPLED_STIFFNESS = np.array([[180e3, 25e3], [-18e3, 210e3]])
@@ -128,8 +118,7 @@ def control_loop(levitation: Levitation, omega: FloatArray) -> ComplexArray:
     """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,)
     [N/m].
 
-    Lim et al. (2009), eq. 7 and table 1; the negative stiffness k_n is what leaves the static stiffness k_0
-    at rest.
+    Lim et al. (2009), eq. 7 and table 1.
     """
     return dynamic_stiffness(levitation.loop, negative_stiffness(levitation), omega)
 

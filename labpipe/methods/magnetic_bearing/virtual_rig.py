@@ -1,4 +1,4 @@
-"""Runs on the virtual magnetic-bearing rig: recordings and tables with their truth. RUNS by name."""
+"""Runs on the virtual magnetic-bearing rig: recordings and tables with their truth."""
 
 from __future__ import annotations
 
@@ -28,9 +28,6 @@ from labpipe.simulate.virtual_rigs import (
     one_mass_truth,
     whole_numbers,
 )
-
-# Runs of one force and one displacement: excitation, duration, Cramer-Rao errors of k and c. ONE_DOF by
-# name.
 
 # Forces [N rms] by which pedestal and rotor stay within 40 um.
 PEDESTAL_FORCE, AXIAL_FORCE = 0.3, 0.3
@@ -175,10 +172,7 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric.
-
-    1-250 Hz every 1 Hz.
-    """
+    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric."""
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = linear.line_frequencies(force)
@@ -188,9 +182,16 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     clean = clean + linear.free_decay(clean, timing.sample_rate, 70.0, 0.2)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for quarter in (0.0, np.pi / 2):
-        displacement = clean + _hover(rig, timing, rng)
+        wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)[
+            timing.n_sample :
+        ]
+        displacement = clean + (rig.noise.hover * wander / np.sqrt(np.mean(wander**2)))
         if rotating:
-            displacement = displacement + _rotation(rig, timing, quarter)
+            t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
+            angle = 2 * np.pi * rig.speed * t - quarter
+            displacement = displacement + (
+                rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
+            )
         samples.append(_noisy(displacement, rig.noise.displacement, rng))
     bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
     truth: dict[str, Any] = {
@@ -206,20 +207,6 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         truth["negative_stiffness_per_bearing"] = mechanics.negative_stiffness(rig.levitation)
     channels = [_force_channel("45 deg", np.pi / 4), _displacement_channel("x"), _displacement_channel("y")]
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
-
-
-def _hover(rig: VirtualMagneticRig, timing: Timing, rng: np.random.Generator) -> FloatArray:
-    """Slow random wander of the levitated rotor, with the stated rms."""
-    wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)[timing.n_sample :]
-    return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
-
-
-def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> FloatArray:
-    """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
-    t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
-    angle = 2 * np.pi * rig.speed * t - quarter
-    motion: FloatArray = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
-    return motion
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -297,7 +284,6 @@ def logged(recording: Recording) -> LoggedTable:
 
 
 def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
-    """The channels as the logger records them: "force [N]", "x [um]", "y [V]"."""
     columns = {}
     for number, channel in enumerate(recording.channels):
         unit, per_si = RECORDED[channel.name]
@@ -312,7 +298,6 @@ def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
 
 
 def _std_errors(rig: VirtualMagneticRig, runs: Sequence[str], band: tuple[float, float]) -> Truth:
-    """Of k and c of a one-dof run whose mass is known; none for others."""
     return expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {}
 
 

@@ -22,7 +22,15 @@ from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
-from labpipe.methods.modal.model_error import model_errors, with_model_errors
+from labpipe.methods.modal.model_error import (
+    DrivingPoint,
+    frequency_correlation,
+    modal_parameters,
+    model_errors,
+    shape_record,
+    strongest_points,
+    with_model_errors,
+)
 from labpipe.methods.modal.moved import MovedMode, aligned, aligned_measured, with_moved_modes
 from labpipe.methods.modal.number import (
     Completed,
@@ -42,13 +50,6 @@ from labpipe.methods.modal.poles import (
     stabilisation,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
-from labpipe.methods.modal.shapes import (
-    DrivingPoint,
-    frequency_correlation,
-    modal_parameters,
-    shape_record,
-    strongest_points,
-)
 from labpipe.methods.modal.whole_covariance import (
     MOST_ENTRIES,
     ModalEstimate,
@@ -61,8 +62,6 @@ from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import BlockCovariance, FrequencyResponse, Port, shown_ports
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import DERIVATIVES, receptance_factor
-
-# What systematic errors of sensors and of a given mass do to modes.
 
 
 def modal_sources(
@@ -109,8 +108,6 @@ def _weights(measured: Measured) -> ComplexArray:
         return equal_weights(measured)
 
 
-# Findings and notes of a modal identification.
-
 # Lines in the half-power width below which a window is as wide as the mode.
 LEAST_LINES = 2.0
 
@@ -148,8 +145,8 @@ def modal_findings(
         warnings.append(
             Finding(
                 "unphysical",
-                f"the mode at {where} has a negative damping ratio: it is noise, or "
-                "energy enters the structure",
+                f"the mode at {where} has a negative damping ratio: it is noise, or energy enters the "
+                "structure",
             )
         )
     factor, said = mismatch(estimate), ""
@@ -253,9 +250,6 @@ def modal_notes(
     return tuple(notes)
 
 
-# Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum
-# likelihood.
-
 # Share of the band by which lines on either side are looked at as well.
 BEYOND = 0.15
 RECEPTANCE = "receptance"
@@ -287,7 +281,6 @@ class _Sides:
 
     @property
     def driving_points(self) -> tuple[DrivingPoint, ...]:
-        """The points that are references as well."""
         dofs = [port.dof for port in self.references] if self.by_force else []
         return tuple(
             DrivingPoint(row, dofs.index(port.dof), port.dof)
@@ -376,7 +369,6 @@ def _at_mean_poles(
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
-    """Whether modes are damped by a loss factor; ConfigError for real shapes beside one."""
     if settings.damping == VISCOUS:
         return False
     if modal.shapes == "real":
@@ -418,7 +410,7 @@ def _beyond(
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
     """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each
-    relative to its mean; else 1.
+    relative to its mean.
     """
     if not has_noise(measured):
         return np.ones(measured.omega.size)
@@ -460,7 +452,6 @@ def _highest_order(lines: Lines, modal: ModalSettings) -> int:
 def _by_hand(
     equations: NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
 ) -> Poles:
-    """The poles nearest to the named frequencies; ConfigError for one outside the band."""
     frequencies = 2 * np.pi * np.sort(np.array(modal.poles))
     outside = frequencies[(frequencies < edges[0]) | (frequencies > edges[1])]
     if outside.size:
@@ -497,7 +488,6 @@ def _parameters(
 def _sources(
     settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
 ) -> list[Source]:
-    """What the sensors, sums of channels and a given mass make uncertain."""
     parameters = partial(_parameters, settings, sides, estimate)
     of_matrix = modal_sources(
         sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real"
@@ -514,7 +504,6 @@ def _reported(
     beyond: Measured,
     moved: Sequence[MovedMode],
 ) -> Fit:
-    """The Fit without shapes and curve."""
     refined, measured = estimate.refined, sides.measured
     matrix = frequency_correlation(refined)
     parameters = _parameters(settings, sides, estimate, refined)
@@ -566,9 +555,6 @@ def _diagram_record(lines: Lines, diagram: Diagram) -> StabilisationDiagram:
 def _curve(
     form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved: Sequence[MovedMode]
 ) -> FittedCurve:
-    """Measured and fitted FRF in the measured form, which is *named* so, every point at its own poles, with
-    outputs as rows again.
-    """
     measured = sides.measured
     frequency = measured.omega / (2 * np.pi)
     away = aligned(1j * measured.omega, moved)

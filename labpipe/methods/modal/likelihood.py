@@ -7,8 +7,7 @@ output, and is eliminated; the Gram matrix of u = a + b, v = j (a - b) with a = 
 an iteration needs of the lines.
 
 With a loss factor of each mode, w_r^2 (1 + j eta) - w^2 = s^2 - lambda^2: in place of the conjugate pair
-  stands psi l^T (1 / (s - lambda)
-- 1 / (s + lambda)), so u = a - b, v = j u with b = s^p / (s + lambda).
+stands psi l^T (1 / (s - lambda) - 1 / (s + lambda)), so u = a - b, v = j u with b = s^p / (s + lambda).
 
 Real modes (damping in proportion to mass and stiffness) have imaginary psi and real l: R = psi l^T then is
 psi_real l^T / (2 j w_d).
@@ -22,8 +21,6 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-
-# What modes outside the band leave inside it: a few smooth terms with complex factors for every FRF.
 
 
 @dataclass(frozen=True)
@@ -64,8 +61,7 @@ class ResidualTerms:
     s^power.
 
     The upper ones are Chebyshev polynomials of omega^2 over the band: the same space, without the powers'
-    likeness. Their error falls like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the
-    band is [-1, 1]. Equation (modal-terms).
+    likeness. Equation (modal-terms).
     """
 
     lines: Lines
@@ -104,8 +100,6 @@ class ResidualTerms:
         """Sum over the lines of |remainder|^2, (n_output, n_input) [square of the FRF's unit]."""
         return np.asarray(np.sum(np.abs(self.remainder) ** 2, axis=0))
 
-
-# Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
 
 MOST_STEPS = 40
 # A step below this part of every standard error ends the descent.
@@ -192,7 +186,7 @@ def refine(
 
 
 def _moved(state: _State, step: FloatArray) -> _State | None:
-    """The state after the largest of the halved steps that lowers the misfit; None without one."""
+    """The state after the largest of the halved steps that lowers the misfit."""
     before = state.chi2
     for halving in range(MOST_HALVINGS):
         other = state.after(step / 2**halving)
@@ -221,7 +215,6 @@ class _State:
     def at(
         cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool
     ) -> _State:
-        """The state at start values; shapes of equal weights give the first estimate of the noise."""
         even = np.ones(lines.matrix.shape[1:])
         return (
             cls(lines, terms, _sums(lines, terms, poles), poles, participation, even, real)
@@ -242,7 +235,7 @@ class _State:
         )
 
     def after(self, step: FloatArray) -> _State | None:
-        """The state at the parameters moved by *step* (n,); None with an unstable pole."""
+        """The state at the parameters moved by *step* (n,)."""
         poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
         if np.any(poles.real >= 0) or np.any(poles.imag <= 0):
             return None
@@ -258,7 +251,6 @@ class _State:
 
     @property
     def chi2(self) -> float:
-        """Sum of |residual|^2 over the variance, all elements."""
         psi, _ = self._shapes()
         return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
 
@@ -320,7 +312,6 @@ def _pseudo_inverse(normal: FloatArray) -> FloatArray:
 
 
 def _normalised(participation: ComplexArray) -> ComplexArray:
-    """Rows with their largest entry 1."""
     rows, largest = np.arange(participation.shape[0]), np.argmax(np.abs(participation), axis=1)
     scaled = participation / participation[rows, largest][:, None]
     # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.

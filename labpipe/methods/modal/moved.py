@@ -1,8 +1,7 @@
 """Poles that are one mode: a hammer or a sensor that moves loads the structure, so that every point has a
 frequency of its own.
 
-The points are taken to the mean pole of each mode, each through its own fit; all that follows is fitted to
-these FRFs, and the points' own frequencies are what f_n and zeta scatter by.
+The points are taken to the mean pole of each mode, each through its own fit.
 """
 
 from __future__ import annotations
@@ -208,8 +207,9 @@ def _solved(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[C
     x = np.linspace(-1, 1, s.size)
     columns = np.column_stack([1 / (s[:, None] - poles), np.ones_like(x), x])
     amounts = np.linalg.lstsq(columns, data, rcond=None)[0]
-    left = np.sum(np.abs(data - columns @ amounts) ** 2, axis=0)
-    return amounts[: poles.size], np.maximum(left, np.finfo(float).tiny)
+    return amounts[: poles.size], np.maximum(
+        np.sum(np.abs(data - columns @ amounts) ** 2, axis=0), np.finfo(float).tiny
+    )
 
 
 def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexArray:
@@ -235,8 +235,9 @@ def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tupl
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
     point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
     solved = [_solved(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
-    residues = np.array([amounts[0] for amounts, _ in solved])
-    return MovedMode(np.array(point_poles)[:, 0], residues), np.array([left for _, left in solved])
+    return MovedMode(np.array(point_poles)[:, 0], np.array([amounts[0] for amounts, _ in solved])), np.array(
+        [left for _, left in solved]
+    )
 
 
 def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> MovedMode | None:

@@ -13,9 +13,6 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, refine, remaining
 from labpipe.methods.modal.poles import similarity
 
-# Whether what a fit leaves is noise: the residual of a missing mode is alike on neighbouring lines, that of
-# noise is not.
-
 LAGS = 8
 # Lines whose residuals tell the noise of the one in their middle.
 AROUND = 31
@@ -40,8 +37,7 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
 
     residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has
     the variance 1 / n_line, so that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of
-    freedom (portmanteau test of Box and Pierce 1970, complex form). Each line counts relative to the noise
-    around it, which need not be the same everywhere. Equation (modal-whiteness).
+    freedom (portmanteau test of Box and Pierce 1970, complex form). Equation (modal-whiteness).
     """
     n_line = residual.shape[0]
     flat = _even(residual.reshape(n_line, -1))
@@ -70,8 +66,6 @@ def loudest_line(residual: ComplexArray, noise: FloatArray, width: int) -> int:
     *width* lines.
 
     It is taken relative to its noise (n_output, n_input) [square of the FRF's unit].
-
-    The sum is coherent: noise cancels, what is alike on neighbouring lines does not.
     """
     scaled = (residual / np.sqrt(noise)).reshape(residual.shape[0], -1)
     kernel = np.ones(max(width, 1))
@@ -129,9 +123,6 @@ def _larger(terms: ResidualTerms) -> list[ResidualTerms]:
         if lower <= MOST_LOWER and upper <= MOST_UPPER
     ]
 
-
-# Modes after the refinement: those that noise explains are left out, and one is added where the residual of
-# the others is not noise.
 
 MOST_ADDED = 4
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
@@ -231,8 +222,7 @@ def completed(
     """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports
     them.
 
-    They are kept only if the residual then is noise. If it is not, as where every point loads the structure
-    otherwise, a further mode would be the poles' scatter by another name.
+    They are kept only if the residual then is noise.
     """
     first = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
     while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
@@ -252,10 +242,7 @@ def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Complete
 
 
 def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
-    """With a mode where the residual is loudest.
-
-    None where AIC does not support it, or it leaves the band.
-    """
+    """With a mode where the residual is loudest."""
     refined = done.refined
     residual = remaining(lines, done.terms, refined)
     spacing = float(np.mean(np.diff(lines.omega)))
@@ -266,7 +253,9 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     if abs(pole - refined.poles[near]) < decay / 2:
         # On top of a mode: the two begin on either side of the place.
         pole += 1j * decay
-    participation = _strongest(residual, refined, line, max(3, round(2 * decay / spacing)))
+    width = max(3, round(2 * decay / spacing))
+    part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
+    participation = np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     sound = (
@@ -286,9 +275,3 @@ def _distinct(refined: Refined) -> bool:
     apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
     is_same = (apart < DISTINCT) & (similarity(refined.participation, refined.participation) > ALIKE)
     return bool(np.count_nonzero(is_same) == refined.poles.size)
-
-
-def _strongest(residual: ComplexArray, refined: Refined, line: int, width: int) -> ComplexArray:
-    """Participation (n_input,) that holds most of the residual around a line."""
-    part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
-    return np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])

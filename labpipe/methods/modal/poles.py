@@ -1,8 +1,5 @@
 """Poles of all orders by p-LSCF, and the choice of the physical ones by stabilisation.
 
-Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set of
-sums over the lines.
-
 H A(z) = B(z) with real polynomials of z = e^(-s T) and a common right denominator A of size (n_input,
 n_input): Guillaume, Verboven, Vanlanduit, Van der Auweraer and Peeters, IMAC 2003. All normal equations are
 Toeplitz in the powers of z, so that the sums of z^m, z^m H and z^m H^H H over the lines are all that the data
@@ -17,9 +14,6 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
-
-# Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set
-# of sums over the lines.
 
 # Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay
 # apart.
@@ -63,8 +57,7 @@ class NormalEquations:
     def poles(self, order: int, *, stable_noise: bool = False) -> Poles:
         """Poles of a model of *order*; *stable_noise*: constraint A_0 = I in place of A_n = I.
 
-        With A_n = I poles of noise are unstable and the poles of the structure biased; with A_0 = I the bias
-        is least, and poles of noise are stable too. Equation (modal-poles).
+        Equation (modal-poles).
         """
         n = self.n_input
         matrix = self.matrices[order - 1]
@@ -87,9 +80,8 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
     """Normal matrices of all orders up to *highest* from FRFs *matrix* (n_line, n_output, n_input) at *omega*
     (n_line,) [rad/s].
 
-    Every output and every reference has the weight of the reciprocal of its root mean square. With R = L L^T
-    of the highest order, order n is the leading block of T - sum over the first n + 1 rows of L^-1 S, so that
-    one factor serves all orders. Equation (modal-lscf).
+    Every output and every reference has the weight of the reciprocal of its root mean square. Equation
+    (modal-lscf).
     """
     n_line, _n_output, n_input = matrix.shape
     scale = 1 / np.sqrt(np.mean(np.abs(matrix) ** 2, axis=(0, 1)))
@@ -162,9 +154,6 @@ def _roots(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     return roots.astype(np.complex128), blocks[largest, :, np.arange(roots.size)].T.astype(np.complex128)
 
 
-# Choice of the physical poles from those of all orders: the poles of the structure return at every order,
-# those of noise do not.
-
 # Two poles of different orders are one mode where they differ by less than half the decay rate and a share of
 # the frequency, and act on the references alike.
 SHARE_OF_DECAY, SHARE_OF_FREQUENCY, ALIKE = 0.5, 2e-4, 0.7
@@ -201,7 +190,12 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
     Equation (modal-stable).
     """
     orders = range(highest, 1, -(1 + highest // MANY_ORDERS))
-    poles = _joined([_inside(equations.poles(order), band) for order in orders])
+    parts = [_inside(equations.poles(order), band) for order in orders]
+    poles = Poles(
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.participation for part in parts]),
+        np.concatenate([part.orders for part in parts]),
+    )
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
     group, share = _groups(poles, counted)
     modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
@@ -244,14 +238,6 @@ def _inside(poles: Poles, band: tuple[float, float]) -> Poles:
     frequency = np.abs(poles.values)
     keep = (frequency >= band[0]) & (frequency <= band[1]) & (damping_ratio(poles.values) < MOST_DAMPING)
     return Poles(poles.values[keep], poles.participation[keep], poles.orders[keep])
-
-
-def _joined(parts: list[Poles]) -> Poles:
-    return Poles(
-        np.concatenate([part.values for part in parts]),
-        np.concatenate([part.participation for part in parts]),
-        np.concatenate([part.orders for part in parts]),
-    )
 
 
 def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:

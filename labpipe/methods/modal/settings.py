@@ -10,9 +10,7 @@ from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Geometry
-from labpipe.records.settings import Settings, setting
-
-# Settings of a modal identification: the section `modal:` of a fit with model modal.
+from labpipe.records.settings import Settings, quantity, setting
 
 # Lowest highest order: below it no mode can be told from noise by its return.
 LEAST_ORDER = 6
@@ -32,12 +30,11 @@ class ModalSettings(Settings):
         choices=("complex", "real"),
         default="complex",
     )
-    moving_mass: float | None = setting(
-        "value",
+    moving_mass: float | None = quantity(
         "mass of the sensor or hammer that moves from point to point and loads the structure; frequencies "
         "and damping are then those without it",
-        unit="kg",
-        default=None,
+        "kg",
+        None,
     )
     geometry: str = setting(
         "file",
@@ -53,9 +50,6 @@ class ModalSettings(Settings):
             raise ConfigError(f"'order' is {self.order}", hint=f"{LEAST_ORDER} or more", field="order")
         if any(pole <= 0 for pole in self.poles):
             raise ConfigError("'poles' must be positive", field="poles")
-
-
-# The model modal as an entry of the table of models. What fits is imported by the first fit.
 
 
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

@@ -212,9 +212,8 @@ def regular(measured: Measured) -> Measured:
     """The measured FRF with the variances alone on the lines whose covariance (n, n) [m^2/N^2] has no
     inverse, where these are few.
 
-    Noise of neighbouring lines can make the covariance of a line singular by chance; left as it is, one such
-    line would take the measured covariance from all others. As it was where more than a share FEW_SINGULAR of
-    the lines are so, or a variance is zero.
+    Noise of neighbouring lines can make the covariance of a line singular by chance. As it was where more
+    than a share FEW_SINGULAR of the lines are so, or a variance is zero.
     """
     assert measured.covariance is not None
     alone = singular_lines(measured)

@@ -1,9 +1,6 @@
 """How spectra are put on shakers, signals of least peak within the limits, and what tests of a given length
 tell with them.
 
-Phases for the least peak of several signals that share their lines: forces and the motions that they cause,
-each against its limit.
-
 Source s, a shaker say, has the phase phi_ls at line l, and signal c is s_c(t) = Re sum_ls g_lsc exp(j (phi_ls
 + 2 pi k_l t)), t in periods. The peak is approached by 2p-norms of all signals, p rising (Guillaume,
 Schoukens, Pintelon and Kollar 1991, IEEE Trans. Instrum. Meas. 40, 982).
@@ -31,8 +28,7 @@ from labpipe.methods.planning.model import (
     vector_information,
 )
 from labpipe.raw_files.excitation import _signals, one_period, peaks
-
-# How a spectrum is put on the shakers: one after the other, or both at once. SCHEMES by name.
+from labpipe.records.settings import require_positive
 
 ONE_BY_ONE, TOGETHER, INTERLEAVED = "one by one", "together", "interleaved"
 # Lines with less than this share of a test's power are left out.
@@ -84,14 +80,12 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
     """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one,
     power (n_line, 2) [N^2].
 
-    Two vectors on ONE line would add up to a single one, which tells four numbers; on neighbouring lines, of
-    equal size and opposite sign, they tell what the powers of both shakers do: h h^H + g g^H is diagonal for
-    h = (a, b), g = (a, -b). Equation (plan-together).
+    Equation (plan-together).
     """
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
     forces[1::2, 1] *= -1
-    return (_kept("+".join(names), used, forces, np.repeat(np.arange(len(paired)), 2)),)
+    return _kept(names, used, forces, np.repeat(np.arange(len(paired)), 2))
 
 
 def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
@@ -102,34 +96,31 @@ def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> t
     paired, used = _pairs(lines, power)
     forces = np.zeros((used.size, 2), complex)
     forces[::2, 0], forces[1::2, 1] = np.sqrt(2 * paired).T
-    return (_kept("+".join(names), used, forces, np.arange(used.size)),)
+    return _kept(names, used, forces, np.arange(used.size))
 
 
 def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs.
-
-    A last line without a partner gives its power to its pair.
-    """
+    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs."""
     first = np.arange(0, lines.size - 1, 2)
     return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
 
 
-def _kept(name: str, lines: IntArray, forces: ComplexArray, groups: IntArray) -> Multisines:
-    """Without lines of negligible force."""
+def _kept(
+    names: tuple[str, ...], lines: IntArray, forces: ComplexArray, groups: IntArray
+) -> tuple[Multisines, ...]:
+    """The test without lines of negligible force."""
     size = np.sum(np.abs(forces) ** 2, axis=1)
     kept = size > LEFT_OUT * size.sum()
-    return Multisines(name, lines[kept], forces[kept], groups[kept])
+    return (Multisines("+".join(names), lines[kept], forces[kept], groups[kept]),)
 
 
 SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleaved}
 
-# Phases for the least peak of several signals that share their lines: forces and the motions that they
-# cause, each against its limit.
+# Phases for the least peak of several signals that share their lines.
 
 # Samples per period of the highest line, while searching.
 SEARCHED = 8
 HALF_NORMS, STEPS = (4, 16, 64, 256), 200
-# The same for a first look.
 QUICK_NORMS, QUICK_STEPS = (4, 32), 40
 
 
@@ -139,8 +130,7 @@ def schroeder_phases_of(power: FloatArray) -> FloatArray:
 
     Equation (spec-schroeder-power).
     """
-    share = power / power.sum()
-    return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(share)[:-1]])))
+    return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]])))
 
 
 def least_peak_phases(
@@ -148,7 +138,6 @@ def least_peak_phases(
     gains: ComplexArray,
     groups: IntArray | None = None,
     *,
-    seed: int = 0,
     random_starts: int = 1,
     quick: bool = False,
 ) -> FloatArray:
@@ -163,7 +152,7 @@ def least_peak_phases(
     n_line, n_source, _ = gains.shape
     group = np.arange(n_line) if groups is None else np.unique(groups, return_inverse=True)[1]
     schroeder = schroeder_phases_of(np.sum(np.abs(gains) ** 2, axis=(1, 2)))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     n_difference = (n_source - 1) * (int(group.max()) + 1)
     begins = [np.concatenate([schroeder, np.zeros(n_difference)])]
     begins.extend(rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts))
@@ -198,14 +187,12 @@ class _Problem:
         return np.concatenate([first, first + others[self.group]], axis=1)
 
     def amplitudes(self, unknowns: FloatArray) -> ComplexArray:
-        """By source, (n_line, n_source, n_signal)."""
         return np.asarray(self.gains * np.exp(1j * self.phases(unknowns))[:, :, None])
 
     def peak(self, unknowns: FloatArray) -> float:
         return float(peaks(self.lines, self.amplitudes(unknowns).sum(axis=1)).max())
 
     def norm(self, unknowns: FloatArray, p: int) -> tuple[float, FloatArray]:
-        """Logarithm of the 2p-norm of all signals together, and its slope."""
         amplitudes = self.amplitudes(unknowns)
         signals = _signals(self.lines, amplitudes.sum(axis=1), self.n_sample)
         largest = np.abs(signals).max()
@@ -221,15 +208,13 @@ class _Problem:
         )
 
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
+        options = {"maxiter": steps}
         return np.asarray(
-            minimize(
-                self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": steps}
-            ).x
+            minimize(self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options).x
         )
 
 
-# What tests of a given length tell once every signal is as large as the limits allow: predicted standard
-# errors.
+# What tests of a given length tell once every signal is as large as the limits allow.
 
 # Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the
 # slowest motion has died away.
@@ -253,10 +238,7 @@ class Limits:
     crest_factor: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("force", "displacement", "crest_factor"):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "force", "displacement", "crest_factor")
         if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
             raise ConfigError(
                 "no periodic signal has a crest factor below that of a sine, 1.41", field="crest_factor"
@@ -372,12 +354,8 @@ def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
     omega, motion = rig.omega(test), rig.motion(test)
     # States of the steady motion at steps of an eighth of the highest line's period, velocities as
     # displacements at the rms frequency.
-    velocity = (
-        1j
-        * omega[:, None]
-        * motion
-        / np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
-    )
+    rms = np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
+    velocity = 1j * omega[:, None] * motion / rms
     states = one_period(test.lines, np.hstack([motion, velocity]), SAMPLES // 8)
     begins = np.argsort(np.sum(states**2, axis=0))[:STARTS] / states.shape[1]
     shifted = [test.turned(2 * np.pi * test.lines[:, None] * begin) for begin in begins]
@@ -449,19 +427,13 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
     n_dof, n_state = rig.model.n_dof, len(free)
     shifts, begins = [], []
     for test, time in zip(timed.tests, seconds, strict=True):
-        omega = rig.omega(test)
-        motion = rig.motion(test)
+        omega, motion, unit = rig.omega(test), rig.motion(test), np.eye(n_state)
         begins.append(-np.concatenate([motion.sum(axis=0).real, (1j * omega @ motion).real]))
-        left = np.linalg.solve(
-            free - 1j * omega[:, None, None] * np.eye(n_state), expm(free * time) - np.eye(n_state)
-        )
-        moved = 2 / time * left[:, :n_dof]
-        whitened = residual_whitener(rig.model, rig.noise, omega) @ np.linalg.solve(
-            rig.model.receptance(omega), moved
-        )
-        responses = np.einsum(
-            "lnij,lj->lni", sensitivities(rig.model, rig.noise, omega), test.forces @ rig.directions
-        )
+        left = np.linalg.solve(free - 1j * omega[:, None, None] * unit, expm(free * time) - unit)
+        forced = np.linalg.solve(rig.model.receptance(omega), 2 / time * left[:, :n_dof])
+        whitened = residual_whitener(rig.model, rig.noise, omega) @ forced
+        sensitivity = sensitivities(rig.model, rig.noise, omega)
+        responses = np.einsum("lnij,lj->lni", sensitivity, test.forces @ rig.directions)
         shifts.append(
             -time * np.linalg.solve(total, np.einsum("lni,lis->ns", responses.conj(), whitened).real)
         )

@@ -1,7 +1,5 @@
 """Optimum designs: criteria, shares of the power on candidates, and the certificate that none is better.
 
-What makes a design good, and the certificate that none is better. CRITERIA by name.
-
 With d_a = tr(W I_a) of a candidate of unit cost, by the equivalence theorem (Kiefer and Wolfowitz 1960;
 Fedorov 1972, Theory of Optimal Experiments): D-optimality with W = I^-1 has efficiency at least n / max d; a
 weighted sum f = sum q_i v_i of the variances with W = I^-1 diag(q) I^-1 at least f / max d; and the largest
@@ -20,8 +18,6 @@ from scipy.optimize import linprog, minimize
 
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
-
-# What makes a design good, and the certificate that none is better. CRITERIA by name.
 
 D, A, MINIMAX = "D", "A", "minimax"
 CRITERIA = (MINIMAX, "A", "D")
@@ -51,8 +47,10 @@ def variances(information: FloatArray, wanted: FloatArray | None = None) -> Floa
     Equation (plan-variances).
     """
     inverse = np.linalg.inv(information)
-    if wanted is None:
-        return np.asarray(np.diagonal(inverse))
+    return np.asarray(np.diagonal(inverse) if wanted is None else _along(inverse, wanted))
+
+
+def _along(inverse: FloatArray, wanted: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("wi,ij,wj->w", wanted, inverse, wanted))
 
 
@@ -95,7 +93,7 @@ def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArra
     """q >= 0 of the largest variances with sum q v = 1 that makes max d least: the linear programme of the
     tightest bound.
     """
-    v = np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
+    v = _along(inverse, wanted)
     active = np.flatnonzero(v >= (1 - ACTIVE) * v.max())
     rows = wanted[active] @ inverse
     gains = np.einsum("ij,ajk,ik->ai", rows, information, rows) * v.max()
@@ -113,9 +111,6 @@ def _scores(weights: FloatArray, information: FloatArray) -> FloatArray:
     """d_a = tr(W I_a), (n_candidate,)."""
     return np.asarray(np.einsum("ij,aij->a", weights, information))
 
-
-# Optimum designs: shares of the power on candidates, found by multiplication and polished on the few that
-# remain.
 
 START_STEPS = 300
 ROUNDS = 40
@@ -188,10 +183,10 @@ def _multiplied(criterion: str, information: FloatArray, wanted: FloatArray) -> 
         if criterion == D:
             weights = inverse
         else:
-            v = np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
+            v = _along(inverse, wanted)
             p = 1.0 if criterion == A else 1 + (LARGEST_NORM - 1) * step / START_STEPS
             weights = weights_of(inverse, (v / v.max()) ** (p - 1), wanted)
-        d = np.einsum("ij,aij->a", weights, information)
+        d = _scores(weights, information)
         shares = shares * (d / float(shares @ d)) ** EXPONENT[criterion]
         shares /= shares.sum()
     return shares
@@ -220,10 +215,10 @@ def _least_smooth(
         design = _sum(np.maximum(shares, 0), information)
         inverse = np.linalg.inv(design)
         if criterion == D:
-            return -float(np.linalg.slogdet(design)[1]), -np.einsum("ij,aij->a", inverse, information)
+            return -float(np.linalg.slogdet(design)[1]), -_scores(inverse, information)
         weights = weights_of(inverse, np.ones(len(wanted)), wanted)
-        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -np.einsum(
-            "ij,aij->a", weights, information
+        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -_scores(
+            weights, information
         ) / scale
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}

@@ -27,7 +27,7 @@ from labpipe.methods.planning.campaigns import Rig as LimitedRig
 from labpipe.methods.planning.expectation import Earlier, Expected
 from labpipe.methods.planning.model import AXES
 from labpipe.methods.planning.plan import Planned, make_plan, planned_test
-from labpipe.methods.planning.plan_file import NAME, PlanFile, write_plan
+from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_plan, write_settings
 from labpipe.methods.planning.records import PlannedTest
 from labpipe.methods.planning.report import goal_sentence, plan_document, sentence
 from labpipe.methods.planning.settings import PlanKind, PlanSettings, TheorySettings
@@ -45,9 +45,6 @@ from labpipe.records.uncertain import SHAPES, Budget, Uncertain, split_uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
-
-# What evaluates a planned excitation: the rig file, unless the plan names one, and the pipeline with the
-# planned lines.
 
 RIG, PIPELINE = "rig.yaml", "pipeline.yaml"
 FIT = "planned"
@@ -95,29 +92,19 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
             "sums of channels are not planned with", hint="a rig file with what is recorded", field="rig"
         )
     axes = settings.kind.axes
-    needed = [("displacement", axis) for axis in axes]
-    needed += [("acceleration", axis) for axis in axes] if settings.kind.floating else []
-    channels = [channel.channel for channel in rig.channels if channel.channel.role != "reference"]
-    for quantity, axis in needed:
-        having = [
-            channel for channel in channels if channel.quantity == quantity and channel.role == "output"
-        ]
-        if not any(len(axes) == 1 or channel.dof == axis for channel in having):
-            raise ConfigError(
-                f"the rig has no {quantity} in {axis}", hint="a channel with `dof`", field="rig"
-            )
-    wrong = [
-        channel
-        for channel in channels
-        if channel.role == "output" and channel.quantity not in {quantity for quantity, _ in needed}
-    ]
-    if wrong:
-        raise ConfigError(
-            f"{wrong[0].name} is no response that this model takes",
-            hint="role: reference, or a rig file without it",
-            field="rig",
-        )
-    forces = [channel for channel in channels if channel.role == "input"]
+    needed = ("displacement", "acceleration") if settings.kind.floating else ("displacement",)
+    outputs = [channel.channel for channel in rig.channels if channel.channel.role == "output"]
+    for quantity in needed:
+        dofs = [channel.dof for channel in outputs if channel.quantity == quantity]
+        for axis in axes:
+            if not dofs or (len(axes) > 1 and axis not in dofs):
+                what = f"the rig has no {quantity} in {axis}"
+                raise ConfigError(what, hint="a channel with `dof`", field="rig")
+    for channel in outputs:
+        if channel.quantity not in needed:
+            what = f"{channel.name} is no response that this model takes"
+            raise ConfigError(what, hint="role: reference, or a rig file without it", field="rig")
+    forces = forces_of(rig)
     if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):
         raise ConfigError(
             f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers "
@@ -137,24 +124,17 @@ def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
     its unit.
     """
     shakers, settings = evaluation.shakers, evaluation.settings
-    if evaluation.side_by_side:
-        forces = {
-            f"f_{number}": _channel(f"f_{number}", "force", shaker)
-            for number, shaker in enumerate(shakers, 1)
-        }
-    else:
-        forces = {"f": _channel("f", "force", shakers[0])}
-    axes = settings.kind.axes
-    motions = {axis: _channel(axis, "displacement", axis) for axis in axes}
-    moved = (
-        {f"a_{axis}": _channel(f"a_{axis}", "acceleration", axis) for axis in axes}
-        if settings.kind.floating
-        else {}
+    forces = (
+        [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
+        if evaluation.side_by_side
+        else [("f", "force", shakers[0])]
     )
+    motions = [(axis, "displacement", axis) for axis in settings.kind.axes]
+    moved = [(f"a_{axis}", "acceleration", axis) for axis in settings.kind.axes if settings.kind.floating]
     return {
         "name": evaluation.title,
         "sample_rate": f"{settings.sample_rate!r} Hz",
-        "channels": {**forces, **motions, **moved},
+        "channels": {entry[0]: _channel(*entry) for entry in (*forces, *motions, *moved)},
     }
 
 
@@ -164,10 +144,7 @@ def _channel(name: str, quantity: str, dof: str) -> dict[str, str]:
 
 
 def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
-    """The pipeline in *folder* that evaluates the test, the planned lines passed to it.
-
-    Recordings are looked for in recordings/.
-    """
+    """The pipeline in *folder* that evaluates the test, the planned lines passed to it."""
     settings, tests = evaluation.settings, evaluation.tests
     recordings: list[Any] = [f"recordings/{test.name}.csv" for test in tests]
     moved = _moved_force(evaluation)
@@ -184,9 +161,9 @@ def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
         "skip": min(test.skip for test in tests),
         "band": f"{lines[0] - spacing / 4!r}-{lines[-1] + spacing / 4!r} Hz",
     }
-    gaps = list(_gaps(lines, spacing))
+    gaps = [(low, high) for low, high in pairwise(lines) if high - low > 1.5 * spacing]
     if gaps:
-        frf["exclude"] = gaps
+        frf["exclude"] = [f"{low + spacing / 4!r}-{high - spacing / 4!r} Hz" for low, high in gaps]
     if evaluation.side_by_side:
         frf["result"] = "spectra"
     rig = RIG if evaluation.rig_path is None else os.path.relpath(evaluation.rig_path, folder)
@@ -219,47 +196,31 @@ def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
     return forces[0].name, f" +- {uncertainty}" if uncertainty else ""
 
 
-def _gaps(lines: Sequence[float], spacing: float) -> list[str]:
-    """Bands between excited lines without any."""
-    return [
-        f"{low + spacing / 4!r}-{high - spacing / 4!r} Hz"
-        for low, high in pairwise(lines)
-        if high - low > 1.5 * spacing
-    ]
-
-
 def _fit(evaluation: Evaluation) -> dict[str, Any]:
     settings = evaluation.settings
     number = dict(settings.uncertainties).get("mass") or (
         None if settings.mass is None else Uncertain(settings.mass)
     )
     if not evaluation.side_by_side:
-        mass: dict[str, Any] = (
-            {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
-        )
-        return {"model": settings.model, **mass}
+        return {"model": settings.model, "mass": "estimate" if number is None else uncertain_text(number)}
     entries = {"form": "kcm" if evaluation.with_masses else "kc"}
     # Displacements of a rotor are absolute; those of a floating stator are against its shaft.
     if not settings.kind.floating:
         entries["motion"] = "absolute"
     if number is not None:
-        entries["stator_mass"] = uncertain_text(number, "kg")
+        entries["stator_mass"] = uncertain_text(number)
     return {"model": OF_SPECTRA, "dynamic_stiffness": entries}
 
 
-def uncertain_text(number: Uncertain, unit: str) -> str:
-    """A number as people write it, with its uncertainty: 0.79 kg +- 0.005 kg (rectangular, source=scale)."""
+def uncertain_text(number: Uncertain) -> str:
+    """A mass as people write it, with its uncertainty: 0.79 kg +- 0.005 kg (rectangular, source=scale)."""
     if not number.std_error:
-        return f"{number.value!r} {unit}"
+        return f"{number.value!r} kg"
     qualities = [number.shape] if number.shape != "normal" else []
     qualities += [f"dof={number.dof:g}"] if number.dof else []
     qualities += [f"source={number.source}"] if number.source else []
     behind = f" ({', '.join(qualities)})" if qualities else ""
-    return f"{number.value!r} {unit} +- {number.std_error * SHAPES[number.shape]!r} {unit}{behind}"
-
-
-# The uncertainty budget of a test that is still planned: the pipeline that will evaluate it, run on
-# rehearsed recordings.
+    return f"{number.value!r} kg +- {number.std_error * SHAPES[number.shape]!r} kg{behind}"
 
 
 def rig_path(file: PlanFile) -> Path | None:
@@ -297,7 +258,6 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
 
 
 def _loaded(evaluation: Evaluation, folder: Path) -> Pipeline:
-    """The pipeline of an evaluation as it will be read, its recordings empty."""
     if evaluation.rig_path is None:
         (folder / RIG).write_text(yaml.safe_dump(rig_entries(evaluation)), encoding="utf-8")
     (folder / PIPELINE).write_text(yaml.safe_dump(pipeline_entries(evaluation, folder)), encoding="utf-8")
@@ -310,7 +270,6 @@ def _loaded(evaluation: Evaluation, folder: Path) -> Pipeline:
 def _rehearsed_fit(
     pipeline: Pipeline, rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]
 ) -> Fit:
-    """The fit of the pipeline to the tests as they are expected."""
     (whole,), settings = pipeline.tests, pipeline.frf
     assert settings is not None
     highest = max(int(test.lines[-1]) for test in tests)
@@ -331,20 +290,13 @@ def _rehearsed_fit(
 
 
 def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
-    """The budget of the coefficients of those *names*; None where no source changes any."""
     if fit.budget is None:
         return None
-    columns = [fit.budget.names.index(name) for name in names]
     whole = fit.budget
+    columns = [whole.names.index(name) for name in names]
     return Budget(
         tuple(names), whole.random[columns], whole.random_dof, whole.sources, whole.changes[:, columns]
     )
-
-
-# plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline
-# files that evaluate the test.
-
-REPORT = "report.html"
 
 
 def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
@@ -360,9 +312,7 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
     evaluation = Evaluation(settings, file.title, plan.tests, with_masses, rig_path(file))
     files = {PIPELINE: pipeline_entries(evaluation, output.target.absolute())}
     files |= {RIG: rig_entries(evaluation)} if evaluation.rig_path is None else {}
-    for name, entries in files.items():
-        text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
-        output.write_path(name).write_text(text, encoding="utf-8")
+    write_settings(files, output)
     sentences = [line for line in (sentence(plan), goal_sentence(plan), *plan.notes) if line]
     return sentences, [*names, NAME, REPORT, *files]
 

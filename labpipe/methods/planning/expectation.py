@@ -1,12 +1,8 @@
 """What is expected of a rig, how sure that is, and whether an excitation determines all coefficients.
 
-What is expected of a rig, how sure that is, and what this does to a plan: the predicted errors over draws of
-the coefficients.
-
-An earlier result with covariance V counts in two ways. Where it is to be combined with the new test, its
-information V^-1 adds to that of the new one: the errors of both are those of (V^-1 + I)^-1. And the new test
-runs on the rig as it is, not as it was expected: its errors are those at coefficients drawn from V about the
-expected ones, the planned forces being applied all the same.
+Where it is to be combined with the new test, its information V^-1 adds to that of the new one: the errors of
+both are those of (V^-1 + I)^-1. And the new test runs on the rig as it is, not as it was expected: its errors
+are those at coefficients drawn from V about the expected ones, the planned forces being applied all the same.
 """
 
 from __future__ import annotations
@@ -22,8 +18,6 @@ from labpipe.methods.planning.campaigns import Campaign, EarlierInformation, Rig
 from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, sensitivities
 from labpipe.raw_files.excitation import peaks
 
-# Whether an excitation determines all coefficients, and if not, the smallest change that does.
-
 # Singular values below this share of the largest count as zero, columns scaled to unit length.
 SINGULAR = 1e-9
 # Shares of a coefficient in what is not determined below this count as none.
@@ -34,10 +28,7 @@ OTHER = 0.25
 
 @dataclass(frozen=True)
 class Excitation:
-    """Force vectors (n_vector, n_dof) [N] at frequencies (n_vector,) [Hz].
-
-    Vectors of one test or of several.
-    """
+    """Force vectors (n_vector, n_dof) [N] at frequencies (n_vector,) [Hz]."""
 
     frequency: FloatArray
     forces: ComplexArray
@@ -122,7 +113,7 @@ def _ranked(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identi
 def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str, PlannedModel, Excitation]]:
     """Single changes of model or test, in words: the smallest first."""
     if any(name.startswith("m") for name in model.names):
-        yield "a known mass", model.with_known("m"), excitation
+        yield "a known mass", model.with_known_mass(), excitation
     lines = np.unique(excitation.frequency)
     another = lines[-1] + (lines[-1] - lines[-2]) if lines.size > 1 else lines[0] * (1 + OTHER)
     first = excitation.forces[:1]
@@ -140,8 +131,7 @@ def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str,
         )
 
 
-# What is expected of a rig, how sure that is, and what this does to a plan: the predicted errors over draws
-# of the coefficients.
+# What is expected of a rig, how sure that is, and what this does to a plan.
 
 DRAWS = 200
 SEED = 1
@@ -172,9 +162,8 @@ class Earlier:
 
     def places(self, model: PlannedModel) -> list[tuple[int, int]]:
         """Numbers of the coefficients of a model with theirs here."""
-        return [
-            (model.names.index(name), number) for number, name in enumerate(self.names) if name in model.names
-        ]
+        known = [name for name in self.names if name in model.names]
+        return [(model.names.index(name), self.names.index(name)) for name in known]
 
     def covariance_of(self, model: PlannedModel, without: Sequence[str] = ()) -> FloatArray:
         """(n_coefficient, n_coefficient) [squared SI units] of a model's coefficients.

@@ -1,8 +1,5 @@
 """Models with expected coefficients, and what a force spectrum tells about them: Fisher information.
 
-What a force spectrum tells about coefficients: the Fisher information per line and per second, with noise in
-all sensors.
-
 Residual e = F - M_s A - D(theta) X. Noise densities S_F, S_X, S_A (one-sided) give its density Lambda =
 (S_F^2 + M_s^2 S_A^2) I + S_X^2 D D^H, and T seconds with the mean-square force spectrum Phi = F F^H / 2 and X
 = H F tell I_ij = 2 T sum_l Re tr[(E_i H)^H Lambda^-1 (E_j H) Phi_l]. That is the information of errors in
@@ -17,11 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-
-# Models with expected coefficients: the balance F - M_s A = D X with D = sum_i theta_i E_i(jw) + D_0.
-# MODELS by name.
 
 AXES = ("x", "y")
 UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg"}
@@ -100,9 +94,9 @@ class PlannedModel:
         free = np.block([[none, np.eye(self.n_dof)], [-inverse @ stiffness, -inverse @ damping]])
         return free if np.all(np.linalg.eigvals(free).real < 0) else None
 
-    def with_known(self, letter: str) -> PlannedModel:
-        """The model with all coefficients of a letter, m say, given at their expected values."""
-        kept: BoolArray = np.array([name[0] != letter for name in self.names])
+    def with_known_mass(self) -> PlannedModel:
+        """The model with all masses given at their expected values."""
+        kept = np.array([name[0] != "m" for name in self.names])
         fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return replace(
@@ -207,7 +201,6 @@ def _matrix_elements(letters: str) -> FloatArray:
 
 
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:
-    """The expected values in the order of *names*; ConfigError for one that is missing or unknown."""
     missing = [name for name in names if name not in expected]
     if missing:
         raise ConfigError(
@@ -222,8 +215,7 @@ def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
     return np.array([expected[name] for name in names])
 
 
-# What a force spectrum tells about coefficients: the Fisher information per line and per second, with noise
-# in all sensors.
+# What a force spectrum tells about coefficients.
 
 
 @dataclass(frozen=True)
@@ -304,8 +296,7 @@ def relative_errors(information: FloatArray) -> FloatArray:
     """Smallest standard errors sqrt((I^-1)_ii) (n_coefficient,) [1]; infinite where the information (n, n)
     [1] is singular.
 
-    Rows are scaled to unit diagonal before the inverse; a coefficient without information, or a condition
-    beyond 1e13, is not determined. Equation (plan-errors).
+    A coefficient without information, or a condition beyond 1e13, is not determined. Equation (plan-errors).
     """
     diagonal = np.diagonal(information)
     if np.any(diagonal <= 0):

@@ -8,7 +8,7 @@ from math import ceil
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
@@ -35,6 +35,7 @@ from labpipe.methods.planning.expectation import (
 )
 from labpipe.methods.planning.model import AXES, Noise, PlannedModel
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
+from labpipe.methods.planning.runs import LONGEST, least_factor
 from labpipe.methods.planning.search import (
     FLAT_PHASES,
     LEAST_CREST,
@@ -72,8 +73,6 @@ MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
 # neighbouring lines and lose nothing; fits of the spectra of all channels know it from the periods alone.
 OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
 MAINS_WIDTH = 0.5
-# Factor of the time up to which goals are looked for.
-LONGEST = 1e6
 NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
@@ -190,7 +189,6 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 
 def _scheme(settings: PlanSettings) -> str:
-    """The scheme that is asked for; one by one where the rig file has one force for two shakers."""
     forces = (
         []
         if settings.sensors is None
@@ -233,10 +231,6 @@ def _with_budget(
 
 
 def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
-    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1].
-
-    None where no time is enough.
-    """
     least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
     needed = max(time_needed(timed, allowed, duration), least)
     return needed if np.isfinite(needed) else None
@@ -247,8 +241,7 @@ def _over_draws(
 ) -> Plan:
     """The plan with the ranges of its prediction over draws from the covariance of what is expected.
 
-    common: sources of error that the new test has as well. With the same wrong mass the earlier coefficients
-    give the response that was measured, and that is what the plan rests on.
+    common: sources of error that the new test has as well.
     """
     rig, wanted = question.rig, question.wanted
     covariance = earlier.covariance_of(rig.model, common)
@@ -352,7 +345,6 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
 
 
 def _direction(name: str) -> tuple[float, float]:
-    """Unit vector of a shaker."""
     angle = AXIS_ANGLES.get(name)
     if angle is None:
         try:
@@ -377,7 +369,6 @@ def _check_identifiable(rig: Rig, lines: IntArray) -> None:
 
 
 def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
-    """Whole periods of every test; ConfigError for fewer than three in one."""
     whole = settings.duration / settings.period
     periods = tuple(int(share * whole + 0.5) for share in found.shares)
     if min(periods) < FEWEST_PERIODS:
@@ -469,29 +460,19 @@ def _coefficients(
 ) -> Iterator[PlannedCoefficient]:
     model, goals = question.rig.model, question.goals
     errors, others = timed.errors(duration), question.flats[LEAST_CREST].errors(duration)
-    numbers = zip(
-        model.expected,
-        model.scales,
-        errors,
-        factor * errors,
-        others,
-        goals.random,
-        goals.expanded,
-        strict=True,
-    )
-    for name, unit, (value, scale, error, weighted, other, random, expanded) in zip(
-        model.names, model.units, numbers, strict=True
-    ):
+    columns = np.array([model.expected, model.scales, errors, factor * errors, others]).T.tolist()
+    for number, (expected, scale, error, weighted, other) in enumerate(columns):
+        random, expanded = float(goals.random[number]), float(goals.expanded[number])
         yield PlannedCoefficient(
-            name,
-            unit,
-            float(value),
-            float(scale),
-            float(error),
-            float(weighted),
-            float(other),
-            goal=float(random) if np.isfinite(random) else None,
-            goal_expanded=float(expanded) if np.isfinite(expanded) else None,
+            model.names[number],
+            model.units[number],
+            expected,
+            scale,
+            error,
+            weighted,
+            other,
+            goal=random if np.isfinite(random) else None,
+            goal_expanded=expanded if np.isfinite(expanded) else None,
         )
 
 
@@ -503,21 +484,14 @@ def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> floa
     """
     if campaign.known is None:
         return float(duration * np.max(campaign.errors(duration) / limits) ** 2)
-    low, high = -np.log(LONGEST), np.log(LONGEST)
-    if np.any(campaign.errors(duration * LONGEST) > limits):
-        return float("inf")
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (
-            (low, middle) if np.all(campaign.errors(duration * np.exp(middle)) <= limits) else (middle, high)
-        )
-    return float(duration * np.exp(high))
+    low = float(-np.log(LONGEST))
+    return duration * least_factor(low, lambda factor: np.all(campaign.errors(duration * factor) <= limits))
 
 
 def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> PlannedTest:
     """A test of *periods* periods, after *skip* that are dropped, as it is written down."""
     running = running_shakers(test)
-    forces: ComplexArray = test.forces[:, running]
+    forces = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
     stem = "-".join(name.replace(" ", "") for name in names)
     files = tuple(
@@ -539,7 +513,6 @@ def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> Planned
 
 
 def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple[str, ...]:
-    """What the reader must know of the plan beside its numbers."""
     notes = []
     if found.floor == 0 and found.criterion != "flat":
         notes.append(

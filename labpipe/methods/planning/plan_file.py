@@ -23,8 +23,6 @@ from labpipe.project.settings_reader import DECIDE, Faults, read_settings
 from labpipe.registry import nearest
 from labpipe.report.document import Document, Section
 
-# Reading a plan file: a title, and the section `plan:`, whose entries are those of the model it is for.
-
 KEYS = ("title", "plan")
 
 
@@ -53,11 +51,7 @@ class PlanFile:
 
 
 def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
-    """The content of a plan file; ConfigErrors with every fault at its place.
-
-    It is a file of its own: a pipeline is run again with every new recording, and what was planned before the
-    test is not to change then.
-    """
+    """The content of a plan file; ConfigErrors with every fault at its place."""
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
@@ -92,7 +86,6 @@ def _sort_theory(node: Marked) -> None:
 
 
 def _kind(node: Marked, faults: Faults) -> PlanKind | None:
-    """What the entry `model` asks for; None and a fault where there is none of that name."""
     entries = faults.mapping(node, "plan")
     kinds = PLANS.names()
     if "model" not in entries or entries["model"].text == DECIDE:
@@ -102,11 +95,8 @@ def _kind(node: Marked, faults: Faults) -> PlanKind | None:
     if name not in kinds:
         faults.add(entries["model"], "plan.model", f"unknown model '{name}'", nearest(name, kinds))
         return None
-    kind: PlanKind = PLANS.load(name)
-    return kind
+    return PLANS.load(name)
 
-
-# plan.json: a planned test, or planned runs, as they were predicted.
 
 NAME = "plan.json"
 # Of an excitation, and of runs.
@@ -143,8 +133,6 @@ def read_any_plan(path: Path) -> Plan | RunPlan:
     return plan
 
 
-# Files of planned runs, of whatever kind: plan.json, a report, the runs as a table, the pipeline.
-
 REPORT, PIPELINE, ROTOR = "report.html", "pipeline.yaml", "rotor.yaml"
 
 
@@ -155,21 +143,23 @@ def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputF
     output.write_path("runs.csv").write_text(runs_csv(plan), encoding="utf-8")
     table = Document(plan.title, "Runs to make", (Section("Runs", (runs_table(plan),)),), to_sign=False)
     output.write_path("runs.md").write_bytes(DOCUMENTS.load("md")(table))
-    for name, entries in settings_files.items():
-        text = (
-            entries
-            if isinstance(entries, str)
-            else yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
-        )
-        output.write_path(name).write_text(text, encoding="utf-8")
+    write_settings(settings_files, output)
     return [NAME, REPORT, "runs.csv", "runs.md", *settings_files]
 
 
-# plan: a plan file -> the plan of its kind, and the files that carry it out and evaluate it.
+def write_settings(files: Mapping[str, Any], output: OutputFolder) -> None:
+    """Files of settings by name: their entries, or their text."""
+    for name, content in files.items():
+        text = (
+            content
+            if isinstance(content, str)
+            else yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
+        )
+        output.write_path(name).write_text(text, encoding="utf-8")
 
 
 def plan_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan and write; sentences on the plan, and the files' names. LabpipeError names the plan file."""
+    """Plan and write; sentences on the plan, and the files' names."""
     try:
         sentences, names = file.kind.files(file, output)
     except LabpipeError as error:

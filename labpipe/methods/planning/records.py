@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 
 from labpipe.records.finding import Contribution
 
-# A planned test: what is to be applied, and what it will tell.
-
 
 @dataclass(frozen=True)
 class PlannedCoefficient:

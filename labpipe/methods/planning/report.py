@@ -18,8 +18,6 @@ from labpipe.quantities import to_display
 from labpipe.report.chart import Axis, Panel, dots, look, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
-# A planned test as people read it: the spectrum, what it will tell beside a flat one, and how sure that is.
-
 HEADER = (
     "coefficient",
     "expected",
@@ -101,7 +99,7 @@ def sentence(plan: Plan) -> str:
 
 
 def goal_sentence(plan: Plan) -> str:
-    """Whether the goals are met, and the time they need; empty without goals."""
+    """Whether the goals are met, and the time they need."""
     if not plan.with_goals:
         return ""
     if plan.needed is None:
@@ -186,7 +184,6 @@ def _range(coefficient: PlannedCoefficient) -> str:
 
 
 def _uncertainty(plan: Plan) -> Iterator[Section]:
-    """What sensors and mass add to the noise, where that is known."""
     stated = [c for c in plan.coefficients if c.expanded is not None]
     if not stated:
         return
@@ -263,7 +260,7 @@ def _spectrum(plan: Plan) -> Figure:
 
 
 def _over_goal(coefficient: PlannedCoefficient) -> float:
-    """Error over goal, of noise or expanded, whichever is further; by noise where nothing is wanted of it."""
+    """Error over goal, of noise or expanded, whichever is further."""
     parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
     parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
     return max(parts, default=0.0)
@@ -272,8 +269,6 @@ def _over_goal(coefficient: PlannedCoefficient) -> float:
 def _time(seconds: float) -> str:
     return f"{seconds / 60:.3g} min" if seconds >= 120 else f"{seconds:.3g} s"
 
-
-# Planned runs as people read them: which runs, what they will tell, and what they will not.
 
 NUMBERS = ("number", "expected", "goal", "std. error", "runs shared alike", "known before", "never below")
 MODELS = {
@@ -328,8 +323,8 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     )
     yield (
         f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions "
-        f"({_time(plan.duration)}){determined} "
-        f"{plan.gain:.2f} times better by {CRITERIA[plan.criterion]} than the same time shared alike."
+        f"({_time(plan.duration)}){determined} {plan.gain:.2f} times better by {CRITERIA[plan.criterion]} "
+        "than the same time shared alike."
     )
     if aimed:
         met = plan.needed is not None and plan.needed <= plan.duration * (1 + 1e-9)
@@ -378,8 +373,8 @@ def _runs_verdict(plan: RunPlan) -> Iterator[Block]:
     sure = floor(1e4 * plan.efficiency) / 100
     yield Paragraph(
         "Certificate: the plan has, whole runs included, an efficiency (by variances) of at least "
-        f"{sure:.2f} % among all divisions of the "
-        f"same time among the {plan.candidates} conditions, by the equivalence theorem."
+        f"{sure:.2f} % among all divisions of the same time among the {plan.candidates} conditions, by the "
+        "equivalence theorem."
     )
 
 

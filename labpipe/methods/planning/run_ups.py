@@ -27,17 +27,14 @@ from labpipe.methods.planning.run_up_information import (
     information,
 )
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind
+from labpipe.methods.planning.settings import PlanKind, check_relative
 from labpipe.methods.run_ups.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily
 from labpipe.methods.run_ups.misfit import scales
 from labpipe.methods.run_ups.records import Shaker
 from labpipe.methods.run_ups.rotor import RPM, RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.registry import nearest
-
-# The ``plan:`` section for run-ups: which loads, unbalances and speeds there could be, and what is wanted
-# of the film.
 
 RUN_UPS = "run-ups"
 EXPONENTS = ("viscosity_speed", "viscosity_load")
@@ -48,10 +45,10 @@ SPEEDS = ("critical_speed", "threshold")
 class ReadingSettings(Settings):
     """Standard errors of the readings at one speed, from one dwell there."""
 
-    amplitude: float = setting("value", "of the amplitude itself", unit="1", default=0.01)
-    displacement: float = setting("value", "added to every reading, in squares", unit="m", default=0.0)
-    phase: float = setting("value", "of the phase", unit="rad", default=float(np.deg2rad(1)))
-    threshold: float = setting("value", "of the threshold speed itself", unit="1", default=0.002)
+    amplitude: float = quantity("of the amplitude itself", "1", 0.01)
+    displacement: float = quantity("added to every reading, in squares", "m", 0.0)
+    phase: float = quantity("of the phase", "rad", float(np.deg2rad(1)))
+    threshold: float = quantity("of the threshold speed itself", "1", 0.002)
 
     def __post_init__(self) -> None:
         if min(self.amplitude, self.phase, self.threshold) <= 0 or self.displacement < 0:
@@ -66,8 +63,8 @@ class TrialSettings(Settings):
         "phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=()
     )
     shaker: str = setting("text", "plane on which a shaker acts, along x, instead", default="")
-    force: float = setting("value", "of the shaker, 0-to-peak", unit="N", default=1.0)
-    ratio: float = setting("value", "frequency of the shaker over that of the shaft", unit="1", default=0.95)
+    force: float = quantity("of the shaker, 0-to-peak", "N", 1.0)
+    ratio: float = quantity("frequency of the shaker over that of the shaft", "1", 0.95)
 
     def __post_init__(self) -> None:
         if bool(self.unbalance) == bool(self.shaker):
@@ -101,23 +98,19 @@ class RunUpPlanSettings(Settings):
     _: KW_ONLY
     loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
     speeds: tuple[float, float] = setting("band", "speeds that can be run", unit="Hz")
-    step: float = setting("value", "from one speed of a run to the next", unit="Hz")
-    dwell: float = setting("value", "time at one speed", unit="s")
-    duration: float = setting("value", "of all runs together", unit="s")
+    step: float = quantity("from one speed of a run to the next", "Hz")
+    dwell: float = quantity("time at one speed", "s")
+    duration: float = quantity("of all runs together", "s")
     trials: tuple[tuple[str, TrialSettings], ...] = setting(
         "sections", "ways to excite the rotor, by name", section=TrialSettings, default=(), needed=True
     )
     stretches: int = setting("integer", "parts of the speeds that can be run by themselves", default=3)
-    changeover: float = setting("value", "time between runs", unit="s", default=0.0)
+    changeover: float = quantity("time between runs", "s", 0.0)
     to_threshold: bool = setting(
         "flag", "the highest stretch may be run on until the rotor gets unstable", default=False
     )
-    displacement_limit: float | None = setting(
-        "value", "largest at a plane, 0-to-peak; default: none", unit="m", default=None
-    )
-    journal_limit: float | None = setting(
-        "value", "largest of the journal, 0-to-peak; default: none", unit="m", default=None
-    )
+    displacement_limit: float | None = quantity("largest at a plane, 0-to-peak; default: none", "m", None)
+    journal_limit: float | None = quantity("largest of the journal, 0-to-peak; default: none", "m", None)
     noise: ReadingSettings = setting(
         "section", "of a reading", section=ReadingSettings, default=ReadingSettings()
     )
@@ -131,12 +124,8 @@ class RunUpPlanSettings(Settings):
         "file", "identification.json whose joint fit is expected where `expected` has none", default=""
     )
     known: tuple[str, ...] = setting("names", f"what is known: of {', '.join(PARAMETERS)}", default=())
-    at_load: float | None = setting(
-        "value", "load at which speeds and coefficients are predicted", unit="N", default=None
-    )
-    at_speed: float | None = setting(
-        "value", "speed at which coefficients are predicted", unit="Hz", default=None
-    )
+    at_load: float | None = quantity("load at which speeds and coefficients are predicted", "N", None)
+    at_speed: float | None = quantity("speed at which coefficients are predicted", "Hz", None)
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "relative standard errors that are wanted: {k_xy: 5 %, threshold: 1 %}; default: all parameters "
@@ -162,11 +151,11 @@ class RunUpPlanSettings(Settings):
                 hint="{trial-1: {unbalance: {disc 1: 50 g.mm}}}",
                 field="trials",
             )
-        for name in self.known:
-            if name not in PARAMETERS:
-                raise ConfigError(
-                    f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="known"
-                )
+        for field, names in (("known", self.known), ("expected", tuple(dict(self.expected)))):
+            for name in names:
+                if name not in PARAMETERS:
+                    what = f"the film has no parameter {name}"
+                    raise ConfigError(what, hint=nearest(name, PARAMETERS), field=field)
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -176,18 +165,8 @@ class RunUpPlanSettings(Settings):
                 self._check_planes(self.rig, name, trial)
 
     def _check_signs(self) -> None:
-        for name in (
-            "step",
-            "dwell",
-            "duration",
-            "at_load",
-            "at_speed",
-            "displacement_limit",
-            "journal_limit",
-        ):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
+        require_positive(self, "displacement_limit", "journal_limit")
         if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
             raise ConfigError("loads are positive, and so is the time between runs", field="loads")
         if self.speeds[0] <= 0 or self.stretches < 1:
@@ -196,10 +175,6 @@ class RunUpPlanSettings(Settings):
             )
 
     def _check_expected(self, name: str, values: tuple[float, ...]) -> None:
-        if name not in PARAMETERS:
-            raise ConfigError(
-                f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="expected"
-            )
         if len(values) != 1 or (name not in EXPONENTS and values[0] <= 0):
             raise ConfigError(f"{name} is one factor above zero", hint=f"{name}: 0.9", field="expected")
         if abs(logarithm(name, values[0])) > BOUND[PARAMETERS.index(name)]:
@@ -215,7 +190,7 @@ class RunUpPlanSettings(Settings):
             *(SPEEDS if self.at_load else ()),
             *(COEFFICIENTS if self.at_load and self.at_speed else ()),
         )
-        for name, values in self.goal:
+        for name, _ in self.goal:
             if name not in names:
                 hint = (
                     "at_load and at_speed say where"
@@ -225,10 +200,7 @@ class RunUpPlanSettings(Settings):
                 raise ConfigError(f"no {name} is predicted", hint=hint, field="goal")
             if name in self.known:
                 raise ConfigError(f"{name} is known", hint="leave one of goal and known out", field="goal")
-            if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(
-                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
-                )
+        check_relative(self.goal)
 
     @staticmethod
     def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
@@ -259,13 +231,9 @@ def logarithm(name: str, value: float) -> float:
     return value if name in EXPONENTS else float(np.log(value))
 
 
-# plan of run-ups: settings -> which loads, trial unbalances and speeds to run, and the pipeline of their
-# joint fit.
-
 METHOD = "joint"
 # Standard error of the logarithm of what is known.
 KNOWN = 1e-5
-# Half of a difference, in logarithms.
 STEP = 1e-4
 # The second load that is tried, over the highest.
 OTHER_LOAD = 1.5
@@ -303,7 +271,6 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
 
 
 def _earlier(file: PlanFile) -> dict[str, float]:
-    """Factors and exponents of the joint fit of an earlier result."""
     if not file.settings.earlier:
         return {}
     path = file.path.parent / file.settings.earlier
@@ -317,7 +284,7 @@ def _earlier(file: PlanFile) -> dict[str, float]:
 
 
 def pipeline_entries(plan: RunPlan, settings: RunUpPlanSettings) -> dict[str, Any]:
-    """The pipeline that evaluates the runs; tables are looked for in recordings/."""
+    """The pipeline that evaluates the runs."""
     runs = [{"file": f"recordings/{name}.csv"} for run in plan.runs for name in run_names(run)]
     section: dict[str, Any] = {"rotor": ROTOR, "methods": [METHOD], "runs": runs}
     if settings.known:
@@ -336,7 +303,14 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     question = RunQuestion(
         parameters=PARAMETERS,
         units=PRIOR,
-        prior=_prior(given),
+        prior=(
+            np.diag(
+                [
+                    (KNOWN if name in given else float(spread)) ** -2.0
+                    for name, spread in zip(PARAMETERS, PRIOR, strict=True)
+                ]
+            )
+        ),
         conditions=tuple(_condition(settings, expected, candidate) for candidate in candidates),
         quantities=tuple(_quantities(settings, expected)),
         duration=settings.duration,
@@ -360,16 +334,6 @@ def _expected(settings: RunUpPlanSettings, earlier: dict[str, float]) -> Expecte
     noise = settings.noise
     reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
     return ExpectedRig(rig, family, settings.values(earlier), reading)
-
-
-def _prior(known: Sequence[str]) -> FloatArray:
-    """Information (12, 12) of the joint fit's prior, and of what is known."""
-    return np.diag(
-        [
-            (KNOWN if name in known else float(spread)) ** -2.0
-            for name, spread in zip(PARAMETERS, PRIOR, strict=True)
-        ]
-    )
 
 
 def _candidates(
@@ -483,7 +447,7 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
     for number, name in enumerate(PARAMETERS):
         if name not in settings.known:
             value = float(expected.values[number])
-            shown = value if name in ("viscosity_speed", "viscosity_load") else float(np.exp(value))
+            shown = value if name in EXPONENTS else float(np.exp(value))
             yield Quantity(name, "1", shown, np.eye(len(PARAMETERS))[number], goals.get(name), 1.0)
     if settings.at_load is None:
         return
@@ -510,10 +474,7 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
 
 
 def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
-    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms.
-
-    None where there is none.
-    """
+    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms."""
 
     def speed(values: FloatArray) -> float | None:
         at = expected.family.at_load(values, load)

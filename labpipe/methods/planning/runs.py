@@ -1,7 +1,5 @@
 """Which runs, and how many of each: exact designs of operating conditions within a time.
 
-Which runs, and how many of each: exact designs of operating conditions within a time.
-
 A run of condition a tells I_a of parameters in units of what is wanted, beside I_0 that is known before.
 Shares of the time are the continuous optimum of `designs`, with I_0 inside every candidate, so that its
 certificate holds for runs as well: the counts are rounded down, filled up and exchanged run by run (Fedorov
@@ -10,7 +8,7 @@ certificate holds for runs as well: the counts are rounded down, filled up and e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +19,6 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.planning.designs import A, D, Design, certificate, optimum, variances
 from labpipe.methods.planning.records import PlannedNumber, PlannedRun, RunPlan
-
-# Which runs, and how many of each: exact designs of operating conditions within a time.
 
 # What makes the first runs comparable, before they determine everything: this share of the information of
 # all.
@@ -97,7 +93,7 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
     separate = _separate(criterion, whole, choices, wanted)
     design = separate or optimum(criterion, whole, wanted)
-    begun = _down(choices, design.shares, duration)
+    begun = np.floor(design.shares * duration / choices.cost + 1e-9).astype(int)
     if separate:
         begun = _one_each(choices, begun, duration)
     counts = _exchanged(
@@ -117,7 +113,7 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
 
 def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: FloatArray) -> Design | None:
     """The optimum among runs each of which tells of parameters of its own, *whole* (n_run, n, n) [1] in all
-    the time; None for others.
+    the time.
 
     With the variances v of what is wanted of a run in all the time, its share goes as max v, as the root of
     sum v, or as its number of parameters: the Lagrange conditions of minimax, A and D.
@@ -144,10 +140,6 @@ def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: Fl
     shares = sizes / sizes.sum()
     together = np.tensordot(shares, whole, 1)
     return Design(shares, together, certificate(criterion, whole, together, wanted))
-
-
-def _down(choices: RunChoices, shares: FloatArray, duration: float) -> IntArray:
-    return np.floor(shares * duration / choices.cost + 1e-9).astype(int)
 
 
 def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArray:
@@ -205,10 +197,7 @@ def _exchanged(
 
 
 def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
-    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances.
-
-    Infinite where it is singular.
-    """
+    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances."""
     root = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     values = np.full(len(information), np.inf)
     regular = np.all(root > 0, axis=1)
@@ -248,8 +237,6 @@ def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
 def undetermined(choices: RunChoices) -> FloatArray:
     """Combinations (n, n_unseen) [1] of parameters that no run of the choices tells anything of, without what
     is known before.
-
-    Each has a parameter that the others do not have.
     """
     n = len(choices.prior)
     free = np.arange(n) if choices.known is None else np.flatnonzero(~choices.known)
@@ -272,12 +259,11 @@ def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(information / np.outer(root, root))
     parts = np.abs((wanted / root) @ vectors)
     poor = values <= SINGULAR * values[-1]
-    sums = np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1)
     return np.asarray(
         np.where(
             np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1),
             np.inf,
-            np.sqrt(sums),
+            np.sqrt(np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1)),
         )
     )
 
@@ -286,16 +272,17 @@ def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) ->
     """Factor [1] of the numbers of runs after which all errors of *wanted* (n_wanted, n) [1 / goal] are below
     1; or infinity.
     """
-    low, high = -30.0, float(np.log(LONGEST))
-    if errors_after(choices, counts * LONGEST, wanted).max() > 1:
+    return least_factor(-30.0, lambda factor: errors_after(choices, counts * factor, wanted).max() <= 1)
+
+
+def least_factor(low: float, enough: Callable[[float], object]) -> float:
+    """The least factor of a time that is *enough*, from exp(*low*) up to LONGEST; infinite beyond."""
+    high = float(np.log(LONGEST))
+    if not enough(LONGEST):
         return float("inf")
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (
-            (low, middle)
-            if errors_after(choices, counts * np.exp(middle), wanted).max() <= 1
-            else (middle, high)
-        )
+        low, high = (low, middle) if enough(np.exp(middle)) else (middle, high)
     return float(np.exp(high))
 
 
@@ -398,10 +385,10 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
     choices = question.choices()
     quantities = question.quantities
     aimed = [quantity for quantity in quantities if quantity.goal is not None] or list(quantities)
-    rows = _rows(quantities, question.units)
+    rows = np.stack([quantity.row * question.units for quantity in quantities])
     wanted = np.stack(
         [
-            row / _size(quantity, row)
+            row / (quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0)
             for quantity, row in zip(quantities, rows, strict=True)
             if quantity in aimed
         ]
@@ -430,30 +417,14 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
     return Answered(plan, np.linalg.inv(design.information) * np.outer(question.units, question.units))
 
 
-def _rows(quantities: Sequence[Quantity], units: FloatArray) -> FloatArray:
-    return np.stack([quantity.row * units for quantity in quantities])
-
-
-def _size(quantity: Quantity, row: FloatArray) -> float:
-    """What an error of a number is compared by [its unit]: its goal, else its scale, else its change by one
-    unit of the parameters.
-    """
-    return quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0
-
-
 def _check_open(
     question: RunQuestion, choices: RunChoices, aimed: Sequence[Quantity], wanted: FloatArray
 ) -> None:
     """ConfigError where a number with a goal, or any number, stays open however many runs there are."""
     lasting = lasting_errors(choices, wanted)
-    beyond = [
-        quantity.name
-        for quantity, error in zip(aimed, lasting, strict=True)
-        if error > (1.0 if quantity.goal is not None else np.inf)
-    ]
-    beyond += [
-        quantity.name for quantity, error in zip(aimed, lasting, strict=True) if not np.isfinite(error)
-    ]
+    pairs = list(zip(aimed, lasting, strict=True))
+    beyond = [quantity.name for quantity, error in pairs if quantity.goal is not None and error > 1]
+    beyond += [quantity.name for quantity, error in pairs if not np.isfinite(error)]
     if not beyond:
         return
     unseen = "; ".join(_words(question.parameters, choices, question.units))
@@ -467,7 +438,6 @@ def _check_open(
 
 
 def _words(names: Sequence[str], choices: RunChoices, units: FloatArray) -> tuple[str, ...]:
-    """Combinations that no run tells, in words."""
     return tuple(combination_text(names, direction * units) for direction in undetermined(choices).T)
 
 

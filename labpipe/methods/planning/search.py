@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from labpipe.methods.planning.campaigns import (
 from labpipe.methods.planning.designs import CRITERIA, Certificate, Design, optimum
 from labpipe.methods.planning.model import Noise, PlannedModel, sensitivities, vector_information
 from labpipe.raw_files.excitation import schroeder_phases
-
-# Candidates of a design: one line, one direction of force each, with what they tell at unit cost.
 
 
 @dataclass(frozen=True)
@@ -71,9 +69,6 @@ def candidates(
     return Candidates(line, direction, cost, information)
 
 
-# The search for a plan: optimum designs of several criteria and costs, put on the shakers, and ranked by
-# what they tell at the limits.
-
 # Shares of the displacement in the cost of a line that are tried where it is limited.
 DISPLACEMENT_SHARES = (0.0, 0.5, 1.0)
 # Candidates that are looked at closely, of those that did best at a first look.
@@ -112,9 +107,8 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A design on the shakers: where it comes from, its power (n_line, n_shaker) [1] before scaling, and what
-    it tells at the limits.
+class Source:
+    """A design on the shakers: where it comes from, and its power (n_line, n_shaker) [1] before scaling.
 
     floor [1]: share of the power that is on all lines alike.
     """
@@ -124,8 +118,14 @@ class Candidate:
     scheme: str
     certificate: Certificate | None
     power: FloatArray
+    floor: float
+
+
+@dataclass(frozen=True)
+class Candidate(Source):
+    """A design with what it tells at the limits."""
+
     campaign: Campaign
-    floor: float = 0.0
 
 
 def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> Campaign:
@@ -154,7 +154,10 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
     close = [_looked(rig, lines, wanted, source, CLOSE_STARTS) for source in looked[:CLOSE]]
     limit = rig.limits.crest_factor
     if limit is not None:
-        crests = [_crest(candidate) for candidate in (*close, *looked)]
+        crests = [
+            max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
+            for candidate in (*close, *looked)
+        ]
         allowed = [
             candidate for candidate, crest in zip((*close, *looked), crests, strict=True) if crest <= limit
         ]
@@ -179,9 +182,6 @@ def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
 def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
     """All lines and shakers at a *share* [1] of the displacement in the cost, with what is known before
     inside each of them.
-
-    The cost that the limits will allow is taken from a flat multisine: an information of that size is what an
-    earlier one adds to.
     """
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
     candidates_of_lines = candidates(
@@ -227,17 +227,7 @@ def _balanced(found: Candidates, wanted: Wanted, criterion: str, floor: float, n
     return replace(design, shares=design.shares / factor)
 
 
-@dataclass(frozen=True)
-class _Source:
-    criterion: str
-    displacement_share: float
-    scheme: str
-    certificate: Certificate | None
-    power: FloatArray
-    floor: float = 0.0
-
-
-def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[_Source]:
+def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[Source]:
     """Designs of every criterion and cost on every scheme; flat last."""
     limited = rig.limits.displacement is not None
     at_once = [scheme for scheme in schemes if scheme != ONE_BY_ONE]
@@ -247,7 +237,7 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
             for floor in _floors(wanted) if criterion == wanted.criterion else (wanted.floor,):
                 if ONE_BY_ONE in schemes:
                     design = _design(choices, wanted, criterion, floor)
-                    yield _Source(
+                    yield Source(
                         criterion,
                         share,
                         ONE_BY_ONE,
@@ -258,9 +248,9 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
                 if at_once:
                     design = _balanced(choices, wanted, criterion, floor, len(rig.shakers))
                     source = design.certificate, _power(choices, design, lines), floor
-                    yield from (_Source(criterion, share, name, *source) for name in at_once)
+                    yield from (Source(criterion, share, name, *source) for name in at_once)
     for scheme in schemes:
-        yield _Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
+        yield Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
 
 
 def _floors(wanted: Wanted) -> tuple[float, ...]:
@@ -273,29 +263,14 @@ def _floors(wanted: Wanted) -> tuple[float, ...]:
 
 
 def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
-    """(n_line, n_shaker)."""
     return found.power(design.shares).reshape(lines.size, -1)
 
 
-def _looked(
-    rig: Rig, lines: IntArray, wanted: Wanted, source: _Source | Candidate, random_starts: int
-) -> Candidate:
+def _looked(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
-    campaign_at_limit = campaign(rig, large, wanted.criterion, wanted.goals)
-    return Candidate(
-        source.criterion,
-        source.displacement_share,
-        source.scheme,
-        source.certificate,
-        source.power,
-        campaign_at_limit,
-        source.floor,
-    )
-
-
-def _crest(candidate: Candidate) -> float:
-    return max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
+    entries = {field.name: getattr(source, field.name) for field in fields(Source)}
+    return Candidate(**entries, campaign=campaign(rig, large, wanted.criterion, wanted.goals))
 
 
 def schemes_of(n_shaker: int, wanted: str) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, setting
+from labpipe.records.settings import Settings, Uncertainties, quantity, require_positive, setting
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
@@ -29,8 +29,6 @@ class PlanKind:
     files: Callable[[Any, Any], tuple[list[str], list[str]]]
 
 
-# The ``plan:`` section of a plan file: model, noise, limits and goal of a test that is to be planned.
-
 BEST = "best"
 # Behind the name of a coefficient: of its expanded uncertainty, as in rules.
 EXPANDED = ".expanded"
@@ -40,18 +38,26 @@ EXPANDED = ".expanded"
 class NoiseSettings(Settings):
     """Standard deviations of the sensors' noise per sample, at the sampling rate of the plan."""
 
-    force: float = setting("value", "of the force", unit="N", default=0.0)
-    displacement: float = setting("value", "of the displacement", unit="m", default=0.0)
-    acceleration: float = setting("value", "of the acceleration", unit="m/s^2", default=0.0)
+    force: float = quantity("of the force", "N", 0.0)
+    displacement: float = quantity("of the displacement", "m", 0.0)
+    acceleration: float = quantity("of the acceleration", "m/s^2", 0.0)
 
 
 @dataclass(frozen=True)
 class DensitySettings(Settings):
     """One-sided densities of the sensors' noise."""
 
-    force: float = setting("value", "of the force", unit="N/Hz^0.5", default=0.0)
-    displacement: float = setting("value", "of the displacement", unit="m/Hz^0.5", default=0.0)
-    acceleration: float = setting("value", "of the acceleration", unit="m/(s^2.Hz^0.5)", default=0.0)
+    force: float = quantity("of the force", "N/Hz^0.5", 0.0)
+    displacement: float = quantity("of the displacement", "m/Hz^0.5", 0.0)
+    acceleration: float = quantity("of the acceleration", "m/(s^2.Hz^0.5)", 0.0)
+
+
+def check_relative(goals: Iterable[tuple[str, tuple[float, ...]]]) -> None:
+    """ConfigError for a goal that is not one positive relative error."""
+    for name, values in goals:
+        if len(values) != 1 or values[0] <= 0:
+            what = f"the goal of {name} is one positive relative error"
+            raise ConfigError(what, hint=f"{name}: 2 %", field="goal")
 
 
 @dataclass(frozen=True)
@@ -63,8 +69,8 @@ class TheorySettings(Settings):
     bearing: str = setting(
         "file", "bearing file; its y and z are the plan's x and y", default="", file_kind="bearing"
     )
-    load: float | None = setting("value", "in place of the bearing file's `load`", unit="N", default=None)
-    speed: float | None = setting("value", "in place of the file's `speed`", unit="Hz", default=None)
+    load: float | None = quantity("in place of the bearing file's `load`", "N", None)
+    speed: float | None = quantity("in place of the file's `speed`", "Hz", None)
     rotor: str = setting("file", "or a rotor file", default="", file_kind="rotor", into="rig")
     name: str = setting("text", "bearing of the rotor file; default: the last one", default="")
     rig: RotorRig | None = None
@@ -77,10 +83,7 @@ class TheorySettings(Settings):
             )
         if self.rotor and self.load is not None:
             raise ConfigError("the load follows from the rotor", hint="leave it out", field="load")
-        for name in ("load", "speed"):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "load", "speed")
         if self.rig is not None:
             self.rig.place(self.name)
 
@@ -92,18 +95,14 @@ class PlanSettings(Settings):
     model: str = setting("choice", "what will be identified", choices=tuple(MODELS))
     _: KW_ONLY
     band: tuple[float, float] = setting("band", "frequencies that may be excited", unit="Hz")
-    period: float = setting("value", "length of one period; lines lie 1 / period apart", unit="s")
-    sample_rate: float = setting("value", "of signals and recordings", unit="Hz")
-    duration: float = setting("value", "of all measured periods together", unit="s")
-    force_limit: float = setting(
-        "value", "largest force of a shaker, 0-to-peak, also between samples", unit="N"
+    period: float = quantity("length of one period; lines lie 1 / period apart", "s")
+    sample_rate: float = quantity("of signals and recordings", "Hz")
+    duration: float = quantity("of all measured periods together", "s")
+    force_limit: float = quantity("largest force of a shaker, 0-to-peak, also between samples", "N")
+    displacement_limit: float | None = quantity(
+        "largest in x or y, 0-to-peak, from rest to rest; default: none", "m", None
     )
-    displacement_limit: float | None = setting(
-        "value", "largest in x or y, 0-to-peak, from rest to rest; default: none", unit="m", default=None
-    )
-    crest_factor: float | None = setting(
-        "value", "largest peak over rms of a force; default: any", unit="1", default=None
-    )
+    crest_factor: float | None = quantity("largest peak over rms of a force; default: any", "1", None)
     expected: tuple[tuple[str, float], ...] = setting("coefficients", "expected values, by name", default=())
     earlier: str = setting(
         "file", "identification.json whose values are expected where `expected` has none", default=""
@@ -118,8 +117,8 @@ class PlanSettings(Settings):
         section=TheorySettings,
         default=None,
     )
-    mass: float | None = setting(
-        "value", "known mass that moves, e.g. 0.79 kg +- 5 g; of a floating stator", unit="kg", default=None
+    mass: float | None = quantity(
+        "known mass that moves, e.g. 0.79 kg +- 5 g; of a floating stator", "kg", None
     )
     rig: str = setting(
         "file",
@@ -143,9 +142,7 @@ class PlanSettings(Settings):
     criterion: str = setting(
         "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
     )
-    floor: float = setting(
-        "value", "share of the power on all lines alike, for a test of the model", unit="1", default=0.2
-    )
+    floor: float = quantity("share of the power on all lines alike, for a test of the model", "1", 0.2)
     shakers: tuple[str, ...] = setting(
         "names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=()
     )
@@ -155,12 +152,10 @@ class PlanSettings(Settings):
     exclude: tuple[tuple[float, float], ...] = setting(
         "bands", "frequencies that are not excited", unit="Hz", default=()
     )
-    speed: float | None = setting(
-        "value", "speed of the shaft, whose 1x line and neighbours are left out", unit="Hz", default=None
+    speed: float | None = quantity(
+        "speed of the shaft, whose 1x line and neighbours are left out", "Hz", None
     )
-    mains: float | None = setting(
-        "value", "mains frequency, whose multiples are left out", unit="Hz", default=None
-    )
+    mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
     skip: int | None = setting(
         "integer",
         "transient periods before the measured ones, in every test; default: until motion has died away",
@@ -170,19 +165,8 @@ class PlanSettings(Settings):
     sensors: Rig | None = None
 
     def __post_init__(self) -> None:
-        for name in (
-            "period",
-            "sample_rate",
-            "duration",
-            "force_limit",
-            "displacement_limit",
-            "mass",
-            "speed",
-            "mains",
-        ):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "period", "sample_rate", "duration", "force_limit", "displacement_limit")
+        require_positive(self, "mass", "speed", "mains")
         if (self.noise is None) == (self.noise_density is None):
             raise ConfigError(
                 "one of 'noise' and 'noise_density' is needed",
@@ -197,11 +181,7 @@ class PlanSettings(Settings):
                     field=name,
                 )
         self._check_expected()
-        for name, values in self.goal:
-            if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(
-                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
-                )
+        check_relative(self.goal)
         if 2 * self.band[1] >= self.sample_rate:
             raise ConfigError(
                 f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate",

@@ -1,8 +1,5 @@
 """plan of a floating bearing at several loads and speeds: which states to run how often, and their signals.
 
-A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or of
-what they have in common.
-
 Of numbers p that all states have in common, a clearance or a viscosity, the run in a state s tells J_s^T I_s
 J_s, where I_s is what it tells of the coefficients there and J_s = d(coefficients)/dp.
 """
@@ -38,15 +35,18 @@ from labpipe.methods.planning.records import PlannedRun, PlannedTest
 from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.search import BOTH_LIMITS, flat
-from labpipe.methods.planning.settings import DensitySettings, NoiseSettings, PlanKind, PlanSettings
+from labpipe.methods.planning.settings import (
+    DensitySettings,
+    NoiseSettings,
+    PlanKind,
+    PlanSettings,
+    check_relative,
+)
 from labpipe.project.bearing_file import BearingFile, open_bearing, setting_at
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.registry import nearest
-
-# The ``plan:`` section for a floating bearing at several loads and speeds: which states there could be, and
-# what is wanted of them.
 
 STATES = "bearing-states"
 FLOATING = "dynamic-stiffness"
@@ -68,17 +68,17 @@ class StatePlanSettings(Settings):
     _: KW_ONLY
     loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
-    mass: float = setting("value", "mass of the stator", unit="kg")
+    mass: float = quantity("mass of the stator", "kg")
     band: tuple[float, float] = setting("band", "frequencies that are excited, all alike", unit="Hz")
-    period: float = setting("value", "length of one period; lines lie 1 / period apart", unit="s")
-    sample_rate: float = setting("value", "of signals and recordings", unit="Hz")
-    run: float = setting("value", "measured time of one run in one state", unit="s")
-    duration: float = setting("value", "of all runs with what lies between them", unit="s")
-    force_limit: float = setting("value", "largest force of a shaker, 0-to-peak", unit="N")
-    displacement_limit: float | None = setting(
-        "value", "largest displacement in x or y, 0-to-peak; default: none", unit="m", default=None
+    period: float = quantity("length of one period; lines lie 1 / period apart", "s")
+    sample_rate: float = quantity("of signals and recordings", "Hz")
+    run: float = quantity("measured time of one run in one state", "s")
+    duration: float = quantity("of all runs with what lies between them", "s")
+    force_limit: float = quantity("largest force of a shaker, 0-to-peak", "N")
+    displacement_limit: float | None = quantity(
+        "largest displacement in x or y, 0-to-peak; default: none", "m", None
     )
-    changeover: float = setting("value", "time between runs", unit="s", default=0.0)
+    changeover: float = quantity("time between runs", "s", 0.0)
     noise: NoiseSettings | None = setting(
         "section", "noise of the sensors per sample", section=NoiseSettings, default=None
     )
@@ -105,9 +105,7 @@ class StatePlanSettings(Settings):
     exclude: tuple[tuple[float, float], ...] = setting(
         "bands", "frequencies that are not excited", unit="Hz", default=()
     )
-    mains: float | None = setting(
-        "value", "mains frequency, whose multiples are left out", unit="Hz", default=None
-    )
+    mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
     skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
 
     def __post_init__(self) -> None:
@@ -116,20 +114,16 @@ class StatePlanSettings(Settings):
         if self.changeover < 0 or self.duration <= 0:
             raise ConfigError("times are positive", field="duration")
         if self.periods < FEWEST_PERIODS:
-            hint = f"a run of {FEWEST_PERIODS * self.period:g} s or more"
             raise ConfigError(
                 f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}",
-                hint=hint,
+                hint=f"a run of {FEWEST_PERIODS * self.period:g} s or more",
                 field="run",
             )
-        for name, values in self.goal:
+        for name, _ in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
                 allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
                 raise ConfigError(f"no {name} is predicted", hint=allowed, field="goal")
-            if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(
-                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
-                )
+        check_relative(self.goal)
         self.at(self.speeds[0])
 
     @property
@@ -145,26 +139,15 @@ class StatePlanSettings(Settings):
     def at(self, speed: float) -> PlanSettings:
         """The settings of the test of one state at a *speed* [Hz]; ConfigError as for any test."""
         names = (
-            "mass",
-            "band",
-            "period",
-            "sample_rate",
-            "force_limit",
-            "displacement_limit",
-            "noise",
-            "noise_density",
+            "mass band period sample_rate force_limit displacement_limit noise noise_density scheme exclude"
         )
         return PlanSettings(
             FLOATING,
-            **{name: getattr(self, name) for name in (*names, "scheme", "exclude", "mains", "skip")},
+            **{name: getattr(self, name) for name in (*names.split(), "mains", "skip")},
             duration=self.periods * self.period,
             expected=tuple((name, 1.0) for name in COEFFICIENTS),
             speed=speed,
         )
-
-
-# A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or
-# of what they have in common.
 
 
 @dataclass(frozen=True)
@@ -208,23 +191,14 @@ class StateTest:
     notes: tuple[str, ...] = ()
 
 
-def state_tests(settings: StatePlanSettings, states: Sequence[BearingState]) -> list[StateTest]:
-    """The flat multisine of every state, as large as its limits allow; ConfigError where no line is left."""
-    return [_test(settings, state) for state in states]
-
-
-def _test(settings: StatePlanSettings, state: BearingState) -> StateTest:
+def state_test(settings: StatePlanSettings, state: BearingState) -> StateTest:
+    """The flat multisine of a state, as large as its limits allow; ConfigError where no line is left."""
     state_settings = settings.at(state.speed)
     rig = bench(state_settings, state.model)
     campaign = flat(rig, planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
     factor = weighting_factor(settings.periods, of_spectra=True)
-    information = (
-        campaign.rate
-        * settings.periods
-        * settings.period
-        / factor**2
-        / np.outer(state.model.scales, state.model.scales)
-    )
+    scales = np.outer(state.model.scales, state.model.scales)
+    information = campaign.rate * settings.periods * settings.period / factor**2 / scales
     planned = planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
     notes = tuple(
         f"{state.name}: {note}" for note in settling_notes(rig, campaign, (settings.periods,), settings.skip)
@@ -274,12 +248,11 @@ def _quantities(
     slopes: Sequence[FloatArray],
     common: Sequence[Common],
 ) -> Iterator[Quantity]:
-    """The numbers in common, and every coefficient of every state."""
     goals = {name: values[0] for name, values in settings.goal}
-    for number, quantity in enumerate(common):
-        size = abs(quantity.value)
-        goal = goals[quantity.name] * size if quantity.name in goals else None
-        yield Quantity(quantity.name, quantity.unit, quantity.value, np.eye(len(common))[number], goal, size)
+    for row, entry in zip(np.eye(len(common)), common, strict=True):
+        size = abs(entry.value)
+        goal = goals[entry.name] * size if entry.name in goals else None
+        yield Quantity(entry.name, entry.unit, entry.value, row, goal, size)
     for test, rows in zip(tests, slopes, strict=True):
         model = test.state.model
         for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):
@@ -288,9 +261,6 @@ def _quantities(
                 f"{name}[{test.state.name}]", UNITS[name[0]], float(value), row, goal, float(scale)
             )
 
-
-# plan of a floating bearing at several loads and speeds: settings -> which states to run how often, their
-# signals, and the pipeline.
 
 # Half of a difference, relative to the number.
 STEP = 1e-2
@@ -312,7 +282,15 @@ def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[s
             names.append(f"signals/{run.name}-{axis}.csv")
             whole = np.tile(samples, settings.periods + settings.skip)
             write_signal(output.write_path(names[-1]), whole, settings.sample_rate, "f [N]")
-    evaluations = {run: _evaluation(settings, file.title, tests[run.name]) for run in answered.plan.runs}
+    evaluations = {
+        run: Evaluation(
+            settings.at(tests[run.name].state.speed),
+            file.title,
+            (tests[run.name].planned,),
+            with_masses=False,
+        )
+        for run in answered.plan.runs
+    }
     entries = {
         RIG: rig_entries(next(iter(evaluations.values()))),
         PIPELINE: _pipeline(file.title, evaluations, tests, output.target.absolute()),
@@ -337,7 +315,7 @@ def plan_states(
                 field="bearing",
             )
     common = [_common(bearing, name) for name in settings.estimate]
-    tests = state_tests(settings, _states(settings, bearing, common))
+    tests = [state_test(settings, state) for state in _states(settings, bearing, common)]
     answered = plan_runs(question_of(settings, tests, common), title, settings.model)
     if common and len(answered.plan.runs) < len(tests):
         answered = answered.noted([UNTESTED])
@@ -390,12 +368,10 @@ def _states(
         model = MODELS[FLOATING].model(
             dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass
         )
-        states.append(BearingState(_name(load, speed), load, speed, model, slopes))
+        states.append(
+            BearingState(f"{load:g}N-{60 * speed:g}rpm".replace(".", "p"), load, speed, model, slopes)
+        )
     return states
-
-
-def _name(load: float, speed: float) -> str:
-    return f"{load:g}N-{60 * speed:g}rpm".replace(".", "p")
 
 
 def _settings(bearing: BearingFile, load: float, speed: float, change: tuple[Common, float] | None) -> Any:
@@ -419,17 +395,9 @@ def _eight(bearing: BearingFile, whole: BearingCoefficients) -> FloatArray:
     return np.concatenate([lateral.stiffness.ravel(), lateral.damping.ravel()])
 
 
-def _evaluation(settings: StatePlanSettings, title: str, test: StateTest) -> Evaluation:
-    return Evaluation(settings.at(test.state.speed), title, (test.planned,), with_masses=False)
-
-
 def _pipeline(
     title: str, evaluations: dict[PlannedRun, Evaluation], tests: dict[str, StateTest], folder: Path
 ) -> dict[str, Any]:
-    """The pipeline of all states, one test each with the lines of its own.
-
-    Recordings are looked for in recordings/.
-    """
     listed, entries = [], {}
     for run, evaluation in evaluations.items():
         entries, state = pipeline_entries(evaluation, folder), tests[run.name].state

@@ -1,15 +1,8 @@
 """Predicted uncertainty budgets: a planned test rehearsed, and what systematic sources add to its noise.
 
-A planned test as it would be recorded if its noise were known: means free of noise, periods that scatter as
-the noise does.
-
 Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on every line. Over the periods
 these have the mean zero and are orthogonal to each other, so that the average is what the rig does, and its
-covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor. What evaluates a recording,
-and its uncertainty budget, then give what is expected of the real one.
-
-Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a
-planned test, however long it is.
+covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor.
 
 The changes of the coefficients by one standard uncertainty of every source, c, come from the budget of the
 fit that will evaluate the test. Where an earlier result counts beside it, with information I_0 and changes
@@ -38,9 +31,6 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.registry import nearest
-
-# A planned test as it would be recorded if its noise were known: means free of noise, periods that scatter
-# as the noise does.
 
 # Periods beyond the number of channels: degrees of freedom of their covariance.
 SPARE = 4
@@ -75,14 +65,16 @@ def rehearsed(
         spectrum[test.lines] = mean
         spectrum[1 : (n_sample + 1) // 2] += size * np.exp(2j * np.pi * number * period / n_period)
         periods.append(fft.irfft(spectrum * (n_sample / 2), n_sample, axis=0))
-    samples = np.concatenate([periods[0]] * skip + periods)
-    return Recording(tuple(channels), samples, n_sample * rig.spacing, test.name)
+    return Recording(
+        tuple(channels), np.concatenate([periods[0]] * skip + periods), n_sample * rig.spacing, test.name
+    )
 
 
 def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
     """Of what a channel measures, (n_line,) [SI]."""
     if channel.quantity == "force":
-        return _force(rig, test, channel)
+        shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
+        return np.asarray(test.forces[:, shaker])
     along = rig.motion(test) @ _direction(channel, rig.model.n_dof)
     if channel.quantity == "displacement":
         return np.asarray(along)
@@ -95,24 +87,12 @@ def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
     )
 
 
-def _force(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
-    """That of the shaker whose direction the channel has, or of a pedestal's only one.
-
-    Zero where that does not run.
-    """
-    shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
-    return np.asarray(test.forces[:, shaker])
-
-
 def _direction(channel: Channel, n_dof: int) -> ComplexArray:
     if n_dof == 1:
         return np.ones(1, complex)
     angle = AXIS_ANGLES[channel.dof] if channel.angle is None else channel.angle
     return np.array([np.cos(angle), np.sin(angle)], complex)
 
-
-# Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a
-# planned test, however long it is.
 
 COVERAGE = 0.95
 # Share of the variance that is systematic from which on longer measuring hardly helps: less than a tenth of
@@ -159,8 +139,7 @@ def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArra
     """Relative standard errors by noise (n_coefficient,) [1] that meet all goals beside the systematic part;
     zero where none does.
 
-    scales (n_coefficient,) [units of the coefficients]: what errors are relative to. All one where nothing is
-    wanted in particular. Equation (plan-limits).
+    scales (n_coefficient,) [units of the coefficients]: what errors are relative to. Equation (plan-limits).
     """
     if not goals.any:
         return np.ones(len(scales))

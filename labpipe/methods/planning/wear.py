@@ -1,8 +1,5 @@
 """plan of wear tests: at which speeds and loads and in which bands to test.
 
-Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information of
-its receptance.
-
 With white forces of one-sided density S_F in y and then in z, each for T seconds, and noise densities S_n of
 the probes and S_m of the force transducer, I_ij = 2 T sum over terms of the integral of S_F Re(h_i* h_j) /
 (S_n + |H|^2 S_m) over the band, h_i the derivatives of the receptance H by the parameters (Pintelon and
@@ -38,7 +35,7 @@ from labpipe.methods.wear.measured import PLACES
 from labpipe.methods.wear.model import BETA_STEP
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -49,8 +46,8 @@ NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa",
 class WearNoise(Settings):
     """Standard deviations of the sensors' noise per sample, at the sampling rate of the plan."""
 
-    displacement: float = setting("value", "of the displacement", unit="m", default=1e-6)
-    force: float = setting("value", "of the force", unit="N", default=0.0)
+    displacement: float = quantity("of the displacement", "m", 1e-6)
+    force: float = quantity("of the force", "N", 0.0)
 
     def __post_init__(self) -> None:
         if self.displacement <= 0 or self.force < 0:
@@ -63,8 +60,8 @@ class WearNoise(Settings):
 class WearGoal(Settings):
     """Standard errors that are wanted."""
 
-    depth: float | None = setting("value", "of the depth", unit="m", default=None)
-    angle: float | None = setting("value", "of the angle", unit="rad", default=None)
+    depth: float | None = quantity("of the depth", "m", None)
+    angle: float | None = quantity("of the angle", "rad", None)
 
     def __post_init__(self) -> None:
         if any(value is not None and value <= 0 for value in (self.depth, self.angle)):
@@ -84,12 +81,12 @@ class WearPlanSettings(Settings):
     _: KW_ONLY
     expected: Wear = setting("section", "depth and angle that are expected", section=Wear)
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
-    duration: float = setting("value", "of all tests together", unit="s")
-    sample_rate: float = setting("value", "of the recordings", unit="Hz")
+    duration: float = quantity("of all tests together", "s")
+    sample_rate: float = quantity("of the recordings", "Hz")
     bands: tuple[tuple[float, float], ...] = setting(
         "bands", "bands that can be excited, one at a time", unit="Hz"
     )
-    force: float = setting("value", "rms of the shaker's white force, in whatever band", unit="N")
+    force: float = quantity("rms of the shaker's white force, in whatever band", "N")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     loads: tuple[float, ...] = setting(
         "values",
@@ -98,11 +95,9 @@ class WearPlanSettings(Settings):
         default=(),
     )
     load_node: int = setting("integer", "node of that static force; default: that of the shaker", default=0)
-    run: float = setting(
-        "value", "length of one run, under a force in y and again in z", unit="s", default=60.0
-    )
-    changeover: float = setting("value", "time between tests", unit="s", default=0.0)
-    block: float = setting("value", "block length of the responses", unit="s", default=4.0)
+    run: float = quantity("length of one run, under a force in y and again in z", "s", 60.0)
+    changeover: float = quantity("time between tests", "s", 0.0)
+    block: float = quantity("block length of the responses", "s", 4.0)
     noise: WearNoise = setting(
         "section", "of the sensors, per sample", section=WearNoise, default=WearNoise()
     )
@@ -118,9 +113,7 @@ class WearPlanSettings(Settings):
     beta: Uncertain | None = setting(
         "uncertain", "damping of the shaft, estimated along", unit="s", default=None
     )
-    angle_limit: float = setting(
-        "value", "largest angle there could be, either way", unit="rad", default=np.pi / 9
-    )
+    angle_limit: float = quantity("largest angle there could be, either way", "rad", np.pi / 9)
     goal: WearGoal = setting(
         "section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal()
     )
@@ -130,9 +123,7 @@ class WearPlanSettings(Settings):
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
-        for name in ("duration", "sample_rate", "force", "run", "block"):
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"'{name}' must be positive", field=name)
+        require_positive(self, "duration", "sample_rate", "force", "run", "block")
         if min(self.speeds, default=0.0) <= 0:
             raise ConfigError("speeds are positive", field="speeds")
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
@@ -154,9 +145,6 @@ class WearPlanSettings(Settings):
                     hint="90 um +- 2 %; what is certain belongs into the rotor file",
                     field=name,
                 )
-        self._check_rig()
-
-    def _check_rig(self) -> None:
         if self.rig is not None:
             worn_place(self.rig, self.bearing)
             self.rig.rotor.check_node(self.node, "load_node")
@@ -178,9 +166,6 @@ class WearPlanSettings(Settings):
         assert self.rig is not None
         return self.loads or (sum(force for node, _, force in self.rig.loads if node == self.node),)
 
-
-# Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information
-# of its receptance.
 
 MESH = FilmMesh(240, 30)
 
@@ -223,14 +208,12 @@ class ExpectedWear:
         others = tuple(part for part in self.rig.loads if part[0] != node)
         return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
 
-    def receptance_and_slopes(
-        self, lines: FloatArray, mesh: FilmMesh = MESH
-    ) -> tuple[ComplexArray, ComplexArray]:
+    def receptance_and_slopes(self, lines: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the
         parameters [m/N per SI unit].
         """
         loads = self.rig.static_loads()
-        supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
+        supports = [self._support(place, loads[place.name]) for place in self.rig.bearings]
         response, slopes = self._response(lines, supports, self.beta)
         if "beta" in self.values:
             step = BETA_STEP * self.beta
@@ -250,7 +233,7 @@ class ExpectedWear:
         free = reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
         return response_with_slopes(free, supports, self.rig.response, self.rig.force)
 
-    def _support(self, place: BearingPlace, load: tuple[float, float], mesh: FilmMesh) -> VaryingSupport:
+    def _support(self, place: BearingPlace, load: tuple[float, float]) -> VaryingSupport:
         """A bearing with the derivatives of its coefficients by the parameters."""
         slopes = np.zeros((2, len(self.values), 2, 2))
         if not place.is_film:
@@ -262,7 +245,7 @@ class ExpectedWear:
             if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))
         ]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
-        film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
+        film = journal_equilibrium(bearing, load, self.rig.omega, MESH)
         for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
         return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
@@ -286,9 +269,6 @@ def information(
     flat = slopes.reshape(len(slopes), lines.size, 4)
     return np.asarray(np.einsum("ilt,lt,jlt->ij", flat.conj(), weight, flat).real)
 
-
-# plan of wear tests: settings -> at which speeds and loads and in which bands to test, and the pipeline of
-# the fits.
 
 RIG = "rig.yaml"
 # Lines about a speed that are left out, either way [blocks].
@@ -332,7 +312,12 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
     files: dict[str, Any] = {}
     for run in planned.plan.runs:
         point = planned.points[run.name]
-        files[_rotor_name(run)] = rotor_entries(rotor, settings, point)
+        others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
+        files[_rotor_name(run)] = {
+            **rotor,
+            "speed": f"{point.speed!r} Hz",
+            "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
+        }
         files[f"virtual-{run.name}.yaml"] = virtual_entries(settings, run, point)
     files |= {RIG: rig_entries(settings), PIPELINE: pipeline_entries(planned, settings)}
     names = write_runs(planned.plan, files, output)
@@ -472,7 +457,6 @@ def _range_notes(settings: WearPlanSettings, answered: Answered) -> Iterator[str
 
 
 def _alike_notes(expected: ExpectedWear, answered: Answered) -> Iterator[str]:
-    """Parameters that the tests hardly tell apart."""
     errors = np.sqrt(np.diagonal(answered.covariance))
     correlation = answered.covariance / np.outer(errors, errors)
     names = tuple(expected.values)
@@ -510,16 +494,6 @@ def _term_notes(
 
 def _rotor_name(run: PlannedRun) -> str:
     return f"rotor-{run.name}.yaml"
-
-
-def rotor_entries(rotor: dict[str, Any], settings: WearPlanSettings, point: WearPoint) -> dict[str, Any]:
-    """The rotor file at another speed, and with another static force at the loaded node."""
-    others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
-    return {
-        **rotor,
-        "speed": f"{point.speed!r} Hz",
-        "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
-    }
 
 
 def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoint) -> dict[str, Any]:

@@ -13,8 +13,6 @@ from labpipe.methods.ring_down.likelihood import Decayed, Piece
 from labpipe.methods.ring_down.residual_test import portmanteau
 from labpipe.records.fit_details import AmplitudeLaw, OverAmplitude
 
-# The law A' = -w (z0 + z1 A) A, phase' = w + s A of one mode, fitted to its decays.
-
 SHARED = 4
 # Step of the differences, in parameters scaled to order one: their rounding and their curvature both stay
 # below 1e-5 of a slope.
@@ -172,7 +170,7 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     )
 
 
-# Damping and frequency of a decay over its amplitude: piece by piece, and as a law.
+# Damping and frequency of a decay over its amplitude.
 
 # Stretches of one decay at most, periods of one at least, and amplitudes over their standard error below
 # which nothing is seen.
@@ -193,9 +191,6 @@ class Stretches:
 def stretches(piece: Piece, fitted: Decayed, number: int, mode: int, output: int) -> Stretches:
     """Amplitudes of a mode of the piece of this *number* on stretches of its rows in time, everything else
     subtracted as fitted.
-
-    Each is a least-squares fit of C e^(lambda t) with the fitted lambda to one stretch: what differs from a
-    constant C is what one exponential does not say.
     """
     solved, pole = fitted.pieces[number], fitted.poles_of(number)[mode]
     n = piece.time.size
@@ -264,8 +259,7 @@ def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: 
     return OverAmplitude(*table)
 
 
-# One mode more than a fit has, where it explains better what looks like damping over amplitude: two close
-# modes beat.
+# One mode more than a fit has, where it explains better what looks like damping over amplitude.
 
 # Difference of the Bayesian information criterion beyond which the better model is chosen: strong evidence
 # (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 3.2).
@@ -315,7 +309,7 @@ def missing_mode(
         output = strongest[mode][1]
         count = sum(piece.rows.shape[0] for piece in pieces)
         left = sum(
-            _squares(solved.residual[:, output], fitted.variance[n, output])
+            (float(np.sum(solved.residual[:, output] ** 2)) / float(fitted.variance[n, output]))
             for n, solved in enumerate(richer.pieces)
         )
         better = count * float(np.log(law.squares / left)) - 2 * len(pieces) * float(np.log(count))
@@ -325,7 +319,3 @@ def missing_mode(
                 mode, tuple(sorted(float(abs(richer.poles[n])) / (2 * np.pi) for n in near)), better, white
             )
     return None
-
-
-def _squares(residual: FloatArray, variance: float) -> float:
-    return float(np.sum(residual**2)) / float(variance)

@@ -1,9 +1,9 @@
-"""Model decay: the modes of free decays by maximum likelihood, judged by what they leave."""
+"""Model decay: its settings, and the modes of free decays by maximum likelihood."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
-from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.estimation.statistics import correlation, derived, estimated, student_limit
 from labpipe.methods.ring_down.amplitude_law import (
     FittedLaw,
@@ -22,8 +22,7 @@ from labpipe.methods.ring_down.amplitude_law import (
     missing_mode,
     over_amplitude,
 )
-from labpipe.methods.ring_down.findings import decay_findings, depends_on_amplitude
-from labpipe.methods.ring_down.jumps import jump_of
+from labpipe.methods.ring_down.findings import decay_findings, depends_on_amplitude, jump_of
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
 from labpipe.methods.ring_down.repeats import (
     RepeatedDecays,
@@ -33,15 +32,47 @@ from labpipe.methods.ring_down.repeats import (
     with_repeats,
 )
 from labpipe.methods.ring_down.residual_test import Judged, judged
-from labpipe.methods.ring_down.settings import MOST_MODES, DecaySettings
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import Port
+from labpipe.records.settings import Settings, setting
 from labpipe.records.spectra import FreeDecays
 from labpipe.records.uncertain import Uncertainty
+from labpipe.spectra.settings import DECAYS
 
-# The logarithmic decrement as it is read off a screen, for comparison: from the peaks, one per period.
+MOST_MODES = 8
+
+
+@dataclass(frozen=True)
+class DecaySettings(Settings):
+    """What a free decay consists of."""
+
+    modes: int = setting("integer", "modes that decay together", default=1)
+    repeats: str = setting(
+        "choice",
+        "several decays: each fitted, and their mean; or pool, one fit of all",
+        choices=("each", "pool"),
+        default="each",
+    )
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.modes <= MOST_MODES:
+            raise ConfigError(f"'modes' is {self.modes}", hint=f"1 to {MOST_MODES}", field="modes")
+
+
+DECAY = ModelKind(
+    lambda decays, settings: (decay_fit(decays, settings),),
+    "decay",
+    DecaySettings,
+    "decay: {modes: 1}",
+    optional=True,
+    of=DECAYS,
+    times_mass=True,
+    keys=("mass", "output", "repeats"),
+    estimators=("ml",),
+)
+
 
 # Peaks count down to this share of the first.
 DOWN_TO = 0.1
@@ -51,8 +82,7 @@ def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float 
     """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less
     than three peaks.
 
-    rate, frequency [Hz]. The largest value of every period is sought, down to a tenth of the first: noise
-    makes small peaks too large, and the decrement too small. Equation (decay-peaks).
+    rate, frequency [Hz]. Equation (decay-peaks).
     """
     period = rate / frequency
     count = int(samples.size / period)
@@ -65,8 +95,6 @@ def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float 
     slope = np.polynomial.polynomial.polyfit(np.arange(peaks.size), np.log(peaks), 1)[1]
     return -float(slope)
 
-
-# Long records as few points that look the same when they are drawn.
 
 MOST_STRETCHES = 700
 
@@ -86,10 +114,6 @@ def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
         parts = values[:whole].reshape(-1, length)
         shown.append(np.stack([parts.min(axis=1), parts.max(axis=1)], axis=1).reshape(-1))
     return (middle, *shown)
-
-
-# What people read of decaying modes: natural frequency, damping ratio, logarithmic decrement; with a mass
-# stiffness and damping.
 
 
 def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...]:
@@ -136,7 +160,6 @@ def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatA
 def _support(
     pole: complex, block: FloatArray, mass: float, suffix: str, dof: int
 ) -> tuple[Parameter, Parameter]:
-    """k and c of the support under the mass."""
     stiffness, damping = float(mass * abs(pole) ** 2), float(-2 * mass * pole.real)
     k = derived(
         "k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof
@@ -192,9 +215,6 @@ def pole_correlation(fitted: Decayed) -> FloatArray:
     return correlation(slopes @ fitted.covariance @ slopes.T)
 
 
-# What the uncertainties of sensors and of a given mass do to decays: the law over the amplitude goes as one
-# over the sensor's gain.
-
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
 
 
@@ -205,7 +225,6 @@ def decay_sources(
     from 0, was read by.
 
     An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large.
-    Poles do not know it.
     """
     uncertainties: dict[str, Uncertainty] = {}
     changes: dict[str, FloatArray] = {}
@@ -229,8 +248,6 @@ def decay_sources(
         *((uncertainties[source], change) for source, change in changes.items()),
     ]
 
-
-# Model decay: the modes of free decays by maximum likelihood, judged by what they leave.
 
 # Rows for each parameter of the poles below which intervals are not those of a large sample.
 FEW_DOF = 30
@@ -304,7 +321,6 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError for more than one mass."""
     if not isinstance(settings.mass, (float, str)):
         raise ConfigError("a decay takes one mass", hint="for example mass: 0.92 kg", field="mass")
 
@@ -331,7 +347,6 @@ def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
 
 
 def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
-    """(piece, output) in which a mode is largest against the noise."""
     ratios = [
         np.abs(solved.amplitudes[mode]) / np.sqrt(fitted.variance[number])
         for number, solved in enumerate(fitted.pieces)
@@ -343,10 +358,7 @@ def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
 def _laws(
     pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]
 ) -> dict[int, FittedLaw]:
-    """The laws of modes whose damping or frequency depends on the amplitude.
-
-    None where the residual does not show it.
-    """
+    """The laws of modes whose damping or frequency depends on the amplitude."""
     if tested.amplitude >= MISMATCH_P or not fitted.converged:
         return {}
     laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
@@ -354,10 +366,7 @@ def _laws(
 
 
 def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int, FittedLaw]:
-    """The laws that leave noise, or less than EXPLAINED of what the decay without them leaves.
-
-    Wind, or any force that goes on, bends a decay as well: a law follows a little of it, and leaves the rest.
-    """
+    """The laws that leave noise, or less than EXPLAINED of what the decay without them leaves."""
     rows = sum(piece.rows.shape[0] for piece in pieces)
     return {
         mode: law
@@ -375,7 +384,7 @@ def _missing(
     strongest: dict[int, tuple[int, int]],
     settings: FitSettings,
 ) -> MissingMode | None:
-    """One mode more, where it explains better than the *laws* what the fit leaves; None without laws."""
+    """One mode more, where it explains better than the *laws* what the fit leaves."""
     if not laws or fitted.poles.size == MOST_MODES:
         return None
     try:
@@ -395,10 +404,6 @@ def _parameters(
     units: Sequence[str],
     repeated: RepeatedDecays | None,
 ) -> tuple[Parameter, ...]:
-    """Parameters of all modes.
-
-    Where a mode depends on its amplitude its means have no interval, and the law's follow.
-    """
     mass = settings.mass if isinstance(settings.mass, float) else None
     parameters = mode_parameters(fitted, mass)
     if repeated is not None:
@@ -461,7 +466,6 @@ def _free_of_nuisance(piece: Piece) -> FloatArray:
 def _notes(
     decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], fitted: Decayed, tested: Judged
 ) -> tuple[str, ...]:
-    """Size of the noise, the tests of the residual, and the decrement that peaks would give."""
     noise = ", ".join(
         f"{decays.outputs[column].label} {np.sqrt(np.mean(fitted.variance[:, number])):.3g} "
         f"{decays.units[column]}"

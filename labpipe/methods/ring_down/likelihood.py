@@ -16,8 +16,6 @@ from labpipe.errors import FitError
 from labpipe.records.spectra import FreeDecay
 from labpipe.spectra.bands import lines_in
 
-# Decays as equations: all samples of a decay, or the DFT lines of a band.
-
 # Smooth terms along the lines of a band, which carry what modes outside it add.
 SMOOTH_TERMS = 3
 
@@ -80,14 +78,9 @@ def _piece(samples: FloatArray, rate: float, band: tuple[float, float] | None) -
     if lines.size < 4 * SMOOTH_TERMS:
         what = f"{lines.size} lines of a decay of {n / rate:g} s lie in the band {band[0]:g}-{band[1]:g} Hz"
         raise FitError(what, hint=f"widen the band to {4 * SMOOTH_TERMS} lines or more")
-    return Piece(time, _rows(samples, lines), lines, _smooth_terms(lines.size))
-
-
-def _smooth_terms(n_line: int) -> FloatArray:
-    """Real and imaginary polynomials along the lines, (2 n_line, 2 SMOOTH_TERMS) [1]."""
-    powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, n_line), SMOOTH_TERMS - 1)
+    powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, lines.size), SMOOTH_TERMS - 1)
     empty = np.zeros_like(powers)
-    return np.block([[powers, empty], [empty, powers]])
+    return Piece(time, _rows(samples, lines), lines, np.block([[powers, empty], [empty, powers]]))
 
 
 def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:
@@ -99,9 +92,6 @@ def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> 
         return piece
     return Piece(piece.time[:n_sample], piece.rows[:n_sample], None, piece.nuisance[:n_sample])
 
-
-# Maximum likelihood of decaying oscillations: y = offset + sum Re(C e^(lambda t)), offset and C eliminated
-# (variable projection).
 
 MOST_STEPS = 60
 MOST_HALVINGS = 12
@@ -264,24 +254,18 @@ def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[F
     for part, variances in zip(solved, variance, strict=True):
         gram, products = part.tangent.T @ part.tangent, part.tangent.T @ part.residual
         for output, of_output in enumerate(variances):
-            chain = _chain(part.amplitudes[:, output])
+            amplitudes = part.amplitudes[:, output]
+            p, q = np.diag(amplitudes.real), np.diag(-amplitudes.imag)
+            chain = np.block([[p, q], [q, -p]])
             information += chain.T @ gram @ chain / of_output
             slope += chain.T @ products[:, output] / of_output
     return information, slope
 
 
-def _chain(amplitudes: ComplexArray) -> FloatArray:
-    """What multiplies the tangent columns for d/dRe and d/dIm of every pole: Re(C t e^(lambda t)), Re(jC t
-    e^(lambda t)).
-    """
-    p, q = np.diag(amplitudes.real), np.diag(-amplitudes.imag)
-    return np.block([[p, q], [q, -p]])
-
-
 def _shorter_until_better(
     pieces: Sequence[Piece], solved: Sequence[Solved], poles: ComplexArray, step: FloatArray
 ) -> tuple[ComplexArray, list[Solved]] | None:
-    """The poles after the step, halved until they are more likely; None where none is."""
+    """The poles after the step, halved until they are more likely."""
     before = _misfit(solved)
     change = step[: poles.size] + 1j * step[poles.size :]
     for _ in range(MOST_HALVINGS):
@@ -301,9 +285,6 @@ def _misfit(solved: Sequence[Solved]) -> float:
         for part in solved
     )
 
-
-# Start values of a free decay: the matrix pencil of the decimated record, followed over longer and longer
-# pieces of it.
 
 # Samples of the decimated record, series of them, and how many ranks beyond that of the modes are tried.
 MOST_SAMPLES, MOST_SERIES = 600, 4
@@ -429,14 +410,14 @@ def _decimated(
 
 
 def _filtered(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> FloatArray:
-    """The samples within a band, without the ends that the filter spoils; all of them without one."""
+    """The samples within a band, without the ends that the filter spoils."""
     if band is None:
         return samples
     frequency = fft.rfftfreq(samples.size, 1 / rate)
     edge = 0.2 * (band[1] - band[0])
     gain = np.clip(np.minimum(frequency - band[0] + edge, band[1] + edge - frequency) / edge, 0.0, 1.0)
     spoilt = min(int(rate / edge), samples.size // 4)
-    whole: FloatArray = fft.irfft(fft.rfft(samples) * (3 - 2 * gain) * gain**2, samples.size)
+    whole = fft.irfft(fft.rfft(samples) * (3 - 2 * gain) * gain**2, samples.size)
     return whole[spoilt:-spoilt]
 
 
@@ -451,5 +432,4 @@ def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None,
         + 1
     )
     strongest = peaks[np.argsort(-power[peaks])][: 2 * n_mode]
-    number = int(np.max(strongest)) if strongest.size else power.size - 1
-    return 1.2 * max(number, 1) * rate / samples.size
+    return 1.2 * max((int(np.max(strongest)) if strongest.size else power.size - 1), 1) * rate / samples.size

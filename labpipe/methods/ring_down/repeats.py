@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.repeats import PRIOR_SCALE, Kept, RepeatMean, follows, kept_repeats, repeat_mean
@@ -46,7 +46,7 @@ class RepeatedDecays:
         """The used decays as one fit in which each has its own poles; those of the fit are of the means."""
         used = [fit for fit, is_used in zip(self.fits, self.kept.used, strict=True) if is_used]
         f, zeta = (np.exp([pair[which].value for pair in self.means]) for which in (0, 1))
-        poles: ComplexArray = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - np.minimum(zeta, 1.0) ** 2))
+        poles = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - np.minimum(zeta, 1.0) ** 2))
         return Decayed(
             poles,
             np.sum([fit.covariance for fit in used], axis=0) / len(used) ** 2,
@@ -103,10 +103,6 @@ def _alone(
     band: tuple[float, float] | None,
     n_mode: int,
 ) -> Decayed:
-    """The fit of one decay.
-
-    FitError where it does not converge, or a mode of it is noise or does not decay.
-    """
     fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
     if not fitted.converged:
         raise FitError("its fit does not converge")

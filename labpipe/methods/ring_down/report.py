@@ -16,7 +16,6 @@ from labpipe.report.document import Figure
 from labpipe.report.figures import scale_of
 from labpipe.report.wording import fit_title, unit_text
 
-# Limits of 95 % of a standard normal value.
 TWO_SIGMA = 1.96
 LAW_POINTS = 60
 MODE_HEIGHT = 3.4
@@ -118,12 +117,10 @@ def _over(
 
 
 def _damping(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
-    """Damping ratio [%] of the law."""
     return 100 * (law.zeta_rest + law.zeta_slope * amplitude)
 
 
 def _frequency(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
-    """Frequency [Hz] of the law."""
     return (law.omega + law.frequency_slope * amplitude) / (2 * np.pi)
 
 

@@ -12,14 +12,8 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, setting
-from labpipe.simulate.virtual_rigs import (
-    Simulation,
-    VirtualRigKind,
-    generator,
-    require_positive,
-    whole_numbers,
-)
+from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-decay-rig"
 RUNS = ("struck", "beating", "joint")
@@ -42,17 +36,15 @@ class DecayRig(Settings):
     damping_ratios: tuple[float, ...] = setting("values", "damping ratio of every mode", unit="1")
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual mass on springs, struck")
-    mass: float = setting("value", "mass that moves", unit="kg", default=2.0)
-    amplitude: float = setting("value", "amplitude of every mode after the first hit", unit="m", default=1e-4)
-    joint: float = setting(
-        "value", "damping ratio that the joint adds at that amplitude", unit="1", default=0.003
-    )
+    mass: float = quantity("mass that moves", "kg", 2.0)
+    amplitude: float = quantity("amplitude of every mode after the first hit", "m", 1e-4)
+    joint: float = quantity("damping ratio that the joint adds at that amplitude", "1", 0.003)
     hits: int = setting("integer", "hits in a run", default=3)
-    interval: float = setting("value", "time from hit to hit", unit="s", default=4.0)
-    weaker: float = setting("value", "amplitude of a hit over that of the one before", unit="1", default=0.8)
-    offset: float = setting("value", "offset of the probe", unit="m", default=2e-5)
-    noise: float = setting("value", "standard deviation of the probe's noise", unit="m", default=1e-6)
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=1024.0)
+    interval: float = quantity("time from hit to hit", "s", 4.0)
+    weaker: float = quantity("amplitude of a hit over that of the one before", "1", 0.8)
+    offset: float = quantity("offset of the probe", "m", 2e-5)
+    noise: float = quantity("standard deviation of the probe's noise", "m", 1e-6)
+    sample_rate: float = quantity("sampling rate", "Hz", 1024.0)
 
     def __post_init__(self) -> None:
         if not self.frequencies or len(self.frequencies) != len(self.damping_ratios):
@@ -95,7 +87,7 @@ def motion(rig: DecayRig, name: str, time: FloatArray, strength: float) -> Float
     if name == "joint":
         return _slipping(rig, time, strength)
     modes = 1 if name == "struck" else len(rig.frequencies)
-    total: FloatArray = np.zeros(time.size)
+    total = np.zeros(time.size)
     for frequency, ratio in zip(rig.frequencies[:modes], rig.damping_ratios[:modes], strict=True):
         omega = 2 * np.pi * frequency
         total += np.exp(-ratio * omega * time) * np.sin(omega * np.sqrt(1 - ratio**2) * time)
@@ -134,7 +126,6 @@ def truth(rig: DecayRig, names: Sequence[str] = RUNS) -> dict[str, float]:
 
 
 def _simulate(rig: DecayRig, seed: int, runs: Sequence[str]) -> Simulation:
-    """One file per run, in steps of 10 nm."""
     files = {run.name: whole_numbers(run, steps={"y": 10}) for run in decay_runs(rig, seed, runs)}
     return Simulation(files, {"truth": {name: truth(rig, [name]) for name in runs}})
 

@@ -32,8 +32,6 @@ from labpipe.methods.rolling_bearing.shaft import modes, sdof_stiffness, theoret
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
 
-# Ball passage: variation of a rolling bearing's stiffness while its cage turns by one element.
-
 POSITIONS = 24
 
 
@@ -53,20 +51,17 @@ class Passage:
     @property
     def mean(self) -> FloatArray:
         """Mean stiffness, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        mean: FloatArray = self.stiffness.mean(axis=0)
-        return mean
+        return self.stiffness.mean(axis=0)
 
     @property
     def lowest(self) -> FloatArray:
         """Smallest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        lowest: FloatArray = self.stiffness.min(axis=0)
-        return lowest
+        return self.stiffness.min(axis=0)
 
     @property
     def highest(self) -> FloatArray:
         """Largest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        highest: FloatArray = self.stiffness.max(axis=0)
-        return highest
+        return self.stiffness.max(axis=0)
 
 
 def ball_passage(
@@ -96,17 +91,12 @@ def ball_passage(
     )
 
 
-# Ball and roller bearings as kinds of bearing: from their settings to coefficients, a whole sweep at once.
-
 UNITS = ("m", "m", "m", "rad", "rad")
 LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
-    """Coefficients of all settings, in order.
-
-    Those of one bearing with the same fixed dofs are solved together.
-    """
+    """Coefficients of all settings, in order."""
     groups: dict[object, list[int]] = {}
     for number, entry in enumerate(settings):
         groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)
@@ -118,8 +108,6 @@ def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoe
 
 @dataclass(frozen=True)
 class _Solved:
-    """The load cases of one bearing with their derived quantities."""
-
     state: Equilibrium
     contact_angle: FloatArray
     mirrored: BoolArray
@@ -180,7 +168,6 @@ def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
 
 
 def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
-    """The stiffness constant of the model, and Hertz's from the geometry."""
     bearing, hertz = settings.bearing(), settings.hertz_constant()
     unit = "N/m^1.5" if bearing.is_ball else "N/m^(10/9)"
     constant = Amount("stiffness_constant", bearing.stiffness_constant, unit)
@@ -214,9 +201,11 @@ def rolling_response(
     """The theoretical transfer matrix of the file's shaft on the bearing; None where there is no shaft."""
     if settings.shaft is None:
         return None
-    frequency = np.linspace(*settings.shaft.band, settings.shaft.lines)
     return theoretical_response(
-        settings.shaft.body, coefficients.stiffness, frequency, settings.damping_factor
+        settings.shaft.body,
+        coefficients.stiffness,
+        np.linspace(*settings.shaft.band, settings.shaft.lines),
+        settings.damping_factor,
     )
 
 

@@ -1,9 +1,6 @@
 """Equilibrium of rolling bearings under prescribed loads and displacements: Newton's method on the convex
 load potential.
 
-Equilibrium of a rolling bearing under prescribed loads and displacements: Newton's method on the load
-potential.
-
 The potential Phi(q) = sum_j K_n delta_j^(n+1) / (n+1) - f . q is convex (delta is a convex function of q for
 balls, linear for rollers), so a line search makes the solution independent of its start; loose elements,
 clearance and zero contact angle need no special case.
@@ -29,8 +26,6 @@ from labpipe.methods.rolling_bearing.loads import (
     stiffness_sum,
 )
 from labpipe.registry import nearest
-
-# Limits of the rolling-bearing model: loads that a bearing cannot carry, and their error messages.
 
 LOADS = ("x", "y", "z", "mx", "my")
 UNITS = ("N", "N", "N", "N m", "N m")
@@ -132,8 +127,7 @@ def _case(case: int, n_case: int) -> str:
     return f"load case {case + 1}: " if n_case > 1 else ""
 
 
-# Newton's method with a line search on the convex load potential of a rolling bearing, many load cases in
-# parallel.
+# Newton's method with a line search on the convex load potential of a rolling bearing.
 
 TOLERANCE = 1e-12  # of the residual against the loads
 ACCEPTABLE = 1e-9  # where steps are down to the rounding of positions
@@ -177,8 +171,7 @@ class Problem:
         """|f - F| relative to the acting loads, prescribed or between the rings, (n_case,) [1]."""
         least = self.bearing.stiffness_constant * (NEGLIGIBLE * self.bearing.reach) ** self.bearing.exponent
         acting = np.linalg.norm(self.load, axis=1) + trial.state.load.sum(axis=1) + least
-        misfit: FloatArray = np.linalg.norm(trial.residual, axis=1) / acting
-        return misfit
+        return np.linalg.norm(trial.residual, axis=1) / acting
 
 
 @dataclass(frozen=True)
@@ -245,9 +238,7 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     """Next position u + t p, (n_case, 5) [m], from t = 1, reduced until the potential decreases or its slope
     along p is not positive.
 
-    A convex potential decreases as long as its slope at the end of the step is not positive; that test also
-    works where differences of the potential are below rounding. A reduction goes to the zero of the secant of
-    the slope.
+    A reduction goes to the zero of the secant of the slope.
     """
     descent = np.einsum("nf,nf->n", trial.residual, step[:, problem.free])
     length = np.ones(len(step))
@@ -263,8 +254,7 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
             break
         length[open_cases[short]] = (t * np.clip(fall / np.maximum(fall + rise, fall), 0.1, 0.7))[short]
         open_cases = open_cases[short]
-    position: FloatArray = trial.u + length[:, None] * step
-    return position
+    return trial.u + length[:, None] * step
 
 
 def _mask(indices: IntArray, size: int) -> BoolArray:
@@ -277,7 +267,7 @@ def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
     """A position in which all elements carry, (n_case, 5) [m]: the axial equilibrium under the sum of the
     loads; rollers at 0 deg: radial.
 
-    *fixed* (n_case, 5): fixed displacements. At q = 0 a bearing with contact angle 0 has no stiffness.
+    *fixed* (n_case, 5): fixed displacements.
     """
     bearing, u = problem.bearing, fixed.copy()
     size = np.linalg.norm(problem.load, axis=1)
@@ -313,9 +303,6 @@ def _axial_approach(bearing: RollingBearing, size: FloatArray, side: FloatArray)
     return side * axial - a0 * sin0
 
 
-# Equilibrium of a rolling bearing under prescribed loads and displacements: Newton's method on the load
-# potential.
-
 # Load cases solved together: many enough for a small overhead of numpy, few enough for the cache.
 CASES_AT_ONCE = 512
 
@@ -340,15 +327,14 @@ class Equilibrium:
     @property
     def contact_angle(self) -> FloatArray:
         """Loaded contact angles a_j (n_case, z) [rad]."""
-        angles: FloatArray = np.arctan2(self.contacts.sin, self.contacts.cos)
-        return angles
+        return np.arctan2(self.contacts.sin, self.contacts.cos)
 
     @property
     def mirrored(self) -> BoolArray:
         """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite
         contact angle.
 
-        The equations allow it; a bearing with one shoulder does not.
+        The equations allow it.
         """
         opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
         return np.any(
@@ -363,8 +349,7 @@ class Equilibrium:
             return np.ones(len(self.load), dtype=bool)
         scale = np.array([1, 1, 1, 1 / self.bearing.pitch_radius, 1 / self.bearing.pitch_radius])
         eigenvalues = np.linalg.eigvalsh((self.stiffness * np.outer(scale, scale))[:, index][:, :, index])
-        unique: BoolArray = eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
-        return unique
+        return eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
 
 
 def equilibrium(
@@ -406,7 +391,6 @@ def _solve_part(
     cage: FloatArray,
     part: slice,
 ) -> FloatArray:
-    """Displacements of a part of the load cases; tilts are solved in metres at the pitch radius."""
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
     frame = ElementFrame.at(bearing.angles(cage), 1.0)
     free = np.array([name not in fixed_dofs for name in DOFS])
@@ -431,7 +415,6 @@ def _state(
 
 
 def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
-    """The load cases of all parts as one."""
     at = Contacts(
         *(
             np.concatenate([getattr(part.contacts, field.name) for part in parts])

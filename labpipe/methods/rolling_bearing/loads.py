@@ -80,8 +80,6 @@ class RollingBearing:
     def reach(self) -> float:
         """Largest deflection of the model [m]: the groove centres' distance, about 5 % of a ball; 2 % of the
         pitch radius for rollers.
-
-        Hertzian contacts are small against the element.
         """
         return self.groove_distance or ROLLER_REACH * self.pitch_radius
 
@@ -134,16 +132,14 @@ def weighted_sum(weights: FloatArray, vectors: FloatArray) -> FloatArray:
     """sum_j w_j v_j, (n_case, k) [unit of w v]: *weights* (n_case, m), *vectors* (m, k) or (n_case, m, k)."""
     if vectors.ndim == 2:
         return weights @ vectors
-    summed: FloatArray = (weights[:, None, :] @ vectors)[:, 0]
-    return summed
+    return (weights[:, None, :] @ vectors)[:, 0]
 
 
 def _along(vectors: FloatArray, q: FloatArray) -> FloatArray:
     """v_j . q: (n_case, z)."""
     if vectors.ndim == 2:
         return q @ vectors.T
-    along: FloatArray = (vectors @ q[:, :, None])[:, :, 0]
-    return along
+    return (vectors @ q[:, :, None])[:, :, 0]
 
 
 @dataclass(frozen=True)
@@ -218,8 +214,7 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
 
 def _squared(vectors: FloatArray, weights: FloatArray) -> FloatArray:
     """sum_j w_j v_j v_j^T: *vectors* (n_case, z, 5), *weights* (n_case, z) -> (n_case, 5, 5)."""
-    squared: FloatArray = np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
-    return squared
+    return np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
 
 
 def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:

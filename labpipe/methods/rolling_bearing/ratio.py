@@ -1,12 +1,10 @@
 """Fit against theory: the theory's transfer function fitted like the measured one, and the ratio over all
 tests.
 
-Fit against fit: the theory's transfer function, fitted like the measured one, and the factor between the two.
-
 A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still.
 Therefore the theory's stiffness matrix is multiplied by a factor and put in series with the shaft, its curve
 is fitted on the measured lines with the measured weights, and factor and damping are changed until that fit
-gives the measured k and c. Neighbouring modes affect both alike.
+gives the measured k and c.
 """
 
 from __future__ import annotations
@@ -36,9 +34,6 @@ from labpipe.uncertainty.compare import OF_TESTS, Evidence
 from labpipe.uncertainty.observations import Campaign
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
 from labpipe.uncertainty.weighted import WeightedFit, weighted_fit, weighted_mean
-
-# Fit against fit: the theory's transfer function, fitted like the measured one, and the factor between the
-# two.
 
 TILTS = (3, 4)
 STEP = 1e-4
@@ -113,7 +108,11 @@ def match(
 
     def fitted(log: FloatArray, stiffness: FloatArray, shaft_stiffness: float) -> FloatArray:
         beta = float(np.exp(log[1]))
-        return _log_fit(curve, theory.shaft, float(np.exp(log[0])) * stiffness, beta, shaft_stiffness)
+        matrix = _theory_curve(
+            curve, theory.shaft, (float(np.exp(log[0])) * stiffness), beta, shaft_stiffness
+        )[:, None, None]
+        (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
+        return np.log([_positive(fit, "k"), _positive(fit, "c")])
 
     measured = np.log([_positive(fit, "k"), _positive(fit, "c")])
     start = np.array([0.0, measured[1] - measured[0]])
@@ -135,10 +134,7 @@ def match(
 def _solved(
     function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The root of function(u) = target and the slopes (2, 2) near it.
-
-    FitError where there is none within reach.
-    """
+    """The root of function(u) = target and the slopes (2, 2) near it."""
     u, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
         here = function(u)
@@ -216,15 +212,6 @@ def _theory_curve(
     return receptance * receptance_factor(curve.response.form, frequency)
 
 
-def _log_fit(
-    curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
-) -> FloatArray:
-    """ln(k, c) of the fit on the theory's curve."""
-    matrix = _theory_curve(curve, shaft, stiffness, beta, bending)[:, None, None]
-    (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
-    return np.log([_positive(fit, "k"), _positive(fit, "c")])
-
-
 def _curve(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
 ) -> _Curve:
@@ -286,7 +273,6 @@ def _place(port: Port) -> int:
 
 
 def _arm(rig: Rig, place: int) -> float:
-    """Displacement measured per dof; ConfigError for a tilt without an arm."""
     if place not in TILTS:
         return 1.0
     if rig.arm is None:
@@ -296,8 +282,6 @@ def _arm(rig: Rig, place: int) -> float:
         )
     return rig.arm
 
-
-# Ratio measured / theory over all tests with its interval, and test of damping proportional to stiffness.
 
 NORMAL_95 = 1.959963984540054
 SERIES = "; corrected for the bending shaft"
@@ -315,7 +299,7 @@ def stiffness_ratio(
     mean = weighted_mean(logs, covariance)
     ratio = from_log("ratio", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
-    verdict = _ratio_verdict(ratio.ci95)
+    assert ratio.ci95 is not None
     return Comparison(
         name=campaign.settings.name,
         kind="ratio",
@@ -323,7 +307,13 @@ def stiffness_ratio(
         unit=campaign.unit,
         points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
         amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
-        verdict=verdict,
+        verdict=(
+            "as theory"
+            if ratio.ci95[0] <= 1 <= ratio.ci95[1]
+            else "stiffer than theory"
+            if ratio.ci95[0] > 1
+            else "softer than theory"
+        ),
         statement=_ratio_statement(
             campaign,
             ratio.value,
@@ -357,17 +347,6 @@ def joint_covariance(
     )
     common = common.reshape(len(sources), len(matched))
     return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
-
-
-def _ratio_verdict(interval: tuple[float, float] | None) -> str:
-    assert interval is not None
-    return (
-        "as theory"
-        if interval[0] <= 1 <= interval[1]
-        else "stiffer than theory"
-        if interval[0] > 1
-        else "softer than theory"
-    )
 
 
 def _ratio_statement(
@@ -424,13 +403,12 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
     rows = zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True)
-    points = tuple(_beta_point(*row, beta.value) for row in rows)
     return Comparison(
         name=campaign.settings.name,
         kind="rayleigh",
         subject=campaign.subject,
         unit=campaign.unit,
-        points=points,
+        points=tuple(_beta_point(*row, beta.value) for row in rows),
         amounts=(beta, exponent, chance("p_value", mean.p_value)),
         verdict=verdict,
         statement=f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g}).",
@@ -465,8 +443,6 @@ def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> 
     ratio = from_log("ratio", "1", float(log - np.log(beta)), float(error), NORMAL_95)
     return replace(point, theory=point.value / ratio.value, ratio=ratio.value, ratio_ci95=ratio.ci95)
 
-
-# The comparisons ratio and rayleigh.
 
 # The condition is raised by this share for the slope of the theory.
 CONDITION_STEP = 1e-3
@@ -534,7 +510,6 @@ def _bending_error(settings: CompareSettings) -> float:
 
 
 def _matched(campaign: Campaign, evidence: Evidence, theory: Theory) -> _Solved:
-    """The matched theory, from the cache; FitError and ConfigError name the test."""
     named = campaign.settings.theory
     assert named is not None
     key = (campaign.settings.fit, campaign.settings.term, named)

@@ -1,9 +1,6 @@
 """Settings of ball-bearing and roller-bearing files, and the Hertzian contact behind their stiffness
 constant.
 
-Hertzian contact of balls and rollers with their raceways: stiffness constant K_n of Q = K_n delta^n from
-geometry and material.
-
 K. L. Johnson, Contact Mechanics (1985), eqs. 4.26-4.32; T. A. Harris, Rolling Bearing Analysis (2001),
 chapters 2 and 6.
 """
@@ -20,10 +17,7 @@ from scipy import optimize, special
 from labpipe.errors import ConfigError
 from labpipe.methods.rolling_bearing.loads import RollingBearing
 from labpipe.methods.rolling_bearing.shaft import RigidShaft
-from labpipe.records.settings import Settings, setting
-
-# Hertzian contact of balls and rollers with their raceways: stiffness constant K_n of Q = K_n delta^n from
-# geometry and material.
+from labpipe.records.settings import Settings, quantity, setting
 
 
 @dataclass(frozen=True)
@@ -108,8 +102,7 @@ class BallGeometry:
         """
         gamma = side * self.ball_diameter * float(np.cos(self.contact_angle)) / self.pitch_diameter
         along = 2 / self.ball_diameter * (1 + gamma / (1 - gamma))
-        across = (2 - 1 / conformity) / self.ball_diameter
-        return point_contact(along, across, rings, balls)
+        return point_contact(along, (2 - 1 / conformity) / self.ball_diameter, rings, balls)
 
 
 def point_contact(along: float, across: float, first: Material = STEEL, second: Material = STEEL) -> float:
@@ -180,8 +173,6 @@ def in_series(constants: tuple[float, ...], exponent: float) -> float:
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)
 
 
-# Settings of ball-bearing and roller-bearing files.
-
 BALL, ROLLER = "ball-bearing", "roller-bearing"
 LOAD_OF_DOF = {"x": "x", "y": "y", "z": "z", "bx": "mx", "by": "my"}
 
@@ -190,43 +181,39 @@ LOAD_OF_DOF = {"x": "x", "y": "y", "z": "z", "bx": "mx", "by": "my"}
 class Loads(Settings):
     """Loads of the shaft on the inner ring."""
 
-    x: float | None = setting("value", "radial load in x", unit="N", default=None)
-    y: float | None = setting("value", "radial load in y", unit="N", default=None)
-    z: float | None = setting("value", "axial load", unit="N", default=None)
-    mx: float | None = setting("value", "moment about x", unit="N.m", default=None)
-    my: float | None = setting("value", "moment about y", unit="N.m", default=None)
+    x: float | None = quantity("radial load in x", "N", None)
+    y: float | None = quantity("radial load in y", "N", None)
+    z: float | None = quantity("axial load", "N", None)
+    mx: float | None = quantity("moment about x", "N.m", None)
+    my: float | None = quantity("moment about y", "N.m", None)
 
 
 @dataclass(frozen=True)
 class Displacements(Settings):
     """Fixed displacements of the inner ring, in place of the load in their direction."""
 
-    x: float | None = setting("value", "radial displacement in x", unit="m", default=None)
-    y: float | None = setting("value", "radial displacement in y", unit="m", default=None)
-    z: float | None = setting("value", "axial displacement", unit="m", default=None)
-    bx: float | None = setting("value", "tilt about x", unit="rad", default=None)
-    by: float | None = setting("value", "tilt about y", unit="rad", default=None)
+    x: float | None = quantity("radial displacement in x", "m", None)
+    y: float | None = quantity("radial displacement in y", "m", None)
+    z: float | None = quantity("axial displacement", "m", None)
+    bx: float | None = quantity("tilt about x", "rad", None)
+    by: float | None = quantity("tilt about y", "rad", None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BallGeometrySettings(Settings):
     """Balls and grooves, from which Hertz's theory gives the stiffness constant."""
 
-    ball_diameter: float = setting("value", "ball diameter D", unit="m")
-    pitch_diameter: float = setting("value", "diameter of the circle of ball centres", unit="m")
-    inner_conformity: float = setting("value", "inner groove radius / ball diameter", unit="1", default=0.52)
-    outer_conformity: float = setting("value", "outer groove radius / ball diameter", unit="1", default=0.52)
-    youngs_modulus: float = setting(
-        "value", "Young's modulus of the rings", unit="Pa", default=STEEL.youngs_modulus
+    ball_diameter: float = quantity("ball diameter D", "m")
+    pitch_diameter: float = quantity("diameter of the circle of ball centres", "m")
+    inner_conformity: float = quantity("inner groove radius / ball diameter", "1", 0.52)
+    outer_conformity: float = quantity("outer groove radius / ball diameter", "1", 0.52)
+    youngs_modulus: float = quantity("Young's modulus of the rings", "Pa", STEEL.youngs_modulus)
+    poissons_ratio: float = quantity("Poisson's ratio of the rings", "1", STEEL.poissons_ratio)
+    ball_youngs_modulus: float | None = quantity(
+        "Young's modulus of the balls; default: the rings'", "Pa", None
     )
-    poissons_ratio: float = setting(
-        "value", "Poisson's ratio of the rings", unit="1", default=STEEL.poissons_ratio
-    )
-    ball_youngs_modulus: float | None = setting(
-        "value", "Young's modulus of the balls; default: the rings'", unit="Pa", default=None
-    )
-    ball_poissons_ratio: float | None = setting(
-        "value", "Poisson's ratio of the balls; default: the rings'", unit="1", default=None
+    ball_poissons_ratio: float | None = quantity(
+        "Poisson's ratio of the balls; default: the rings'", "1", None
     )
 
     @property
@@ -262,11 +249,9 @@ class ShaftSettings(Settings):
     theoretical transfer matrix.
     """
 
-    mass: float = setting("value", "mass of the shaft", unit="kg")
-    inertia_x: float = setting("value", "moment of inertia about x", unit="kg.m^2")
-    inertia_y: float | None = setting(
-        "value", "moment of inertia about y; default: as about x", unit="kg.m^2", default=None
-    )
+    mass: float = quantity("mass of the shaft", "kg")
+    inertia_x: float = quantity("moment of inertia about x", "kg.m^2")
+    inertia_y: float | None = quantity("moment of inertia about y; default: as about x", "kg.m^2", None)
     band: tuple[float, float] = setting(
         "band", "frequencies of the transfer matrix", unit="Hz", default=(5.0, 3000.0)
     )
@@ -291,17 +276,11 @@ class RollingSettings(Settings, ABC):
     kind: str = setting("choice", "which kind of bearing", choices=(BALL, ROLLER))
     elements: int = setting("integer", "number of rolling elements")
     name: str = setting("text", "name of the bearing", default="")
-    contact_angle: float = setting("value", "unloaded contact angle", unit="rad", default=0.0)
-    clearance: float = setting(
-        "value", "radial clearance, half the diametral one; negative: interference", unit="m", default=0.0
-    )
-    cage_angle: float = setting("value", "angle of the first element from x", unit="rad", default=0.0)
-    damping_factor: float = setting(
-        "value", "beta of the stiffness-proportional damping C = beta K", unit="s", default=0.0
-    )
-    pitch_radius: float | None = setting(
-        "value", "radius of the groove centres (balls) or roller centres", unit="m", default=None
-    )
+    contact_angle: float = quantity("unloaded contact angle", "rad", 0.0)
+    clearance: float = quantity("radial clearance, half the diametral one; negative: interference", "m", 0.0)
+    cage_angle: float = quantity("angle of the first element from x", "rad", 0.0)
+    damping_factor: float = quantity("beta of the stiffness-proportional damping C = beta K", "s", 0.0)
+    pitch_radius: float | None = quantity("radius of the groove centres (balls) or roller centres", "m", None)
     loads: Loads = setting("section", "loads; zero by default", section=Loads, default=Loads())
     displacements: Displacements = setting(
         "section", "fixed displacements", section=Displacements, default=Displacements()
@@ -343,12 +322,8 @@ class BallBearingSettings(RollingSettings):
     An explicit constant takes precedence.
     """
 
-    stiffness_constant: float | None = setting(
-        "value", "K_n of Q = K_n delta^1.5", unit="N/m^1.5", default=None
-    )
-    groove_distance: float | None = setting(
-        "value", "unloaded distance A0 of the groove centres", unit="m", default=None
-    )
+    stiffness_constant: float | None = quantity("K_n of Q = K_n delta^1.5", "N/m^1.5", None)
+    groove_distance: float | None = quantity("unloaded distance A0 of the groove centres", "m", None)
     geometry: BallGeometrySettings | None = setting(
         "section", "balls and grooves", section=BallGeometrySettings, default=None
     )
@@ -389,12 +364,8 @@ class RollerBearingSettings(RollingSettings):
     Tilts (and z at contact angle 0) are fixed at zero where neither load nor displacement is given.
     """
 
-    stiffness_constant: float | None = setting(
-        "value", "K_n of Q = K_n delta^(10/9)", unit="N/m^(10/9)", default=None
-    )
-    roller_length: float | None = setting(
-        "value", "effective length of a steel roller", unit="m", default=None
-    )
+    stiffness_constant: float | None = quantity("K_n of Q = K_n delta^(10/9)", "N/m^(10/9)", None)
+    roller_length: float | None = quantity("effective length of a steel roller", "m", None)
 
     @property
     def fixed_dofs(self) -> tuple[str, ...]:

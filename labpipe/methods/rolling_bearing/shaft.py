@@ -1,13 +1,8 @@
 """A shaft on one rolling bearing: natural frequencies, transfer matrices, and bending in series with the
 bearing.
 
-Rigid shaft on one rolling bearing: natural frequencies and the theoretical transfer matrix of its five
-coordinates.
-
 M q'' + C q' + K q = f, q = (x, y, z, bx, by) at the bearing's centre, which is the shaft's centre of mass; C
 = beta K.
-
-Bending shaft in series with its bearing: the bearing's share of a measured radial stiffness.
 
 R. J. W. Knaapen (1997), chapter 3: 1/k_total = 1/k_bearing + 1/k_shaft for radial coefficients; tilts and
 axial ones need no correction.
@@ -26,9 +21,6 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rolling_bearing.loads import DOFS
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
-
-# Rigid shaft on one rolling bearing: natural frequencies and the theoretical transfer matrix of its five
-# coordinates.
 
 
 @dataclass(frozen=True)
@@ -82,8 +74,7 @@ def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
     if squares[0] < -1e-9 * squares[-1]:
         raise FitError("the stiffness matrix has a negative eigenvalue", hint="the shaft does not rest there")
-    frequency = np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
-    return Modes(frequency, scale[:, None] * vectors, vectors**2)
+    return Modes(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), scale[:, None] * vectors, vectors**2)
 
 
 def transfer_matrix(
@@ -137,12 +128,9 @@ def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool
     shaft_modes = modes(shaft, stiffness)
     main = [shaft_modes.main_mode(dof) for dof in DOFS]
     squares = (2 * np.pi * shaft_modes.frequency[main]) ** 2
-    apparent: FloatArray = squares * shaft.inertias
+    apparent = squares * shaft.inertias
     return apparent if known_inertia else apparent / shaft_modes.share[range(len(DOFS)), main]
 
-
-# Theoretical transfer matrix of a shaft that bends between its bearing and the place of excitation and
-# measurement.
 
 RADIAL = (0, 1)
 
@@ -151,8 +139,7 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and
     y, (..., 5, 5).
 
-    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. An uncoupled radial
-    coefficient becomes k k_s / (k + k_s), the series formula. Infinite k_s has no effect. ConfigError for k_s
+    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. ConfigError for k_s
     not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
@@ -163,9 +150,9 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     if np.isinf(bending):
         return whole
     columns = whole[..., :, RADIAL]
-    inner = columns[..., RADIAL, :] + bending * np.eye(len(RADIAL))
-    total: ComplexArray = whole - columns @ np.linalg.solve(inner, whole[..., RADIAL, :])
-    return total
+    return whole - columns @ np.linalg.solve(
+        columns[..., RADIAL, :] + bending * np.eye(len(RADIAL)), whole[..., RADIAL, :]
+    )
 
 
 def bent_transfer_matrix(
@@ -179,15 +166,13 @@ def bent_transfer_matrix(
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
     try:
-        receptance: ComplexArray = np.linalg.inv(dynamic)
+        receptance = np.linalg.inv(dynamic)
     except np.linalg.LinAlgError:
         raise FitError(
             "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
         ) from None
     return receptance
 
-
-# Bending shaft in series with its bearing: the bearing's share of a measured radial stiffness.
 
 NORMAL_95 = normal_quantile(0.975)
 
@@ -295,8 +280,7 @@ def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain
     """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three
     uncertainties to first order.
 
-    The damper is in the bearing, whose motion is k_total / k_b of the measured one: (k_total + j w c_total)
-    in series. Equation (roll-series-damping).
+    Equation (roll-series-damping).
     """
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2

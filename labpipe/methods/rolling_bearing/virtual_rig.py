@@ -22,7 +22,7 @@ from labpipe.methods.rolling_bearing.shaft import bent_transfer_matrix
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate.linear import line_frequencies, sensed, steady_state
 from labpipe.simulate.virtual_rigs import (
     SimulatedRun,
@@ -31,7 +31,6 @@ from labpipe.simulate.virtual_rigs import (
     force_and_accelerations,
     generator,
     kind_of_tests,
-    require_positive,
 )
 
 KIND = "virtual-ball-bearing-rig"
@@ -51,8 +50,8 @@ class TestedBearing(Settings):
         "section", "the bearing, with the shaft on it", section=BallBearingSettings
     )
     preloads: tuple[float, ...] = setting("values", "axial preloads", unit="N")
-    bending_stiffness: float = setting(
-        "value", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=np.inf
+    bending_stiffness: float = quantity(
+        "radial stiffness of the bending shaft; default: rigid", "N/m", np.inf
     )
 
     def __post_init__(self) -> None:
@@ -66,22 +65,22 @@ class TestedBearing(Settings):
 class Sampling(Settings):
     """How a shaker test is recorded: in the steady state of a multisine."""
 
-    rate: float = setting("value", "sampling rate", unit="Hz", default=3200.0)
-    spacing: float = setting("value", "spacing of the multisine's lines", unit="Hz", default=2.0)
+    rate: float = quantity("sampling rate", "Hz", 3200.0)
+    spacing: float = quantity("spacing of the multisine's lines", "Hz", 2.0)
     band: tuple[float, float] = setting("band", "frequencies excited", unit="Hz", default=(20.0, 1500.0))
     periods: int = setting("integer", "periods recorded", default=3)
-    force: float = setting("value", "rms force of a shaker", unit="N", default=10.0)
+    force: float = quantity("rms force of a shaker", "N", 10.0)
 
 
 @dataclass(frozen=True)
 class RigNoise(Settings):
     """Standard deviations of measuring noise and of settings."""
 
-    acceleration: float = setting("value", "accelerometers", unit="m/s^2", default=0.3)
-    force: float = setting("value", "force transducer", unit="N", default=0.1)
-    preload: float = setting("value", "setting of a preload, relative", unit="1", default=0.005)
-    string: float = setting("value", "force read while the string is calibrated", unit="N", default=20.0)
-    strip: float = setting("value", "force read while the strip is calibrated", unit="N", default=20.0)
+    acceleration: float = quantity("accelerometers", "m/s^2", 0.3)
+    force: float = quantity("force transducer", "N", 0.1)
+    preload: float = quantity("setting of a preload, relative", "1", 0.005)
+    string: float = quantity("force read while the string is calibrated", "N", 20.0)
+    strip: float = quantity("force read while the strip is calibrated", "N", 20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,19 +95,15 @@ class VirtualBallBearingRig(Settings):
         "section", "second bearing: tested up", section=TestedBearing, default=None
     )
     name: str = setting("text", "name of the rig", default="Virtual ball-bearing rig")
-    stiffness_ratio: float = setting("value", "true stiffness over the theory's", unit="1", default=1.12)
-    damping_factor: float = setting(
-        "value", "beta of the bearings' damping C = beta K", unit="s", default=2e-5
-    )
-    hysteresis: float = setting("value", "stiffness gained on the way down, relative", unit="1", default=0.0)
-    arm: float = setting(
-        "value", "distance of tilting shakers and accelerometers from the bearing", unit="m", default=0.1
-    )
+    stiffness_ratio: float = quantity("true stiffness over the theory's", "1", 1.12)
+    damping_factor: float = quantity("beta of the bearings' damping C = beta K", "s", 2e-5)
+    hysteresis: float = quantity("stiffness gained on the way down, relative", "1", 0.0)
+    arm: float = quantity("distance of tilting shakers and accelerometers from the bearing", "m", 0.1)
     mountings: int = setting("integer", "times the preload is set anew for the repeatability test", default=5)
     repeats: int = setting("integer", "tests after each setting", default=3)
-    string_factor: float = setting("value", "a of the string's P = a f^2", unit="N/Hz^2", default=0.009189)
-    strip_factor: float = setting("value", "b of the strip's F = b S + c", unit="N/V", default=2079.0)
-    strip_offset: float = setting("value", "c of the strip's F = b S + c", unit="N", default=0.0092)
+    string_factor: float = quantity("a of the string's P = a f^2", "N/Hz^2", 0.009189)
+    strip_factor: float = quantity("b of the strip's F = b S + c", "N/V", 2079.0)
+    strip_offset: float = quantity("c of the strip's F = b S + c", "N", 0.0092)
     sampling: Sampling = setting("section", "how tests are recorded", section=Sampling, default=Sampling())
     noise: RigNoise = setting("section", "noise and scatter", section=RigNoise, default=RigNoise())
 

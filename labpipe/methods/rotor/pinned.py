@@ -1,17 +1,11 @@
 """A rotor between pinned ends with one bearing: condensation, growth rates, critical and threshold speeds.
 
-A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing once
-per speed.
-
 Pins fix y and z of their nodes; the rotations there carry no disc and are condensed statically, so that three
 stations between two pins have twelve degrees of freedom. With b the bearing's two and i the others, at a
 speed Omega
 
     x_i = Z_ii^-1 (f_i - Z_ib x_b),   (D + K_b + j Omega C_b) x_b = g,   D = Z_bb - Z_bi Z_ii^-1 Z_ib,   g =
     f_b - Z_bi Z_ii^-1 f_i.
-
-Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical and
-threshold speed.
 
 Modes without motion of the journal (the anti-phase modes of a symmetric rotor) are undamped by the bearing
 and not considered; the rotor is unstable if one of the other modes grows faster than GROWTH_TOLERANCE.
@@ -29,9 +23,6 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, solved
 from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, free_rotor
-
-# A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing
-# once per speed.
 
 
 @dataclass(frozen=True)
@@ -155,8 +146,7 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
     """The inverses of 2 x 2 matrices (..., 2, 2) [any unit] in closed form."""
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
-    inverted: ComplexArray = adjugate / (a * d - b * c)[..., None, None]
-    return inverted
+    return adjugate / (a * d - b * c)[..., None, None]
 
 
 def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: FloatArray) -> ComplexArray:
@@ -201,9 +191,6 @@ def condensed_rotor(
     return CondensedRotor(speed, at_bearing, force, motion[:, dofs, 0], per_journal)
 
 
-# Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical
-# and threshold speed.
-
 # Least share of the journal in a mode's squared deflections.
 LEAST_PARTICIPATION = 1e-8
 # To which a speed of resonance is found [rad/s].
@@ -231,9 +218,8 @@ class LeastStable:
 
 @dataclass(frozen=True)
 class Stability:
-    """A pinned *rotor* and the node of its *bearing*.
-
-    *inverse_mass* (n_dof, n_dof) [1/kg] is stored for repeated eigenvalue problems.
+    """A pinned *rotor* and the node of its *bearing*; inverse_mass (n_dof, n_dof) [1/kg] is stored for
+    repeated eigenvalue problems.
     """
 
     rotor: PinnedRotor
@@ -253,8 +239,8 @@ class Stability:
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         speed = np.atleast_1d(np.asarray(speed, np.float64))
         matrices = self.rotor.matrices
-        k: FloatArray = np.repeat(matrices.stiffness[None], speed.size, axis=0)
-        c: FloatArray = matrices.damping + speed[:, None, None] * matrices.gyroscopic
+        k = np.repeat(matrices.stiffness[None], speed.size, axis=0)
+        c = matrices.damping + speed[:, None, None] * matrices.gyroscopic
         rows = np.ix_(range(speed.size), place, place)
         k[rows] += stiffness
         c[rows] += damping
@@ -298,8 +284,7 @@ class Stability:
         squares = np.abs(vectors[..., :n, :]) ** 2
         whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
         share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
-        moving: BoolArray = share > LEAST_PARTICIPATION
-        return moving
+        return share > LEAST_PARTICIPATION
 
 
 def threshold_speed(
@@ -366,7 +351,6 @@ def resonance_speed(
 def _crossing(
     stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int
 ) -> float:
-    """The speed [rad/s] *between* two at which the number of modes below 1x rises above *below*."""
     low, high = between
     if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
         return float(

@@ -1,10 +1,7 @@
 """Modes, stability and steady vibration of a rotor on its bearings, and its reduction to chosen nodes.
 
-Reduced rotor: the free rotor is solved once per speed between chosen nodes, bearings are added as a low-rank
-update.
-
-With b the bearing dofs, Z_b = K + j w C of all bearings and R the receptance of the free rotor,
-H = R - R_:b (I + Z_b R_bb)^-1 Z_b R_b: (Woodbury), matrices of two rows per bearing instead of four per node.
+With b the bearing dofs, Z_b = K + j w C of all bearings and R the receptance of the free rotor, H = R - R_:b
+(I + Z_b R_bb)^-1 Z_b R_b: (Woodbury), matrices of two rows per bearing instead of four per node.
 """
 
 from __future__ import annotations
@@ -19,9 +16,6 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, Support, free_rotor, supported_rotor
 from labpipe.spectra.convert import FROM_DIRECTIONAL
-
-# Eigenvalues of a rotor on its bearings: modes, the Campbell diagram, stability and the onset speed of
-# instability.
 
 # Growth rates [1/s] below this are rounding errors, of undamped modes for example.
 GROWTH_TOLERANCE = 1e-3
@@ -138,10 +132,6 @@ def onset_speed(
     return None
 
 
-# Steady vibration of a rotor on its bearings: frequency response between chosen dofs, and unbalance
-# response.
-
-
 def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
     """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in
     [rad/s].
@@ -151,8 +141,7 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float |
     w = np.asarray(omega, np.float64)[:, None, None]
     spin = np.broadcast_to(speed, np.shape(omega))[:, None, None]
     static = matrices.stiffness - w**2 * matrices.mass
-    z: ComplexArray = static + 1j * w * (matrices.damping + spin * matrices.gyroscopic)
-    return z
+    return static + 1j * w * (matrices.damping + spin * matrices.gyroscopic)
 
 
 def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
@@ -162,7 +151,7 @@ def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> Comple
     *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
     """
     try:
-        displacements: ComplexArray = np.linalg.solve(stiffness, forces)
+        displacements = np.linalg.solve(stiffness, forces)
     except np.linalg.LinAlgError:
         raise FitError(
             "the rotor has a resonance without damping on a line", hint="move the line or add damping"
@@ -217,12 +206,7 @@ def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
 
     Equation (rotor-orbit).
     """
-    turned: ComplexArray = displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
-    return turned
-
-
-# Reduced rotor: the free rotor is solved once per speed between chosen nodes, bearings are added as a
-# low-rank update.
+    return displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
 
 
 @dataclass(frozen=True)
@@ -292,14 +276,8 @@ def _bearing_forces(
     loaded = np.empty_like(rows)
     for number, support in enumerate(supports):
         place = slice(2 * number, 2 * number + 2)
-        loaded[:, place] = support_stiffness(support, omega) @ rows[:, place]
+        loaded[:, place] = (support.stiffness + 1j * omega[:, None, None] * support.damping) @ rows[:, place]
     return solved(np.eye(len(at)) + loaded[:, :, at], loaded)
-
-
-def support_stiffness(support: Support, omega: FloatArray) -> ComplexArray:
-    """Z = K + j w C of a bearing, (n_line, 2, 2) [N/m]."""
-    z: ComplexArray = support.stiffness + 1j * omega[:, None, None] * support.damping
-    return z
 
 
 def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, speed: float) -> ReducedRotor:

@@ -134,16 +134,12 @@ class RotorRig:
         for label in ("name", "node"):
             if len({getattr(place, label) for place in self.bearings}) < len(self.bearings):
                 raise ConfigError(f"bearings: two bearings have one {label}")
-        for label, node in self._places():
-            self.rotor.check_node(node, label)
-
-    def _places(self) -> list[tuple[str, int]]:
-        """Label and node of every part on a node, for messages."""
         places = [(f"bearing '{place.name}'", place.node) for place in self.bearings]
         places += [("a load", node) for node, _, _ in self.loads] + [
             ("an unbalance", part.node) for part in self.unbalances
         ]
-        return [*places, ("the force", self.force), ("the response", self.response)]
+        for label, node in [*places, ("the force", self.force), ("the response", self.response)]:
+            self.rotor.check_node(node, label)
 
     @property
     def omega(self) -> float:

@@ -15,12 +15,9 @@ from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor,
 from labpipe.project.bearing_file import kind_of, setting_at, taken_uncertainties
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_setting, read_settings
-from labpipe.records.settings import FileKind, Setting, Settings, setting
+from labpipe.records.settings import FileKind, Setting, Settings, quantity, setting
 from labpipe.records.uncertain import uncertainty_of
 from labpipe.registry import nearest
-
-# What the entries of a rotor file hold: shaft elements, discs, sleeves, loads, unbalances, materials,
-# damping.
 
 MOST_COPIES = 1000
 
@@ -29,7 +26,7 @@ MOST_COPIES = 1000
 class RotorSettings(Settings):
     """The plain entries of a rotor file (its lists are read by themselves)."""
 
-    speed: float = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz")
+    speed: float = quantity("speed of the shaft, in Hz or rpm", "Hz")
     name: str = setting("text", "name of the rotor, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rotor", default="")
     force: int = setting("integer", "node on which the rig is excited", default=1)
@@ -40,19 +37,19 @@ class RotorSettings(Settings):
 class MaterialSettings(Settings):
     """One entry below ``materials:``."""
 
-    density: float = setting("value", "density", unit="kg/m^3")
-    elastic_modulus: float = setting("value", "Young's modulus", unit="Pa")
-    shear_modulus: float = setting("value", "shear modulus", unit="Pa")
-    poisson: float = setting("value", "Poisson's ratio, for the shear coefficient", unit="1", default=0.3)
+    density: float = quantity("density", "kg/m^3")
+    elastic_modulus: float = quantity("Young's modulus", "Pa")
+    shear_modulus: float = quantity("shear modulus", "Pa")
+    poisson: float = quantity("Poisson's ratio, for the shear coefficient", "1", 0.3)
 
 
 @dataclass(frozen=True)
 class ElementSettings(Settings):
     """One entry of ``elements:``, from left to right."""
 
-    length: float = setting("value", "length", unit="m")
-    diameter: float = setting("value", "outer diameter", unit="m")
-    inner_diameter: float = setting("value", "bore", unit="m", default=0.0)
+    length: float = quantity("length", "m")
+    diameter: float = quantity("outer diameter", "m")
+    inner_diameter: float = quantity("bore", "m", 0.0)
     material: str = setting("text", "steel, aluminium or one of materials", default="steel")
     count: int = setting("integer", "equal elements in a row", default=1)
 
@@ -66,17 +63,13 @@ class DiscSettings(Settings):
     """One entry of ``discs:``, by its dimensions and material or by its mass and moments of inertia."""
 
     node: int = setting("integer", "node it sits on")
-    outer_diameter: float | None = setting("value", "outer diameter", unit="m", default=None)
-    inner_diameter: float = setting("value", "bore", unit="m", default=0.0)
-    length: float | None = setting("value", "length along the shaft", unit="m", default=None)
+    outer_diameter: float | None = quantity("outer diameter", "m", None)
+    inner_diameter: float = quantity("bore", "m", 0.0)
+    length: float | None = quantity("length along the shaft", "m", None)
     material: str = setting("text", "steel, aluminium or one of materials", default="steel")
-    mass: float | None = setting("value", "mass, instead of dimensions", unit="kg", default=None)
-    polar_inertia: float | None = setting(
-        "value", "moment of inertia about the shaft", unit="kg.m^2", default=None
-    )
-    transverse_inertia: float | None = setting(
-        "value", "moment of inertia about a diameter", unit="kg.m^2", default=None
-    )
+    mass: float | None = quantity("mass, instead of dimensions", "kg", None)
+    polar_inertia: float | None = quantity("moment of inertia about the shaft", "kg.m^2", None)
+    transverse_inertia: float | None = quantity("moment of inertia about a diameter", "kg.m^2", None)
 
     def __post_init__(self) -> None:
         if (self.mass is None) == (self.outer_diameter is None):
@@ -106,7 +99,7 @@ class SleeveSettings(Settings):
     """
 
     element: int = setting("integer", "number of the element it surrounds, from 1")
-    outer_diameter: float = setting("value", "outer diameter", unit="m")
+    outer_diameter: float = quantity("outer diameter", "m")
     material: str = setting("text", "steel, aluminium or one of materials", default="steel")
     stiffening: float = setting("value", "factor on the stiffness of the element", unit="1", default=1.0)
     name: str = setting("text", "sleeves of one name have one unknown stiffening", default="")
@@ -116,8 +109,8 @@ class SleeveSettings(Settings):
 class DampingSettings(Settings):
     """Proportional damping of the shaft, C = alpha M + beta K."""
 
-    alpha: float = setting("value", "part of the mass matrix", unit="1/s", default=0.0)
-    beta: float = setting("value", "part of the stiffness matrix", unit="s", default=0.0)
+    alpha: float = quantity("part of the mass matrix", "1/s", 0.0)
+    beta: float = quantity("part of the stiffness matrix", "s", 0.0)
 
 
 @dataclass(frozen=True)
@@ -125,8 +118,8 @@ class LoadSettings(Settings):
     """One entry of ``loads:``: a constant force beside the weight."""
 
     node: int = setting("integer", "node it acts on")
-    y: float = setting("value", "horizontal force", unit="N", default=0.0)
-    z: float = setting("value", "vertical force, positive up", unit="N", default=0.0)
+    y: float = quantity("horizontal force", "N", 0.0)
+    z: float = quantity("vertical force, positive up", "N", 0.0)
 
 
 @dataclass(frozen=True)
@@ -134,11 +127,9 @@ class UnbalanceSettings(Settings):
     """One entry of ``unbalances:``."""
 
     node: int = setting("integer", "node it sits on")
-    size: float = setting("value", "mass times eccentricity", unit="kg.m")
-    phase: float = setting("value", "phase from the keyphasor, with the spin", unit="rad", default=0.0)
+    size: float = quantity("mass times eccentricity", "kg.m")
+    phase: float = quantity("phase from the keyphasor, with the spin", "rad", 0.0)
 
-
-# Reading a rotor file: shaft elements, discs, sleeves, bearings, loads, damping.
 
 MATERIALS = {"steel": STEEL, "aluminium": ALUMINIUM}
 
@@ -292,7 +283,6 @@ def build_rotor(
 
 
 def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, faults: Faults) -> None:
-    """A fault at every entry that sits on no node."""
     for key in ("bearings", "loads", "unbalances"):
         for entry, part in lists[key]:
             tried(
@@ -324,10 +314,6 @@ def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, Bea
 
 
 def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace | None:
-    """A bearing of any kind on its node.
-
-    Its load and speed follow from the rotor, so their entries are refused.
-    """
     key, before = f"bearings.{number}", len(faults)
     entries = faults.mapping(entry, key)
     kind = kind_of(entry, key, faults) if entries else None
@@ -375,7 +361,6 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
 def _at_end(
     plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]
 ) -> Bearing | None:
-    """The bearing with another number at its key, which stays."""
     set_entry(plain, f"{key}={value!r} {unit}".rstrip())
     return mounted()[1]
 

@@ -1,13 +1,10 @@
 """Rotors of Timoshenko shaft elements, discs, sleeves and supports: their matrices M q'' + (C + Omega G) q' +
 K q = F.
 
-Parts of a rotor: shaft elements, discs, sleeves and supports. Nodes are numbered from 1, as in rig
-descriptions.
+Nodes are numbered from 1, as in rig descriptions.
 
 Axes: x along the shaft, y horizontal, z up, spin from y to z. Every node has y, z and the rotations about y
 and z.
-
-Timoshenko shaft elements with rotary inertia and gyroscopics (Nelson & McVaugh 1976, Nelson 1980).
 
 One bending plane has w and its rotation at both ends, (w1, r1, w2, r2); with xi = x / l and the shear
 parameter Phi the deflection is N(xi) and the rotation of the cross-section D(xi) times these four.
@@ -23,9 +20,6 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-
-# Parts of a rotor: shaft elements, discs, sleeves and supports. Nodes are numbered from 1, as in rig
-# descriptions.
 
 
 def _refuse_unless_positive(what: str, part: object, names: tuple[str, ...]) -> None:
@@ -212,8 +206,6 @@ class Rotor:
         return [4 * (node - 1), 4 * (node - 1) + 1]
 
 
-# Timoshenko shaft elements with rotary inertia and gyroscopics (Nelson & McVaugh 1976, Nelson 1980).
-
 # Plane 1: y and the rotation about z. Plane 2: z and the rotation about y, which is minus the slope of z.
 PLANE_Y = np.array([0, 3, 4, 7])
 PLANE_Z = np.array([1, 2, 5, 6])
@@ -294,8 +286,6 @@ def in_both_planes(plane: FloatArray) -> FloatArray:
     both[np.ix_(PLANE_Z, PLANE_Z)] = plane * np.outer(SIGNS_Z, SIGNS_Z)
     return both
 
-
-# System matrices of a rotor and static loads on its bearings: M q'' + (C + Omega G) q' + K q = F.
 
 STANDARD_GRAVITY = 9.80665
 

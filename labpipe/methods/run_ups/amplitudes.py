@@ -1,24 +1,16 @@
 """Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, by
 pattern search.
 
-Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that
-halves or doubles.
-
 Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the
 objective is evaluated at all 2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the
-mesh m doubles, otherwise m halves. Neighbours beyond a bound are moved onto it. No gradients, and no standard
-errors of the minimum. COBYQA of scipy is the alternative by name.
-
-Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, kept
-as a baseline.
+mesh m doubles, otherwise m halves.
 
 Per point the factors f on the coefficients of the rotor file's bearing, 1 - bound <= f <= 1 + bound, minimise
 
     F = sum over planes (a_measured - a_computed)^2,   a: largest displacement of the orbit,
 
 (their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks
-perfect wherever it starts, and the coefficients that it returns are those next to its start. `StartSpread`
-states it.
+perfect wherever it starts, and the coefficients that it returns are those next to its start.
 """
 
 from __future__ import annotations
@@ -38,9 +30,6 @@ from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, rank_of, runs_b
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement
 from labpipe.registry import nearest
-
-# Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that
-# halves or doubles.
 
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
 # (n_chosen,).
@@ -74,8 +63,6 @@ class SearchLimits:
 class SearchHistory:
     """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh
     [-] (NaN without a mesh).
-
-    A problem that has ended keeps its last row.
     """
 
     evaluations: IntArray
@@ -157,8 +144,8 @@ def cobyqa_search(
     """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region
     has no mesh (NaN).
 
-    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. The objective is scaled by its value
-    at the start, parameters by the box. ConfigError without COBYQA in the installed scipy.
+    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError without COBYQA in the
+    installed scipy.
     """
     limits = limits or SearchLimits()
     values, width = _checked(start, lower, upper)
@@ -173,14 +160,13 @@ def cobyqa_search(
     evaluations = np.minimum(np.arange(1, length + 1)[:, None], counts)
     lowest = np.stack(columns, axis=1)
     mesh = np.full(lowest.shape, np.nan)
-    history = SearchHistory(evaluations, lowest, mesh)
     return SearchResult(
         lower + best * width,
         lowest[-1],
         mesh[-1],
         counts,
         np.array([trace.capped for trace in traces]),
-        history,
+        SearchHistory(evaluations, lowest, mesh),
     )
 
 
@@ -238,14 +224,10 @@ def search_named(name: str) -> Callable[..., SearchResult]:
 
 
 def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A copy of the starts and the widths of their boxes."""
     if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
         raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")
     return np.array(start, np.float64), upper - lower
 
-
-# Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid,
-# kept as a baseline.
 
 BOUND = 0.3
 SEED = 20260101
@@ -261,7 +243,7 @@ class AmplitudeFit:
     amplitudes alone; objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2];
     chi2, n_datum: over the amplitudes' own errors. Of the search: evaluations, mesh, capped (n_speed,), its
     history; every start's factors (n_start, n_speed, 8) and objectives (n_start, n_speed), the rotor file's
-    coefficients first. No standard errors: the amplitudes do not determine the coefficients.
+    coefficients first.
     """
 
     load: float

@@ -107,7 +107,6 @@ def bode_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
 def _bode_series(
     result: RunUpResult, run: MeasuredRun, number: int
 ) -> tuple[tuple[Series, ...], tuple[Series, ...]]:
-    """The series of an amplitude and of a phase panel: critical speed, measurement, methods."""
     critical = () if run.critical_speed is None else (upright(RPM * run.critical_speed.value),)
     measured = _measured_bode(run, run.motions[number])
     methods = [pair for method in result.methods if (pair := _method_bode(method, run, number)) is not None]
@@ -159,7 +158,6 @@ def best_method(result: RunUpResult) -> RunUpMethod | None:
 
 
 def _motions(method: RunUpMethod | None, run: MeasuredRun) -> RunPrediction | None:
-    """What a method predicts of the motions of a run, if anything."""
     prediction = None if method is None else method.prediction(run.name)
     return prediction if prediction is not None and prediction.motions else None
 
@@ -224,7 +222,6 @@ def orbit_places(run: MeasuredRun) -> list[int]:
 
 
 def _orbits(run: MeasuredRun, place: int, method: RunUpMethod | None) -> Panel:
-    """The orbits of all planes at one speed."""
     prediction, series = _motions(method, run), []
     for number in range(0, len(run.motions), 2):
         colour, name = number // 2 % ORBITS, run.motions[number].plane
@@ -374,7 +371,6 @@ def coefficient_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
 
 
 def _coefficient(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[Series, ...]:
-    """One coefficient over speed by every method that has it."""
     scale, series = _scale(NAMES[number])[0], []
     for method in result.methods:
         prediction = method.prediction(run.name)
@@ -424,7 +420,6 @@ def _steps(name: str, steps: IntArray, values: tuple[float, ...] | FloatArray) -
 
 
 def _factors(series: tuple[Series, ...]) -> Panel:
-    """Factors on the start values of the eight coefficients."""
     return Panel(Axis(ticks=named_ticks(NAMES)), Axis("factor on the start value"), (*series, level(1.0)))
 
 
@@ -480,9 +475,8 @@ def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
     caption = (
         f"{model.title[:1].upper()}{model.title[1:]}: {quantity} coefficients over load and speed{beyond}."
     )
-    drawing = Drawing("surfaces", surfaces, (WIDTH, 6.2))
     return Figure(
-        drawing,
+        Drawing("surfaces", surfaces, (WIDTH, 6.2)),
         caption,
         f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}",
     )

@@ -113,8 +113,7 @@ def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: 
     """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] that are given from *low* to *high*
     [rad/s].
 
-    Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number; with C itself constant,
-    a rotor would hardly ever get unstable there.
+    Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number.
     """
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:

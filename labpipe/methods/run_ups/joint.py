@@ -1,18 +1,8 @@
 """One fit of the film's physical parameters to all complex responses at all loads and speeds, and its
 predictions.
 
-The least-squares problem of run-ups: a family of coefficients against complex responses, thresholds and
-priors.
-
 |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / spread)^2 over the family's parameters p; r is the
-residual of the responses over their standard errors. Thresholds are computed by Newton's method from the
-measured speeds, their slopes by the modes' left and right eigenvectors.
-
-One fit of the film's twelve physical parameters to all complex responses at all loads and speeds, and to the
-measured thresholds.
-
-By Levenberg-Marquardt with analytic slopes (see `problem`); priors determine the combinations that run-ups do
-not (see `film_family`).
+residual of the responses over their standard errors.
 """
 
 from __future__ import annotations
@@ -35,9 +25,6 @@ from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds, so
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
 from labpipe.records.uncertain import Uncertain, Uncertainty
-
-# The least-squares problem of run-ups: a family of coefficients against complex responses, thresholds and
-# priors.
 
 MOST_SEARCHES = 25
 SEARCH_TOLERANCE = 1e-9
@@ -205,9 +192,6 @@ def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: 
     )
 
 
-# Result of the joint fit and its predictions at any load: coefficients, critical speed and threshold with
-# their intervals.
-
 # Chi-square probability below which the family is rejected.
 REJECTED = 1e-3
 # Tolerance of the range of fitted loads, relative.
@@ -359,9 +343,6 @@ class JointFit:
                 ) ** 2
         return Uncertain(predict(self.values), float(np.sqrt(variance)))
 
-
-# One fit of the film's twelve physical parameters to all complex responses at all loads and speeds, and to
-# the measured thresholds.
 
 MOST_REFITS = 12
 # Tolerance of the second attempt, in standard errors: a bearing far outside the family converges slowly.

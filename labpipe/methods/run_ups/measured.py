@@ -1,16 +1,12 @@
 """Measured run-ups: order tracks, the peak of the response, critical and threshold speeds.
 
-The measured critical speed: the peak of a run-up's response, interpolated between the measured speeds.
-
 Near a critical speed all outputs are dominated by the same two modes and have one common denominator,
 
     X_o(x) = (a_o + b_o x) / (1 + c x + d x^2),   x: speed, scaled to the points about the peak,
 
 fitted to the complex amplitudes by linear least squares, reweighted with the last denominator (Sanathanan &
 Koerner 1963). The largest displacement of the fitted orbit gives the speed; its error is that of refits under
-the stated noise, together with what two points fewer and the uncertainties of the probes change. Polynomials
-through the amplitudes alone miss the peak by one to two per cent at steps of 100 rpm, twenty times their own
-errors.
+the stated noise, together with what two points fewer and the uncertainties of the probes change.
 """
 
 from __future__ import annotations
@@ -37,8 +33,6 @@ from labpipe.quantities import to_display
 from labpipe.records.uncertain import COURSES, Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.orders import OrderTrack
-
-# The measured critical speed: the peak of a run-up's response, interpolated between the measured speeds.
 
 POINTS = 11
 FEWEST_POINTS = 7
@@ -82,7 +76,6 @@ def _top(run: RunUp, number: int) -> int:
 
 
 def _about(run: RunUp, top: int, size: int) -> slice:
-    """*size* points about the peak, or fewer where the run is shorter."""
     size = min(size, run.n_speed)
     first = max(0, min(top - size // 2, run.n_speed - size))
     return slice(first, first + size)
@@ -92,8 +85,7 @@ def _noisy(run: RunUp, rng: np.random.Generator) -> ComplexArray:
     relative = run.amplitude_error / np.abs(run.response)
     shape = run.response.shape
     turned = np.exp(1j * run.phase_error * rng.standard_normal(shape))
-    noisy: ComplexArray = run.response * (1 + relative * rng.standard_normal(shape)) * turned
-    return noisy
+    return run.response * (1 + relative * rng.standard_normal(shape)) * turned
 
 
 def _peak(run: RunUp, number: int, chosen: slice, response: ComplexArray) -> float:
@@ -123,11 +115,8 @@ def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: F
         solution = np.linalg.lstsq(rows.reshape(m * n, -1), (weight * outputs).T.ravel(), rcond=None)[0]
         denominator = 1 + solution[-2] * x + solution[-1] * x**2
     top = solution[0:-2:2] + solution[1:-2:2] * place[:, None]
-    fitted: ComplexArray = top / (1 + solution[-2] * place + solution[-1] * place**2)[:, None]
-    return fitted
+    return top / (1 + solution[-2] * place + solution[-1] * place**2)[:, None]
 
-
-# Records of measured run-ups: motion, critical and threshold speeds.
 
 GRAM_MM = 1e6
 
@@ -206,7 +195,7 @@ def column(values: FloatArray) -> tuple[float, ...]:
     return tuple(float(f"{value:.8g}") for value in np.asarray(values, np.float64).tolist())
 
 
-# Run-ups from order tracks, and the vector difference of two runs: the response to a known added unbalance.
+# Run-ups from order tracks, and the vector difference of two runs.
 
 # Relative tolerance within which two speeds count as equal.
 SAME_SPEED = 1e-3
@@ -284,7 +273,7 @@ def _by_speed(
     weight = deviation[order] ** -2.0
     total = np.add.reduceat(weight, starts)
     means = np.asarray(np.add.reduceat(weight * response[order], starts) / total, np.complex128)
-    middle: FloatArray = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
+    middle = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
     return middle, means, np.asarray(total**-0.5)
 
 
@@ -367,12 +356,11 @@ def _vector_difference(run: RunUp, residual: RunUp, common: IntArray, partner: I
             f"runs '{run.name}' and '{residual.name}' have the same known unbalance",
             hint="state what was added in between",
         )
-    turned: FloatArray = np.sqrt(across) / np.abs(net)
     return replace(
         run,
         speed=run.speed[common],
         response=net,
         unbalance=unbalance,
         amplitude_error=np.sqrt(along),
-        phase_error=turned,
+        phase_error=np.sqrt(across) / np.abs(net),
     )

@@ -253,14 +253,13 @@ def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 o
     leverage = np.einsum("ni,ij,nj->n", terms, inverse, terms)
     total = np.sum((grid.eight - grid.eight.mean(axis=0)) ** 2, axis=0)
     squares = np.sum(residual**2, axis=0)
-    press = np.sum((residual / (1 - leverage)[:, None]) ** 2, axis=0)
     return ResponseSurface(
         extent=extent,
         beta=beta,
         inverse=inverse,
         spread=np.sqrt(squares / (n - m)),
         r2=1 - squares / total,
-        press=press,
+        press=np.sum((residual / (1 - leverage)[:, None]) ** 2, axis=0),
         total=total,
         n_point=n,
     )

@@ -1,18 +1,27 @@
-"""Metamodels of the journal coefficients: surrogates of k_xx ... c_yy over load and speed.
+"""Metamodels of the journal coefficients over load and speed: by scikit-learn, a response surface, the
+physical fit.
 
-METAMODELS are fitted to coefficients on a grid (see `Grid`); the physical fit is the joint fit itself. All
-have one interface, are written as plain entries and read back, and are compared by leave-one-load-out
-validation.
+Gaussian process: y (standardised: zero mean, unit deviation) has the covariance p^2 (1 + w w' + s s') + a^2
+exp(-((w - w') / l_w)^2 / 2 - ((s - s') / l_s)^2 / 2), w and s coded to -1 to 1, and noise n^2 (Rasmussen and
+Williams 2006, sections 2.2, 2.7 and 5.4.1): a plane plus a smooth field. a, l_w, l_s and n of each
+coefficient maximise the marginal likelihood times their log-normal priors (HYPER); p is PLANE.
+
+Network: two inputs, one hidden layer of tanh, eight outputs, trained by L-BFGS with weight decay. Predictions
+are the mean over repeats with different seeds, and their standard error is the spread of the repeats, the
+effect of the start weights only.
 """
 
 from __future__ import annotations
 
+import importlib
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
+from scipy import optimize
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
@@ -26,8 +35,270 @@ from labpipe.methods.run_ups.metamodel_kinds import (
     fit_surface,
     physical_without,
 )
-from labpipe.methods.run_ups.metamodels_learned import GaussianProcess, Network, fit_network, fit_process
 from labpipe.registry import nearest
+
+PLANE = 3.0
+# Medians and standard deviations of the logarithms of a, l_w, l_s and n.
+HYPER = ((0.7, 1.0), (1.0, 0.7), (0.7, 0.7), (0.05, 1.5))
+# Ends of the search, which the priors keep it from.
+WIDE = (1e-10, 1e6)
+# Added to the diagonal, so that a covariance of close points can be decomposed.
+JITTER = 1e-9
+HIDDEN = 8
+REPEATS = 10
+WEIGHT_DECAY = 1e-3
+MOST_ITERATIONS = 4000
+
+# Weights and offsets of the hidden and of the output layer: (2, h), (h,), (h, 8), (8,).
+Layers = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+def scikit_learn(name: str, what: str) -> Any:
+    """A module of scikit-learn; ConfigError that names *what* needs it where it is not installed."""
+    try:
+        return importlib.import_module(f"sklearn.{name}")
+    except ImportError:
+        hint = "install labpipe[metamodels], or leave it out of the metamodels"
+        raise ConfigError(f"{what} is fitted by scikit-learn, which is not installed", hint=hint) from None
+
+
+@dataclass(frozen=True)
+class GaussianProcess:
+    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors:
+    scikit-learn's, one of each.
+    """
+
+    grid: Grid
+    extent: Extent
+    hyper: FloatArray
+    regressors: tuple[Any, ...]
+
+    kind: ClassVar[str] = "process"
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
+    @classmethod
+    def of(cls, grid: Grid, hyper: FloatArray, search: Callable[..., Any] | None = None) -> GaussianProcess:
+        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient.
+
+        A *search* starts from them.
+        """
+        processes = scikit_learn("gaussian_process", "a Gaussian process")
+        kernels = processes.kernels
+        extent = Extent.of(grid)
+        coded, regressors = extent.coded(grid.load, grid.speed), []
+        for (a, l_w, l_s, n), column in zip(hyper, grid.eight.T, strict=True):
+            plane = kernels.ConstantKernel(PLANE**2, "fixed") * kernels.DotProduct(1.0, "fixed")
+            kernel = (
+                plane
+                + kernels.ConstantKernel(a**2, WIDE) * kernels.RBF((l_w, l_s), WIDE)
+                + kernels.WhiteKernel(n**2, WIDE)
+            )
+            regressor = processes.GaussianProcessRegressor(
+                kernel, alpha=JITTER, optimizer=search, normalize_y=True
+            )
+            regressors.append(regressor.fit(coded, column))
+        found = np.exp([regressor.kernel_.theta for regressor in regressors])
+        # The first and the last of scikit-learn are variances.
+        return cls(grid, extent, np.sqrt(found) ** [1, 2, 2, 1] if search else hyper, tuple(regressors))
+
+    @property
+    def statement(self) -> str:
+        """Statement on lengths and noise of maximum marginal likelihood."""
+        (first, last), (low, high) = self.extent.loads, self.extent.speeds
+        load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [
+            (last - first) / 2,
+            (high - low) / 2,
+            1.0,
+        ]
+        return (
+            f"a plane and a smooth field, correlated over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, "
+            "with a noise of "
+            f"{100 * noise:.2g} % of the standard deviation (medians over the eight coefficients)"
+        )
+
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        coded = self.extent.coded(load, speed)
+        return np.stack([regressor.predict(coded) for regressor in self.regressors], axis=-1)
+
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds
+        [rad/s].
+        """
+        coded = self.extent.coded(load, speed)
+        return np.stack(
+            [regressor.predict(coded, return_std=True)[1] for regressor in self.regressors], axis=-1
+        )
+
+    def to_entries(self) -> dict[str, Any]:
+        arrays = {
+            "load": self.grid.load,
+            "speed": self.grid.speed,
+            "eight": self.grid.eight,
+            "hyper": self.hyper,
+        }
+        return {
+            "kind": self.kind,
+            **self.extent.to_entries(),
+            **{name: array.tolist() for name, array in arrays.items()},
+        }
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, Any]) -> GaussianProcess:
+        load, speed, eight, hyper = (
+            np.array(entries[name], np.float64) for name in ("load", "speed", "eight", "hyper")
+        )
+        return cls.of(Grid(load, speed, eight), hyper)
+
+
+def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
+    """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
+    priors.
+
+    Equation (run-process).
+    """
+    return GaussianProcess.of(grid, np.tile([median for median, _ in HYPER], (8, 1)), _likeliest)
+
+
+def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
+    """(parameters, cost): scikit-learn's parameters (4,), logarithms of a^2, l_w, l_s, n^2, of the largest
+    likelihood times priors.
+    """
+    powers = np.array([2.0, 1.0, 1.0, 2.0])
+    middle, spread = (
+        powers * np.log([median for median, _ in HYPER]),
+        powers * [deviation for _, deviation in HYPER],
+    )
+
+    def with_priors(theta: FloatArray) -> tuple[float, FloatArray]:
+        value, slope = cost(theta, eval_gradient=True)
+        parts = (theta - middle) / spread
+        return float(value + parts @ parts / 2), slope + parts / spread
+
+    search: Any = optimize.minimize(with_priors, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    return search.x, search.fun
+
+
+@dataclass(frozen=True)
+class Network:
+    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats
+    whose training converged.
+    """
+
+    extent: Extent
+    repeats: tuple[Layers, ...]
+    middle: FloatArray
+    deviation: FloatArray
+    seed: int
+    n_converged: int
+
+    kind: ClassVar[str] = "network"
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
+    @property
+    def statement(self) -> str:
+        """Statement on layers, repeats and convergence."""
+        hidden = self.repeats[0][1].size
+        ended = "all of them" if self.n_converged == len(self.repeats) else f"{self.n_converged} of them"
+        return (
+            f"{len(self.repeats)} repeats of 2 inputs, {hidden} hidden units and 8 outputs, seeds from "
+            f"{self.seed} on; the training of {ended} converged; errors are the spread of the repeats"
+        )
+
+    def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s]
+        (n_point,).
+
+        Equation (run-network).
+        """
+        coded = self.extent.coded(load, speed)
+        scaled = [
+            np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
+        ]
+        return np.asarray(self.middle + self.deviation * np.array(scaled))
+
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the
+        repeats.
+        """
+        return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
+
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Standard deviation of the repeats (n_point, 8) [N/m, N s/m]; NaN of a single repeat."""
+        repeats = self.repeat_predictions(load, speed)
+        return (
+            np.full(repeats.shape[1:], np.nan)
+            if len(self.repeats) < 2
+            else np.asarray(repeats.std(axis=0, ddof=1))
+        )
+
+    def to_entries(self) -> dict[str, Any]:
+        return {
+            "kind": self.kind,
+            **self.extent.to_entries(),
+            "seed": self.seed,
+            "n_converged": self.n_converged,
+            "middle": self.middle.tolist(),
+            "deviation": self.deviation.tolist(),
+            "repeats": [[layer.tolist() for layer in layers] for layers in self.repeats],
+        }
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, Any]) -> Network:
+        repeats = tuple(
+            _layers(*(np.array(layer, np.float64) for layer in layers)) for layers in entries["repeats"]
+        )
+        middle, deviation = (np.array(entries[name], np.float64) for name in ("middle", "deviation"))
+        return cls(
+            Extent.from_entries(entries),
+            repeats,
+            middle,
+            deviation,
+            int(entries["seed"]),
+            int(entries["n_converged"]),
+        )
+
+
+def _layers(first: FloatArray, offset: FloatArray, second: FloatArray, last: FloatArray) -> Layers:
+    return first, offset, second, last
+
+
+def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int = HIDDEN) -> Network:
+    """Networks with seeds *seed*, *seed* + 1 and so on; ConfigError without scikit-learn."""
+    networks, exceptions = (
+        scikit_learn(name, "a feed-forward network") for name in ("neural_network", "exceptions")
+    )
+    extent = Extent.of(grid)
+    middle, deviation = grid.eight.mean(axis=0), grid.eight.std(axis=0)
+    deviation = np.where(deviation > 0, deviation, 1.0)
+    inputs, outputs = extent.coded(grid.load, grid.speed), (grid.eight - middle) / deviation
+    trained, converged = [], 0
+    for repeat in range(repeats):
+        network = networks.MLPRegressor(
+            hidden_layer_sizes=(hidden,),
+            activation="tanh",
+            solver="lbfgs",
+            alpha=WEIGHT_DECAY,
+            max_iter=MOST_ITERATIONS,
+            random_state=seed + repeat,
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", exceptions.ConvergenceWarning)
+            network.fit(inputs, outputs)
+        converged += int(network.n_iter_ < MOST_ITERATIONS)
+        trained.append(
+            _layers(network.coefs_[0], network.intercepts_[0], network.coefs_[1], network.intercepts_[1])
+        )
+    return Network(extent, tuple(trained), middle, deviation, seed, converged)
+
 
 __all__ = [
     "METAMODELS",

@@ -37,9 +37,6 @@ from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.settings import RunUpSettings
 from labpipe.records.finding import Contribution, Parameter
 
-# Eight coefficients per load and speed from complex amplitudes in both directions: bounded least squares
-# with a ridge.
-
 BOUND = 0.3
 RIDGE = 0.15
 MOST_STEPS = 60
@@ -175,8 +172,6 @@ def _step(
 ) -> FloatArray:
     """A Gauss-Newton step within the box: coefficients beyond a bound are set to it, and the others are
     solved again.
-
-    Values on a bound that the gradient pushes outwards stay there from the outset.
     """
     gradient = (slopes.swapaxes(1, 2) @ residual[..., None])[..., 0] + parts / ridge**2
     fixed_mask = ((parts >= bound) & (gradient < 0)) | ((parts <= -bound) & (gradient > 0))
@@ -441,7 +436,6 @@ def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
 
 
 def _convergence(fit: AmplitudeFit) -> Convergence:
-    """Convergence of the longest search."""
     point = int(np.argmax(fit.evaluations))
     rows = fit.history.of(point)
     evaluations = np.diff(rows.evaluations[:, 0], prepend=0)

@@ -1,11 +1,7 @@
 """Weighted residuals of run-ups with analytic slopes, and what a set of run-ups can tell apart.
 
-Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition, undetermined
-combinations.
-
 A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two
-complex equations. Amplitudes alone give one number per disc. Only a force that does not turn with the shaft
-moves the journal along another vector.
+complex equations. Only a force that does not turn with the shaft moves the journal along another vector.
 """
 
 from __future__ import annotations
@@ -23,8 +19,6 @@ from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matri
 from labpipe.methods.run_ups.records import RankRow, RunUp, Shaker
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.records.uncertain import Uncertainty
-
-# Weighted residuals of run-ups with analytic slopes, and the rank of a set of run-ups.
 
 # Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
 RANK_TOLERANCE = 1e-7
@@ -186,8 +180,9 @@ def scales(start: FloatArray) -> FloatArray:
 
     Absolute start value, at least a fifth of the mean direct coefficient, because K_yx crosses zero.
     """
-    direct = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
-    return np.maximum(np.abs(start), 0.2 * np.repeat(direct, 4, axis=-1))
+    return np.maximum(
+        np.abs(start), 0.2 * np.repeat(np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]])), 4, axis=-1)
+    )
 
 
 def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
@@ -201,9 +196,6 @@ def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS)
         if size <= RANK_TOLERANCE * whole[0]
     )
 
-
-# Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition,
-# undetermined combinations.
 
 AMPLITUDES = "amplitudes at the planes"
 COMPLEX = "amplitude and phase in both directions"
@@ -227,8 +219,7 @@ def rank_statements(
     """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load*
     [N] and *speed* [rad/s].
 
-    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is
-    needed.
+    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given.
     """
     place = np.array([speed])
     eight = (

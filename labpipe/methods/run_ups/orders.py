@@ -1,6 +1,4 @@
-"""labpipe orders: a recording with its shaft speed -> amplitude and phase of an order over the run, as table
-and figures.
-"""
+"""labpipe orders SOURCE: amplitude and phase of an order of the shaft speed over a run."""
 
 from __future__ import annotations
 
@@ -8,11 +6,14 @@ import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import click
 import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
+from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.measured import run_up_of
@@ -28,8 +29,6 @@ from labpipe.report.figures import PHASE, phase_degrees
 from labpipe.spectra.orders import OrderTrack, plane_track, track_order
 from labpipe.spectra.settings import ShaftLines
 
-# Figures of order tracking: amplitude and phase over the speed, and the orbits.
-
 MOST_ORBITS = 8
 MOST_COLUMNS = 4
 # Room above the amplitudes for their names, and above the limit of a gap.
@@ -39,7 +38,6 @@ STEADY = 1e-3
 
 
 def _unit(quantity: str) -> tuple[str, float]:
-    """(unit shown, factor from SI) of the responses; SI for mixed ones."""
     entry = QUANTITIES.get(quantity)
     return (entry.display_unit, to_display(1.0, entry.display_unit)) if entry else ("SI", 1.0)
 
@@ -48,7 +46,7 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
     """Amplitude with two standard deviations and phase of every response over the speed; forward and backward
     of every plane below.
 
-    The whole motion stands beside the amplitudes, dashed. Over the time where the speed stays what it is.
+    The whole motion stands beside the amplitudes, dashed.
     """
     across, along = _across(track)
     unit, factor = _unit(quantity)
@@ -172,9 +170,6 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> Panel:
     )
     return Panel(Axis("x", unit), Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True)
 
-
-# orders: a recording with its shaft speed -> amplitude and phase of an order over the run, as table and
-# figures.
 
 Column = tuple[str, FloatArray]
 
@@ -352,9 +347,6 @@ def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Col
     )
 
 
-# What the command orders does.
-
-
 def track_and_write(
     recording: Path,
     output: Path,
@@ -396,10 +388,7 @@ def track_and_write(
 
 
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
-    """Load and known unbalances of a run-up, which a recording does not hold.
-
-    ConfigError for missing ones.
-    """
+    """Load and known unbalances of a run-up, which a recording does not hold."""
     newtons = _value("--load", load, "N")
     if newtons is None or not unbalance:
         raise ConfigError(
@@ -433,3 +422,57 @@ def _value(option: str, text: str | None, unit: str) -> float | None:
         return parse_value(text, unit)
     except UnitError as error:
         raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
+
+
+@click.command()
+@click.argument("recording", metavar="RECORDING", type=options.PATH)
+@options.out_folder
+@click.option(
+    "-r", "--rig", "rig_path", type=options.PATH, help="Rig file (YAML); a calibrated recording needs none."
+)
+@click.option("--tacho", help="Channel with the tacho pulses.")
+@click.option(
+    "--pulses", type=click.IntRange(min=1), default=1, show_default=True, help="Pulses per revolution."
+)
+@click.option("--speed", help="Constant speed instead of a tacho, e.g. '50 Hz' or '3000 rpm'.")
+@click.option("--order", type=float, default=1.0, show_default=True, help="Multiple of the speed.")
+@click.option(
+    "--harmonics",
+    type=click.IntRange(min=1),
+    default=2,
+    show_default=True,
+    help="Multiples of the speed in the fit.",
+)
+@click.option(
+    "--revolutions",
+    type=click.IntRange(min=2),
+    default=20,
+    show_default=True,
+    help="Revolutions per segment.",
+)
+@click.option("--gap", help="Radial gap of the bearings, e.g. '0.45 mm', for comparison with the orbits.")
+@click.option(
+    "--limit", default="20 %", show_default=True, help="Share of the gap beyond which an orbit is reported."
+)
+@click.option(
+    "--save-run-up", type=options.PATH, help="Also write a run-up table (CSV) for `run_ups:` of a pipeline."
+)
+@click.option("--load", help="Static load on the bearing, for that table, e.g. '3.66 N'.")
+@click.option(
+    "--unbalance",
+    multiple=True,
+    metavar="PLANE=SIZE",
+    help="Known unbalance, for that table: 'disc 1=50 g.mm at 0 deg'.",
+)
+@options.quiet
+def orders(**settings: Any) -> None:
+    """Track an order of the shaft speed: amplitude and phase over the run, total motion, orbits, forward and
+    backward.
+
+    Responses with dofs such as front.x and front.y form a plane.
+
+    \b
+    labpipe orders run-up.parquet -r rig.yaml --tacho n --gap '0.45 mm' -o out/run-up
+    """
+
+    track_and_write(**settings)

@@ -1,7 +1,5 @@
 """The joint fit times smooth factors: a Gaussian process of the deviation from the film's family.
 
-Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
-
 g_i(W, Omega), i one of the eight coefficients, are independent with mean zero and the covariance
 
     k = s^2 exp(-((W - W') / l_W)^2 / 2 - ((Omega - Omega') / l_Omega)^2 / 2)
@@ -9,9 +7,6 @@ g_i(W, Omega), i one of the eight coefficients, are independent with mean zero a
 (Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of
 unit variance a priori, b from the eigenvectors of k over these places; the remaining variance elsewhere is
 *unexplained*.
-
-The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a rejected
-joint fit.
 
 Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve
 parameters p and the fields' z (see `process_field`), started at the joint fit. Size and lengths of the fields
@@ -39,18 +34,15 @@ from labpipe.methods.run_ups.joint import (
     LOAD_SLACK,
     JointFit,
     RunUpProblem,
-    Thresholds,
     family_about,
     measured_thresholds,
     nearby_threshold,
     threshold_row,
 )
-from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, sources_of
+from labpipe.methods.run_ups.misfit import rank_of, runs_by_load, sources_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement, searched_over
 from labpipe.records.uncertain import Uncertain, Uncertainty
-
-# Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
 
 # Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
 LEAST_EIGENVALUE = 1e-7
@@ -154,9 +146,6 @@ def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
         np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1
     ).reshape(-1, 2)
 
-
-# Result of the joint fit with smooth factors and its predictions at any load, with the interface of the
-# joint fit.
 
 # Half-width of the differences about a peak, as a part of its speed.
 PEAK_STEP = 5e-3
@@ -292,9 +281,6 @@ class ProcessFit:
         return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
 
 
-# The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a
-# rejected joint fit.
-
 # Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load
 # and speed.
 HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
@@ -320,8 +306,12 @@ def fit_with_process(
     rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
     thresholds = measured_thresholds(groups) if use_thresholds else ()
-    places = _places(groups, thresholds)
-    ranges = _ranges(places)
+    measured = [places_of(group.load, group.speed) for group in groups]
+    places = np.concatenate(
+        [*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)]
+    )
+    extent = np.ptp(places, axis=0)
+    ranges = np.where(extent > 0, extent, places[0])
     family = joint.family if joint is not None else family_about(rig, groups)
 
     def problem_of(kernel: SquaredExponential) -> RunUpProblem[ProcessFamily]:
@@ -338,19 +328,6 @@ def fit_with_process(
         values, more = _minimum(problem, _carried(values, linear.field, problem.family.field))
         steps += more
     return _result(problem, values, steps)
-
-
-def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
-    measured = [places_of(group.load, group.speed) for group in groups]
-    return np.concatenate(
-        [*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)]
-    )
-
-
-def _ranges(places: FloatArray) -> FloatArray:
-    """Ranges of load and speed; of a single load the load itself."""
-    extent = np.ptp(places, axis=0)
-    return np.where(extent > 0, extent, places[0])
 
 
 def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:

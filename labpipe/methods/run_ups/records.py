@@ -15,9 +15,6 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
-# A run-up: the 1x response of a rotor over speed at several planes, its excitation and the static load on
-# its bearing.
-
 DIRECTIONS = ("x", "y")
 
 
@@ -141,9 +138,6 @@ class RunUp:
         """Speeds (n_speed,) [rpm]."""
         return self.speed * 30 / np.pi
 
-
-# Results of run-ups: measurements, predictions of every method at every load, identifiability of its
-# coefficients.
 
 TRAINED, HELD_OUT = "trained", "held-out"
 # Verdict of a method whose family chi-square rejects: its speeds are values without an interval.

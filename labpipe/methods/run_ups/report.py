@@ -36,9 +36,6 @@ from labpipe.methods.run_ups.records import (
 from labpipe.records.identification import Identification
 from labpipe.report.document import Block, Paragraph, Section, Table
 
-# Tables of run-ups: measurements, critical and threshold speeds of every method, identifiability of the
-# coefficients.
-
 # Short names of columns.
 SHORT = {
     "start": "original",
@@ -138,7 +135,6 @@ def _speed_table(
 
 
 def _heading(column: RunUpMethod | MetamodelResult) -> str:
-    """The short name of a method or metamodel; a rejected one says so above its speeds."""
     name = SHORT.get(column.name, column.name)
     return f"{name}, {REJECTED}" if isinstance(column, RunUpMethod) and column.verdict == REJECTED else name
 
@@ -200,7 +196,6 @@ def both_differences(predicted: float, measured: float) -> str:
 
 
 def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
-    """Values of the source as printed."""
     rows = []
     for run in result.runs:
         printed = getattr(run, f"printed_{item}")
@@ -229,10 +224,7 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
 
 
 def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Rank, condition, bounds and chi-square of every method; undetermined combinations.
-
-    Recommended experiment.
-    """
+    """Rank, condition, bounds and chi-square of every method."""
     fitted = [method for method in result.methods if method.rank is not None]
     header = (
         "method",
@@ -280,7 +272,6 @@ def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
 
 
 def _p_text(p_value: float | None) -> str:
-    """A probability; a bound instead of zero."""
     return "p unknown" if p_value is None else "p < 1e-6" if p_value < 1e-6 else f"p = {p_value:.2g}"
 
 
@@ -378,12 +369,6 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
     )
 
 
-# Journal coefficients as figures: over speed at one load, as surfaces over load and speed; convergence and
-# spread of searches.
-
-
-# Report of run-ups: measurements, predictions and coefficients of every method, identifiability, figures.
-
 FRAME = (
     "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of "
     "the largest displacement on the "
@@ -403,12 +388,16 @@ def run_up_sections(result: RunUpResult, _identification: Identification) -> tup
     """Sections on measurements, both speeds, identifiability, coefficients, metamodels, and the response of
     every run.
     """
+    searches: list[Block] = []
+    for method in result.methods:
+        searches += [convergence_figure(method, search) for search in method.convergence]
+        searches += [spread_figure(method, spread) for spread in method.spreads]
     return (
         Section(f"Run-ups: {result.rotor}", _measured(result)),
         Section(
             "Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))
         ),
-        Section("Identifiability of the coefficients", _uncertainty(result)),
+        Section("Identifiability of the coefficients", (*uncertainty_blocks(result), *searches)),
         Section("Journal coefficients", _coefficients(result)),
         *([Section("Metamodels", _metamodels(result))] if result.metamodels else []),
         Section("Response of every run", tuple(bode_figure(result, run) for run in result.runs)),
@@ -429,7 +418,6 @@ def _measured(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _cautions(result: RunUpResult) -> tuple[Block, ...]:
-    """Limits of predictions and reasons of missing ones."""
     notes = _notes(result.methods)
     held_out = {run.name for run in result.runs if run.role == HELD_OUT}
     return tuple(
@@ -442,21 +430,12 @@ def _cautions(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[str]]:
-    """Every distinct note with its runs."""
     notes: dict[str, list[str]] = {}
     for owner in owners:
         for prediction in owner.predictions:
             for text in prediction.notes:
                 notes.setdefault(f"{owner.title}: {text}", []).append(prediction.run)
     return notes
-
-
-def _uncertainty(result: RunUpResult) -> tuple[Block, ...]:
-    searches: list[Block] = []
-    for method in result.methods:
-        searches += [convergence_figure(method, search) for search in method.convergence]
-        searches += [spread_figure(method, spread) for spread in method.spreads]
-    return (*uncertainty_blocks(result), *searches)
 
 
 def _coefficients(result: RunUpResult) -> tuple[Block, ...]:

@@ -13,13 +13,11 @@ import numpy as np
 
 from labpipe.errors import LabpipeError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.run_ups.film_family import carried_beyond
 from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
 from labpipe.methods.run_ups.joint import JointFit
 from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
 from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, physical_without
-from labpipe.methods.run_ups.metamodels import LeftOut as LeftOutOf
 from labpipe.methods.run_ups.metamodels import Metamodel, caution, fit_metamodel, leave_one_load_out
 from labpipe.methods.run_ups.methods import BEYOND, Predictor, Solved, solve_start
 from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
@@ -43,8 +41,6 @@ from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter
-
-# Metamodels of the journal coefficients over load and speed, and their predictions for every run.
 
 # Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels.
 KINDS = {
@@ -82,7 +78,11 @@ def metamodels(
     results = []
     for name in settings.metamodels:
         model = _fitted(name, grid, joint, settings.seed)
-        rows = tuple(_left_out_row(method) for method in left_out if method.kind == KINDS[name])
+        rows = tuple(
+            LeftOut(method.load, column(method.errors), method.beyond, method.failed)
+            for method in left_out
+            if method.kind == KINDS[name]
+        )
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
         uncertainty = (
             (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
@@ -103,7 +103,6 @@ def metamodels(
 
 
 def _grid(method: Solved, trained: Sequence[RunUp]) -> Grid:
-    """The coefficients of a method: at its points, or at the loads and speeds of the trained runs."""
     if method.anywhere is None:
         return Grid.of(method.fits)
     longest = max(trained, key=lambda run: run.n_speed)
@@ -121,17 +120,6 @@ def _fitted(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
         raise
 
 
-def _left_out_row(validation: LeftOutOf) -> LeftOut:
-    return LeftOut(validation.load, column(validation.errors), validation.beyond, validation.failed)
-
-
-def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
-    """Beyond the measured speeds K and Omega C stay constant, except for the physical fit, which computes the
-    film there.
-    """
-    return carried_beyond(partial(model.predict, load), *model.speeds)
-
-
 def _prediction(
     model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, uncertainty: tuple[str, ...]
 ) -> RunPrediction:
@@ -145,7 +133,11 @@ def _prediction(
     eight = model.predict(run.load, run.speed)
     error = None if uncertainty else model.std_error(run.load, run.speed)
     return predict(
-        run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False
+        run_rig,
+        run,
+        AtLoad(carried_beyond(partial(model.predict, run.load), *model.speeds), eight, error, notes=notes),
+        plane,
+        curves=False,
     )
 
 
@@ -162,9 +154,6 @@ def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
     )
 
 
-# All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold speeds,
-# uncertainties.
-
 Tell = Callable[[str], None]
 
 
@@ -180,7 +169,13 @@ def run_up_result(
     for name in [START, *(name for name in METHODS if name in settings.methods)]:
         tell(f"run-ups   {name}")
         solved.append(_solved(name, rig, trained, settings))
-    methods = [_with_predictions(item, rig, runs, settings.plane) for item in solved]
+    methods = [
+        replace(
+            item.method,
+            predictions=tuple(prediction(item.predictor, rig, run, settings.plane) for run in runs),
+        )
+        for item in solved
+    ]
     if settings.metamodels:
         tell("run-ups   metamodels")
     ranks = _ranks(rig, trained)
@@ -204,17 +199,10 @@ def run_up_result(
 def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     try:
         solve = solve_start if name == START else METHODS[name]
-        solved: Solved = solve(rig, trained, settings)
-        return solved
+        return solve(rig, trained, settings)
     except LabpipeError as error:
         error.where = error.where or f"run_ups, method {name}"
         raise
-
-
-def _with_predictions(method: Solved, rig: RunUpRotor, runs: Sequence[RunUp], plane: str) -> RunUpMethod:
-    return replace(
-        method.method, predictions=tuple(prediction(method.predictor, rig, run, plane) for run in runs)
-    )
 
 
 def prediction(
@@ -266,7 +254,6 @@ def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[R
 
 
 def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
-    """Findings on a method: undetermined, rejected, at a bound, extrapolated."""
     findings = []
     if method.verdict == "not determined":
         message = (
@@ -309,7 +296,6 @@ def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Fin
 
 
 def _advice(result: RunUpResult) -> list[Finding]:
-    """Recommended experiment where the coefficients are not determined."""
     if result.measured_rank is None or result.measured_rank.rank == 8:
         return []
     place = f"under {result.rank_load:.3g} N at {result.rank_speed / RPM:.0f} rpm"
@@ -317,8 +303,6 @@ def _advice(result: RunUpResult) -> list[Finding]:
     advice = next((row.advice for row in result.ranks if row.advice), "")
     return [note("experiment", f"{fewest}; {advice}")]
 
-
-# Parameters, critical and threshold speeds of run-ups for lists of results.
 
 MEASURED = "run_ups.measured"
 

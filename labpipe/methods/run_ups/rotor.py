@@ -210,21 +210,17 @@ class RunUpRotor:
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
         if not isinstance(bearing, JournalBearing):
-            return self._by_speed(load, speed)
+            points = [
+                self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()
+            ]
+            stiffness, damping = (
+                np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping")
+            )
+            return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
         curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
         curve_values = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
         return curve_values.stiffness * scale, curve_values.damping * scale / speed[..., None, None]
-
-    def _by_speed(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K and C (n_speed, 2, 2) of a bearing computed speed by speed, in the frame of the load."""
-        points = [
-            self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()
-        ]
-        stiffness, damping = (
-            np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping")
-        )
-        return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
 
     def start(self, load: float) -> CoefficientsAtSpeed:
         """`start_coefficients` as a function of speed."""

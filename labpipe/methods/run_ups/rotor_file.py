@@ -71,10 +71,7 @@ def files_of(path: Path) -> tuple[Path, ...]:
 
 
 def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Path()) -> RunUpRotor | None:
-    """The rotor of a marked tree, files it names relative to *folder*.
-
-    None and faults where it cannot be read.
-    """
+    """The rotor of a marked tree, files it names relative to *folder*."""
     before = len(faults)
     entries = faults.mapping(tree, "")
     plain = Marked({key: entry for key, entry in entries.items() if key not in SECTIONS}, tree.where)
@@ -132,10 +129,7 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
 
 
 def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:
-    """The metamodel NAME of an identification of run-ups, named as FILE#NAME.
-
-    None and a fault where there is none.
-    """
+    """The metamodel NAME of an identification of run-ups, named as FILE#NAME."""
     file, mark, name = named.rpartition("#")
     if not (file and mark and name):
         faults.add(

@@ -76,9 +76,8 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
         if not unbalances and shaker is None and unbalance is not None:
             unbalances = dict(unbalance) or {planes[0]: 0j}
         amplitude_error, phase_error = errors
-        run_name = name or path.stem
         return RunUp(
-            run_name,
+            name or path.stem,
             load,
             speed,
             planes,
@@ -117,13 +116,12 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
 
 
 def _refuse_misspelt(key: str, where: str) -> None:
-    """DataError for a key similar to a known one; other comments (of a logger) are ignored."""
+    """DataError for a key similar to a known one."""
     if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
         raise DataError(f"unknown entry '{key}'", where=where, hint=nearest(key, PLAIN_KEYS))
 
 
 def _columns(table: CsvTable) -> dict[tuple[str, str, str], str]:
-    """(plane, direction, what) -> name of the column; DataError for any other column."""
     names = {}
     for column in table.columns:
         if _SPEED.match(column):
@@ -167,11 +165,10 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
     values = np.concatenate(chunks) if chunks else np.zeros(0)
     if not np.all(np.isfinite(values)):
         row = int(np.argmin(np.isfinite(values)))
-        hint = "leave out the whole row where nothing was measured"
         raise DataError(
             f"column '{column}': a number is missing in row {row + 1} of the table",
             where=str(table.path),
-            hint=hint,
+            hint="leave out the whole row where nothing was measured",
         )
     return np.asarray(values * factor, np.float64)
 
@@ -179,7 +176,6 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
 def _stack(
     table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str
 ) -> FloatArray:
-    """(n_speed, n_plane, 2) of one quantity."""
     for plane in planes:
         for direction in DIRECTIONS:
             if (plane, direction, what) not in columns:

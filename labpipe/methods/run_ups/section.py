@@ -1,7 +1,4 @@
-"""The section run_ups: tables or tracked recordings -> journal coefficients by several methods.
-
-Its rules and lines.
-"""
+"""The section run_ups: tables or tracked recordings -> journal coefficients by several methods."""
 
 from __future__ import annotations
 
@@ -47,9 +44,6 @@ from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.orders import cascade_spectra, track_order
 from labpipe.spectra.settings import ShaftLines
-
-# Run-ups of a pipeline as they were measured: tables or tracked recordings, residuals subtracted, critical
-# speeds read off.
 
 # Lines of a stored cascade, more than a figure can show.
 MOST_LINES = 240
@@ -105,7 +99,6 @@ def _stated(settings: RunSettings, run: RunUp) -> RunUp:
 
 
 def _recorded(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRun:
-    """The 1x of a recording, stretch by stretch, and its cascade."""
     lines = ShaftLines(tacho=settings.tacho, pulses=settings.pulses, harmonics=settings.harmonics)
     recording = _opened(settings.path, settings, output, folder)
     run = _tracked(recording, lines, settings, dict(settings.unbalance))
@@ -118,7 +111,6 @@ def _recorded(settings: RunSettings, output: OutputFolder, folder: Path) -> Read
 
 
 def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
-    """Subtract the residual run, interpolated to this run's speeds."""
     inside = run.speed[(run.speed >= residual.speed[0]) & (run.speed <= residual.speed[-1])]
     return difference(run, at_speeds(residual, inside))
 
@@ -165,9 +157,6 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
     )
 
 
-# run_ups: the run-ups of a rotor -> journal coefficients by several methods, critical and threshold speeds,
-# uncertainties.
-
 Tell = Callable[[str], None]
 
 
@@ -195,10 +184,6 @@ def identify_run_ups(
     )
 
 
-# Holding run-ups against rules: "run_ups.joint[held-out].critical_speed", ".threshold.covers",
-# "run_ups.points.rank", "run_ups.warnings".
-
-
 MEASURED = "measured"
 SPEEDS = ("critical_speed", "threshold")
 ATTRIBUTES = ("std_error", "covers", "difference")
@@ -217,8 +202,6 @@ HZ = 1 / (2 * np.pi)
 
 @dataclass(frozen=True)
 class _Address:
-    """Parts of a rule's address: method, run, item, attribute."""
-
     method: str
     run: str
     item: str
@@ -262,10 +245,7 @@ def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]
 def _of_method(
     rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
-    """Rank, condition, chi-square, share at bounds, verdict of a method.
-
-    The largest left-out error of a metamodel.
-    """
+    """Rank, condition, chi-square, share at bounds, verdict of a method."""
     predictors = _predictors(result)
     if address.method not in predictors:
         raise _fault(
@@ -294,10 +274,7 @@ def _rms(errors: Sequence[float]) -> float:
 
 
 def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
-    """A critical or threshold speed of one run, or of every run that has it.
-
-    The value shown is the first that fails, or the first.
-    """
+    """A critical or threshold speed of one run, or of every run that has it."""
     if address.attribute and address.attribute not in ATTRIBUTES:
         raise _fault(rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
     runs = [run for run in result.runs if address.run in ("", run.name)]
@@ -341,10 +318,7 @@ def _attribute(
 
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
-    """Critical and threshold speed of every run, measured and by every method, in rpm.
-
-    Then how far each method is determined.
-    """
+    """Critical and threshold speed of every run, measured and by every method, in rpm."""
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
     names = [
         "measured",

@@ -14,11 +14,9 @@ from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, Probe
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_uncertain, uncertainty_of
 from labpipe.registry import Registry, nearest
-
-# Uncertainties of the probes and of the keyphasor of run-ups, as errors of their phasors.
 
 KEYPHASOR = "keyphasor"
 
@@ -66,8 +64,6 @@ def turning(uncertainty: Uncertainty, n_plane: int) -> tuple[ProbeError, ...]:
     return (ProbeError(uncertainty, np.tile(1j * np.eye(2), (n_plane, 1, 1))),)
 
 
-# Settings of run-ups: runs, methods, metamodels.
-
 # From rotor, trained runs and settings to a Solved: labpipe.methods.run_ups.methods.
 METHODS = Registry("run-up method")
 METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
@@ -109,7 +105,7 @@ class RunSettings(Settings):
     revolutions: int = setting("integer", "revolutions of one stretch", default=20)
     name: str = setting("text", "name of the run; default: the file's", default="")
     role: str = setting("choice", "fits see trained runs only", choices=(TRAINED, HELD_OUT), default=TRAINED)
-    load: float | None = setting("value", "static load; default: the table's", unit="N", default=None)
+    load: float | None = quantity("static load; default: the table's", "N", None)
     threshold: Uncertain | None = setting(
         "uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None
     )
@@ -158,7 +154,6 @@ class RunSettings(Settings):
                 raise ConfigError(f"'{name}' has three values", hint="measured, original and enhanced")
 
     def _check_recording(self) -> None:
-        """ConfigError for entries that a recording needs and a table does not."""
         if not self.tacho:
             raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
         if self.load is None:
@@ -234,12 +229,8 @@ class RunUpSettings(Settings):
         "choice", "the method whose coefficients they are fitted to", choices=tuple(METHODS), default="joint"
     )
     plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
-    bound: float = setting(
-        "value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3
-    )
-    ridge: float = setting(
-        "value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15
-    )
+    bound: float = quantity("largest change of a coefficient (amplitudes, points)", "1", 0.3)
+    ridge: float = quantity("standard deviation of that change before a run is seen (points)", "1", 0.15)
     known: tuple[str, ...] = setting(
         "names", f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", default=()
     )
@@ -281,7 +272,6 @@ class RunUpSettings(Settings):
             raise
 
     def _check_metamodels(self) -> None:
-        """ConfigError for metamodels of a method that is not fitted."""
         needed = (
             {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set())
             if self.metamodels

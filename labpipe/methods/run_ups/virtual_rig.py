@@ -4,8 +4,7 @@ run-ups under known unbalances.
 Falah and Khorshid print the bearing, the span, the shaft and the loads. The other parameters are chosen here:
 discs of 4.3 kg and 50 mm radius at 190 mm from the pinned ends, two axial grooves of 20 deg at the horizontal
 split, 50 and 30 g.mm of unbalance, 27 speeds, 1 % and 1 deg of noise, thresholds within .2 %; the bearing
-differs from the rotor file's in one of three ways (TRUTHS). Where a rotor is unstable it has no steady
-amplitude, and the table has no row.
+differs from the rotor file's in one of three ways (TRUTHS).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups.film_family import BOUND, FilmFamily, as_eight, as_matrices
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import RunUpRotor
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate.virtual_rigs import (
     LoggedFile,
@@ -51,9 +50,9 @@ MOST_SPEEDS = 1000
 class RunUpNoise(Settings):
     """Standard deviations of readings: relative for amplitude and threshold."""
 
-    amplitude: float = setting("value", "of the amplitude itself", unit="1", default=0.01)
-    phase: float = setting("value", "of the phase", unit="rad", default=float(np.deg2rad(1)))
-    threshold: float = setting("value", "of the threshold speed itself", unit="1", default=0.002)
+    amplitude: float = quantity("of the amplitude itself", "1", 0.01)
+    phase: float = quantity("of the phase", "rad", float(np.deg2rad(1)))
+    threshold: float = quantity("of the threshold speed itself", "1", 0.002)
 
     def __post_init__(self) -> None:
         if min(self.amplitude, self.phase, self.threshold) <= 0:
@@ -78,20 +77,11 @@ class VirtualUnbalanceRig(Settings):
     truth: str = setting(
         "choice", "how the bearing differs from the rotor file's", choices=TRUTHS, default="outside"
     )
-    viscosity_error: float = setting(
-        "value", "outside: true viscosity over the rotor file's, less one", unit="1", default=-0.15
-    )
-    clearance_error: float = setting(
-        "value", "outside: true clearance over the rotor file's, less one", unit="1", default=0.05
-    )
-    groove_width: float = setting(
-        "value", "outside: true width of the grooves", unit="rad", default=float(np.deg2rad(30))
-    )
-    heating: float = setting(
-        "value",
-        "outside: viscosity lost at the highest speed, going with the speed squared",
-        unit="1",
-        default=0.1,
+    viscosity_error: float = quantity("outside: true viscosity over the rotor file's, less one", "1", -0.15)
+    clearance_error: float = quantity("outside: true clearance over the rotor file's, less one", "1", 0.05)
+    groove_width: float = quantity("outside: true width of the grooves", "rad", float(np.deg2rad(30)))
+    heating: float = quantity(
+        "outside: viscosity lost at the highest speed, going with the speed squared", "1", 0.1
     )
     loads: tuple[float, ...] = setting(
         "values",
@@ -99,7 +89,7 @@ class VirtualUnbalanceRig(Settings):
         unit="N",
         default=tuple(POUND * pounds for pounds in (0.823, 1.321, 1.817, 2.316)),
     )
-    held_out: float = setting("value", "load of the run-up that no fit sees", unit="N", default=3.808 * POUND)
+    held_out: float = quantity("load of the run-up that no fit sees", "N", 3.808 * POUND)
     speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz", default=(400 / 60, 3000 / 60))
     count: int = setting("integer", "number of speeds", default=27)
     second_unbalance: bool = setting(
@@ -108,10 +98,8 @@ class VirtualUnbalanceRig(Settings):
     shaker: bool = setting(
         "flag", "also a run-up of every load under a force that does not turn", default=False
     )
-    shaker_force: float = setting(
-        "value", "amplitude of that force, along x at the first plane", unit="N", default=2.0
-    )
-    shaker_ratio: float = setting("value", "its frequency over the shaft's", unit="1", default=0.95)
+    shaker_force: float = quantity("amplitude of that force, along x at the first plane", "N", 2.0)
+    shaker_ratio: float = quantity("its frequency over the shaft's", "1", 0.95)
     noise: RunUpNoise = setting("section", "measuring noise", section=RunUpNoise, default=RunUpNoise())
     rig: RunUpRotor | None = None
 
@@ -282,10 +270,6 @@ def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, comp
 def _threshold(
     virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator
 ) -> Uncertain | None:
-    """The threshold with its noise, on the first run-up of a load.
-
-    None where there is none within the search.
-    """
     if name.endswith(("-second", "-shaker")):
         return None
     exact = virtual.nominal.threshold(coefficients)
@@ -329,14 +313,12 @@ def _write(path: Path, run: RunUp) -> None:
 
 
 def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> Simulation:
-    """One table of 1x amplitudes and phases over speed per run."""
     return Simulation(
         {run.name: LoggedFile(run, _write) for run in run_ups(virtual, seed, runs)}, {"truth": truth(virtual)}
     )
 
 
 def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> Truth:
-    """Critical and threshold speed of the first run [rad/s]."""
     coefficients = true_coefficients(virtual, virtual.load_of_run[runs[0]])
     threshold = virtual.nominal.threshold(coefficients)
     return {"critical_speed": virtual.nominal.critical_speed(coefficients)} | (

@@ -58,8 +58,6 @@ from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import FrequencyResponse
 
-# Findings of a wear identification: bounds, further minima, identifiability, healthy bearing.
-
 # Further minima count while their chi-square lies less than this above the least: the 99 % quantile for two
 # parameters.
 RIVAL = 9.21
@@ -149,9 +147,6 @@ def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMes
         f"films of {cells} cells around tables of {settings.cells_around} x {settings.cells_across}."
     )
 
-
-# Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017), each with
-# its uncertainty.
 
 # Number of further minima that are refined as the best one is, and their largest excess of chi-square,
 # relative.
@@ -278,7 +273,9 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     candidates = minima(misfit, start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
         refined_misfit, ranked = _ranked(misfit, candidates[:1])
-        ratio = _size(refined_misfit, ranked[0])
+        residual = refined_misfit.residual(ranked[0].parameters)[: -refined_misfit.n_prior or None]
+        n_free = len(refined_misfit.model.names) - refined_misfit.n_prior
+        ratio = max(float(np.sqrt(residual @ residual / (residual.size - n_free))), 1e-12)
         misfit = misfit.sized(misfit.size * ratio)
         if not misfit.n_prior:
             candidates = [replace(minimum, chi2=minimum.chi2 / ratio**2) for minimum in candidates]
@@ -302,13 +299,6 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     )
 
 
-def _size(misfit: Misfit, best: Minimum) -> float:
-    """Standard deviation of the residual without the prior's rows, 1e-12 at least."""
-    residual = misfit.residual(best.parameters)[: -misfit.n_prior or None]
-    n_free = len(misfit.model.names) - misfit.n_prior
-    return max(float(np.sqrt(residual @ residual / (residual.size - n_free))), 1e-12)
-
-
 def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
     """The minima, those of nearly the same chi-square refined on the films, the lowest first with its
     misfit.
@@ -325,7 +315,6 @@ def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Min
 
 
 def _estimate(solved: _Solved) -> Estimate:
-    """The estimate with its goodness, for the diagnostics."""
     misfit, best, dof = solved.misfit, solved.best, solved.dof
     measured, names = misfit.receptance, misfit.model.names
     jacobian, sensitive = misfit.jacobian(best.parameters), list(_sensitive_parameters(solved))
@@ -348,7 +337,6 @@ def _estimate(solved: _Solved) -> Estimate:
 
 
 def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...], list[Finding]]:
-    """Parameters in SI units and their findings."""
     misfit, best = solved.misfit, solved.best
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
@@ -441,7 +429,6 @@ def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
 
 
 def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region, ...]:
-    """The joint region of depth and angle; none for a healthy rig or where the angle is not identifiable."""
     model = solved.misfit.model
     if (
         DEPTH not in model.names

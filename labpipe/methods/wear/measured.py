@@ -22,8 +22,6 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, directio
 from labpipe.spectra.damping import half_power
 from labpipe.spectra.matrices import without_rounding
 
-# Frame, lines and terms of a measured response that a wear identification uses.
-
 # Terms of the matrix in row-major order: yy yz zy zz, or ff fb bf bb.
 PLACES = {"full": (0, 1, 2, 3), "direct": (0, 3), "cross": (1, 2)}
 NAMES = {"FRF": ("y", "z"), "dFRF": FORWARD_BACKWARD}
@@ -118,7 +116,9 @@ def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, Comple
             f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z"
         )
     left = np.linalg.inv(_sensing(response.outputs))
-    right = np.linalg.inv(_forcing(response.inputs))
+    right = np.linalg.inv(
+        FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
+    )
     if frame == "dFRF":
         return np.linalg.inv(FROM_DIRECTIONAL) @ left, right @ FROM_DIRECTIONAL
     return left, right
@@ -129,13 +129,6 @@ def _sensing(ports: tuple[Port, ...]) -> ComplexArray:
     if _is_directional(ports):
         return np.linalg.inv(FROM_DIRECTIONAL)
     return _in_yz(ports, "responses")
-
-
-def _forcing(ports: tuple[Port, ...]) -> ComplexArray:
-    """Q of (force in y and z) = Q (forces): directions of the forces as columns, or A of forward and
-    backward.
-    """
-    return FROM_DIRECTIONAL if _is_directional(ports) else _in_yz(ports, "forces").T
 
 
 def _is_directional(ports: tuple[Port, ...]) -> bool:
@@ -158,7 +151,6 @@ def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
 
 
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
-    """Mask of the lines used, (n_frequency,)."""
     inside = lines_in(response.frequency, band)
     if wear.lines:
         return _explicit(response.frequency, wear.lines)
@@ -174,7 +166,6 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
 
 
 def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
-    """Mask of the lines nearest to *wanted* [Hz]; ConfigError where none is within half a line spacing."""
     nearest = np.array([int(np.argmin(np.abs(frequency - line))) for line in wanted])
     spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
     for line, line_hz in zip(wanted, frequency[nearest], strict=True):
@@ -188,8 +179,6 @@ def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
     return chosen
 
 
-# Objectives of a wear identification: weighted complex residuals or log amplitudes, with the prior.
-
 # From (modelled terms, their slopes) to (residual, its slopes), both as real columns.
 Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 
@@ -199,9 +188,8 @@ class Misfit:
     """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once
     *size* is known.
 
-    The last point is cached, because optimisers ask for residual and Jacobian one after the other. size:
-    standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known. The
-    prior's rows stand last.
+    size: standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known.
+    The prior's rows stand last.
     """
 
     model: WornModel
@@ -290,7 +278,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017).
 
-    Phases do not enter. Equation (wear-log).
+    Equation (wear-log).
     """
     matrix = measured.chosen.matrix
 

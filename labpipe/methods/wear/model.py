@@ -59,16 +59,13 @@ class WornModel:
         """The mesh of the films that refine a minimum: four times the tables' cells around the journal, twice
         those across.
 
-        Around it they follow the film's front and the edges of wear; twice as many err by up to .3 um where
-        wear divides the film.
+        Around it they follow the film's front and the edges of wear.
         """
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
         """The model with the films' coefficients and slopes at scaled parameters (n,) [1], on the films' own
         mesh.
-
-        A table cannot follow every bend of the coefficients: its error moves a deep wear by a micrometre.
         """
         values, mesh = self.values(parameters), self.film_mesh
         return replace(
@@ -111,7 +108,6 @@ class WornModel:
         )
 
     def _standing(self, beta: float, supports: list[VaryingSupport]) -> ComplexArray:
-        """H of the rotor with another damping on the same bearings."""
         standing = self._rotor(beta).on(support.support for support in supports)
         return standing.response(self.rig.response, self.rig.force)
 
@@ -127,7 +123,6 @@ class WornModel:
 def _reduced_rotor(
     rotor: Rotor, nodes: tuple[int, ...], frequency: tuple[float, ...], speed: float
 ) -> ReducedRotor:
-    """The free rotor reduced to *nodes*, cached."""
     return reduced_rotor(rotor, nodes, np.array(frequency), speed)
 
 
@@ -153,11 +148,10 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     spread = dict(zip(prior.names, prior.std.tolist(), strict=True))
     scale = np.array([SCALES.get(name) or spread[name] for name in names])
     low, high = (np.array([box[name][end] for name in names]) / scale for end in (0, 1))
-    lines = tuple(np.asarray(frequency, float).tolist())
     return WornModel(
         rig=rig,
         bearings=bearings,
-        frequency=lines,
+        frequency=tuple(np.asarray(frequency, float).tolist()),
         directional=settings.response == "dFRF",
         names=names,
         scale=scale,

@@ -33,9 +33,10 @@ def region_figure(fit: Fit, region: Region) -> Figure:
         f"{' and '.join(region.names)}, from the profile of chi², all other parameters estimated again. "
         "Dashed: the 95 % interval of each alone, which is narrower than the region."
     )
-    chart = stacked([Panel(axes[0], axes[1], tuple(series))], 3.6)
     return Figure(
-        chart, caption, f"Joint confidence region of {' and '.join(region.names)} of fit {fit_title(fit)}"
+        stacked([Panel(axes[0], axes[1], tuple(series))], 3.6),
+        caption,
+        f"Joint confidence region of {' and '.join(region.names)} of fit {fit_title(fit)}",
     )
 
 

@@ -1,12 +1,7 @@
 """Minima of the misfit, profile intervals and joint regions, the probability of a healthy bearing.
 
-Error of a wear identification by the finite cells of its oil films, as a part of the covariance and of the
-intervals.
-
-Noise is not the only uncertainty: where the film divides, coefficients bend sharply over the depth, and the
-cells round the bend. The change of the coefficients from half the cells moves the estimate; a third of it is
-the standard deviation of the mesh's own error. Films err independently: a mesh that suits one may not suit
-the other.
+The change of the coefficients from half the cells moves the estimate; a third of it is the standard deviation
+of the mesh's own error.
 """
 
 from __future__ import annotations
@@ -24,8 +19,6 @@ from labpipe.distributions import chi2_quantile
 from labpipe.errors import FitError
 from labpipe.methods.wear.measured import Misfit
 from labpipe.methods.wear.settings import ANGLE, DEPTH, WearSettings
-
-# Minima of the misfit: bounded least squares from a mesh of starts.
 
 # Least depth of a start [m]: at zero depth the response does not depend on depth (to first order) or angle.
 SHALLOWEST_START = 1e-6
@@ -127,7 +120,6 @@ def _ranked(candidates: Sequence[Minimum]) -> list[Minimum]:
 
 
 def _continued(misfit: Misfit, minimum: Minimum) -> Minimum:
-    """A minimum that was reached roughly, to the full tolerance."""
     if not minimum.converged:
         return minimum
     end = descend(misfit, minimum.parameters)
@@ -185,8 +177,6 @@ def refined(
             return misfit, minimum
     return misfit, replace(minimum, converged=False)
 
-
-# Profile intervals and joint confidence region of depth and angle.
 
 PROFILE_STEPS = 10
 # Tolerance of the profile's distance from the limit, in standard deviations.
@@ -282,8 +272,6 @@ def joint_region(
     return np.array(outline)
 
 
-# Probability of a healthy bearing against one with wear.
-
 # Increase of chi-square beyond which the integral over wear is that of one narrow peak.
 NARROW = 20.0
 # The same beyond which nothing that refining could change brings the probability of no wear back from zero.
@@ -331,10 +319,7 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
 def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
     """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
-    spread: FloatArray = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[
-        :2, :2
-    ]
-    return spread
+    return np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[:2, :2]
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
@@ -356,13 +341,11 @@ def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
 
 
 def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> FloatArray:
-    """Union of both, rising, within the range."""
     both = np.concatenate([ticks, around])
     return np.unique(both[(both >= low) & (both <= high)])
 
 
-# Error of a wear identification by the finite cells of its oil films, as a part of the covariance and of
-# the intervals.
+# Error of a wear identification by the finite cells of its oil films.
 
 
 def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -402,5 +385,4 @@ def widened_region(outline: FloatArray, best: FloatArray, noise: FloatArray, fil
     (2, 2); all scaled [1].
     """
     stretch = np.linalg.cholesky(noise + film) @ np.linalg.inv(np.linalg.cholesky(noise))
-    stretched: FloatArray = best + (outline - best) @ stretch.T
-    return stretched
+    return best + (outline - best) @ stretch.T

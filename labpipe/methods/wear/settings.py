@@ -13,11 +13,9 @@ from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
-
-# The parameters of a wear identification: the section `wear:` of a fit with model worn-bearing.
 
 RESPONSES = ("FRF", "dFRF")
 TERMS = ("full", "direct", "cross")
@@ -68,10 +66,8 @@ class WearSettings(Settings):
     half_power: tuple[tuple[float, float], ...] = setting(
         "bands", "lines between the half-power points of the peak in each band", unit="Hz", default=()
     )
-    depth_limit: float = setting("value", "largest depth of the search", unit="m", default=50e-6)
-    angle_limit: float = setting(
-        "value", "largest angle of the search, either way", unit="rad", default=np.pi / 9
-    )
+    depth_limit: float = quantity("largest depth of the search", "m", 50e-6)
+    angle_limit: float = quantity("largest angle of the search, either way", "rad", np.pi / 9)
     start_depths: tuple[float, ...] = setting(
         "values", "depths of the mesh of starts", unit="m", default=(0.0, 15e-6, 30e-6, 45e-6)
     )
@@ -175,8 +171,6 @@ class WearSettings(Settings):
         return {name: nuisance.value for name, nuisance in fixed.items() if nuisance is not None}
 
 
-# Posterior of a healthy rig's tuning, the prior of the wear fit.
-
 # Standard error of a parameter at its bound, relative to its value.
 LEAST_SHARE = 1e-3
 
@@ -226,9 +220,6 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
     return Gaussian(
         tuple(parameter.name for parameter in chosen), tuple(parameter.value for parameter in chosen), rows
     )
-
-
-# The model worn-bearing as an entry of the table of models. What fits is imported by the first fit.
 
 
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

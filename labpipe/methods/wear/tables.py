@@ -1,14 +1,8 @@
 """Coefficients of the bearings of a rotor as functions of wear and its conditions, and the response of the
 rotor with them.
 
-Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's coefficients.
-
 With Z = K + j w C of the bearings and H the receptance of the rotor on them, dH/dp = -H_ob (dZ/dp) H_bf:
 exact, and from the few dofs of the reduced rotor only.
-
-Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation pressure.
-
-Tables are cached per bearing, load, speed, range and mesh: the fits of a pipeline share them.
 """
 
 from __future__ import annotations
@@ -23,15 +17,12 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.curve import PARAMETERS, JournalTable, TableRange, journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.journal_bearing.table import PARAMETERS, JournalTable, TableRange, journal_table
 from labpipe.methods.rotor.response import ReducedRotor
 from labpipe.methods.rotor.rig import BearingPlace
 from labpipe.methods.rotor.shaft import Support
 from labpipe.spectra.convert import FROM_DIRECTIONAL
-
-# Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's
-# coefficients.
 
 
 @dataclass(frozen=True)
@@ -95,8 +86,7 @@ def forward_backward(matrix: ComplexArray) -> ComplexArray:
     """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z
     (Mendes et al. 2017, eq. 18).
     """
-    turned: ComplexArray = np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
-    return turned
+    return np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
 
 
 @dataclass(frozen=True)
@@ -126,9 +116,6 @@ def worn_response(
     response, slopes = response_with_slopes(rig.rotor, [rig.bearing(depth, angle)], rig.output, rig.force)
     return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
 
-
-# Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation
-# pressure.
 
 # Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the
 # films.
@@ -233,8 +220,7 @@ def _difference(film: JournalEquilibrium, name: str) -> FloatArray:
         for end in ends
     ]
     change = np.array([films[0].stiffness - films[1].stiffness, films[0].damping - films[1].damping])
-    slope: FloatArray = change / (ends[0] - ends[1])
-    return slope
+    return change / (ends[0] - ends[1])
 
 
 @lru_cache(maxsize=32)
@@ -262,8 +248,7 @@ class Correction:
         """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of
         PARAMETERS.
         """
-        moved: FloatArray = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
-        return moved
+        return self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
 
 
 @dataclass(frozen=True)
@@ -323,7 +308,6 @@ class TabledBearing:
         return replace(self, correction=correction, film=film)
 
     def _film(self, bearing: JournalBearing, mesh: FilmMesh) -> JournalEquilibrium:
-        """The film of a bearing on a mesh, started from the last one."""
         if self.film is not None and self.film.bearing == bearing and self.film.mesh == mesh:
             return self.film
         return journal_equilibrium(bearing, self.load, self.speed, mesh, self.film, FILM_TOLERANCE)

@@ -1,8 +1,5 @@
 """A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an
 unbalance line.
-
-The rig differs from its rotor file, as a real one does: other viscosity and clearance, and oil films on a
-finer mesh than an identification uses.
 """
 
 from __future__ import annotations
@@ -22,9 +19,9 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate.linear import shaken_rotor
-from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings, require_positive
+from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
 KIND = "virtual-journal-rig"
 AXES = ("y", "z")
@@ -37,8 +34,8 @@ LINES_AT_ONCE = 512
 class JournalNoise(Settings):
     """Standard deviations of the measuring noise, white up to half the sampling rate."""
 
-    displacement: float = setting("value", "displacement sensors", unit="m", default=1e-6)
-    force: float = setting("value", "force transducer", unit="N", default=0.05)
+    displacement: float = quantity("displacement sensors", "m", 1e-6)
+    force: float = quantity("force transducer", "N", 0.05)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,28 +48,20 @@ class VirtualJournalRig(Settings):
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
-    viscosity_error: float = setting(
-        "value", "true viscosity over the rotor file's, less one", unit="1", default=0.0
-    )
-    clearance_error: float = setting(
-        "value", "true clearance over the rotor file's, less one", unit="1", default=0.0
-    )
-    cavitation_pressure: float = setting(
-        "value", "true pressure at which the film tears", unit="Pa", default=0.0
-    )
+    viscosity_error: float = quantity("true viscosity over the rotor file's, less one", "1", 0.0)
+    clearance_error: float = quantity("true clearance over the rotor file's, less one", "1", 0.0)
+    cavitation_pressure: float = quantity("true pressure at which the film tears", "Pa", 0.0)
     states: tuple[tuple[str, Wear], ...] = setting(
         "sections", "states of the worn bearing by name", section=Wear, default=HEALTHY
     )
     cells_around: int = setting("integer", "cells of the oil film around the journal", default=480)
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
-    force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
-    bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=120.0)
-    lowest: float = setting("value", "and from here", unit="Hz", default=0.0)
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=256.0)
-    duration: float = setting("value", "length of one run", unit="s", default=60.0)
-    unbalance: float = setting(
-        "value", "mass times eccentricity at the force's node", unit="kg.m", default=1e-5
-    )
+    force: float = quantity("rms force of the shaker", "N", 30.0)
+    bandwidth: float = quantity("the force is white up to here", "Hz", 120.0)
+    lowest: float = quantity("and from here", "Hz", 0.0)
+    sample_rate: float = quantity("sampling rate", "Hz", 256.0)
+    duration: float = quantity("length of one run", "s", 60.0)
+    unbalance: float = quantity("mass times eccentricity at the force's node", "kg.m", 1e-5)
     noise: JournalNoise = setting("section", "measuring noise", section=JournalNoise, default=JournalNoise())
     rig: RotorRig | None = None
 
@@ -141,13 +130,12 @@ def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
     2, 2) [m/N].
     """
     rig = true_rig(virtual, wear.depth, wear.angle)
-    return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
-
-
-def _lines(virtual: VirtualJournalRig) -> FloatArray:
-    """Frequencies of the run's lines that the force excites, (n_line,) [Hz]."""
     lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
-    return np.asarray(lines[(lines <= virtual.bandwidth) & (lines >= virtual.lowest)])
+    return receptance(
+        rig,
+        np.append(np.asarray(lines[(lines <= virtual.bandwidth) & (lines >= virtual.lowest)]), rig.speed),
+        virtual.mesh,
+    )
 
 
 def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Recording:
@@ -182,7 +170,6 @@ def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
 
 
 def _parameters(virtual: VirtualJournalRig, runs: Sequence[str]) -> Truth:
-    """Wear and film of the state of the runs; ConfigError where they are of several states."""
     states = dict.fromkeys(virtual.wear(run) for run in runs)
     if len(states) != 1:
         raise ConfigError(

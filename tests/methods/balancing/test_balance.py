@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from labpipe.methods.balancing.influence import (
+from labpipe.methods.balancing.balance_file import (
     Noise,
     Places,
     Run,

@@ -9,8 +9,8 @@ import pytest
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
+from labpipe.methods.journal_bearing.curve import PARAMETERS, JournalTable, TableRange, journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.journal_bearing.table import PARAMETERS, JournalTable, TableRange, journal_table
 
 SPEED = 2 * np.pi * 50
 LOAD = (0.0, -58.85)

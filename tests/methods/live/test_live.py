@@ -21,7 +21,7 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
-from labpipe.methods.live.page import Page
+from labpipe.methods.live.command import Page
 from labpipe.methods.live.sources import Folder, GrowingHdf5, GrowingTable, GrowingText, GrowingWav
 from labpipe.report.document import Document, Paragraph, Section
 from tests.conftest import Command

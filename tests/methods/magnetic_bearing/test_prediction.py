@@ -11,9 +11,9 @@ import pytest
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
+from labpipe.methods.magnetic_bearing.comparisons import prediction
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.loop_problem import predicted_fits, with_unknowns
-from labpipe.methods.magnetic_bearing.prediction import prediction
 from labpipe.records.comparison import Comparison
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Paragraph, Table

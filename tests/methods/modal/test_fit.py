@@ -14,10 +14,10 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.likelihood import Lines
+from labpipe.methods.modal.model_error import phase_collinearity
 from labpipe.methods.modal.number import kept_modes, refine_with_terms
 from labpipe.methods.modal.report import modal_blocks
 from labpipe.methods.modal.settings import ModalSettings
-from labpipe.methods.modal.shapes import phase_collinearity
 from labpipe.records.fit_details import DETAILS, Modes
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, uncorrelated

@@ -34,7 +34,7 @@ def test_one_line_gives_two_numbers_of_a_pedestal() -> None:
     assert found.words == "the excitation determines 2 of 3 coefficients; not told apart: k, m"
     assert found.remedies == ("a known mass", "another line")
     assert _found(model, [65.0, 65.5], np.eye(1, dtype=complex)).full
-    assert _found(model.with_known("m"), [65.0], np.eye(1, dtype=complex)).full
+    assert _found(model.with_known_mass(), [65.0], np.eye(1, dtype=complex)).full
 
 
 def test_eight_coefficients() -> None:
@@ -66,7 +66,7 @@ def test_twelve_coefficients() -> None:
         assert _found(model, lines, direction).rank == 10
     one = _found(model, lines, OBLIQUE)
     assert one.remedies == ("a known mass", "a second direction of force")
-    assert _found(model.with_known("m"), lines, OBLIQUE).full
+    assert _found(model.with_known_mass(), lines, OBLIQUE).full
     assert _found(model, lines, AXES).full
     both = _found(model, [50.0], AXES)
     assert (both.rank, both.remedies) == (8, ("a known mass", "another line"))

@@ -19,7 +19,7 @@ from labpipe.methods.planning.states import (
     StatePlanSettings,
     StateTest,
     question_of,
-    state_tests,
+    state_test,
 )
 
 FILM = {
@@ -65,7 +65,7 @@ def states() -> list[BearingState]:
 
 @pytest.fixture(scope="module")
 def tests() -> list[StateTest]:
-    return state_tests(settings(), states())
+    return [state_test(settings(), state) for state in states()]
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)

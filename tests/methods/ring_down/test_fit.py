@@ -16,7 +16,7 @@ from labpipe.artefacts.measured_files import read_decays, write_decays
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.ring_down.settings import DecaySettings
+from labpipe.methods.ring_down.fit import DecaySettings
 from labpipe.records.fit_details import RingDown
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse, Port

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.methods.ring_down.settings import DecaySettings
+from labpipe.methods.ring_down.fit import DecaySettings
 from tests.conftest import Command
 
 RATE, LENGTH = 512.0, 2.0

@@ -11,6 +11,7 @@ import pytest
 
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.section import (
+    UnbalanceRuns,
     bearing_dimensions,
     disc_dimensions,
     node_positions,
@@ -20,7 +21,6 @@ from labpipe.methods.rotor.section import (
     shaft_diameter,
 )
 from labpipe.methods.rotor.shaft import ALUMINIUM, Disc
-from labpipe.methods.rotor.unbalance import UnbalanceRuns
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.chart import Chart

@@ -15,7 +15,7 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import frequency_response
 from labpipe.methods.rotor.rig import RotorRig, Unbalance
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.rotor.unbalance import (
+from labpipe.methods.rotor.section import (
     UnbalanceCase,
     UnbalanceRuns,
     UnbalanceSettings,

@@ -15,8 +15,8 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings, Loads
 from labpipe.methods.rotor.response import unbalance_response
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor
+from labpipe.methods.rotor.section import orbit
 from labpipe.methods.rotor.shaft import Support
-from labpipe.methods.rotor.unbalance import orbit
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.records import RunUp

@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import ConfigError, DataError, FitError
-from labpipe.methods.run_ups import metamodels_learned
+from labpipe.methods.run_ups import metamodels
 from labpipe.methods.run_ups.film_family import as_eight, coefficient_errors
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.metamodel_kinds import (
@@ -26,13 +26,15 @@ from labpipe.methods.run_ups.metamodel_kinds import (
 )
 from labpipe.methods.run_ups.metamodels import (
     METAMODELS,
+    GaussianProcess,
     Metamodel,
     caution,
     fit_metamodel,
+    fit_network,
+    fit_process,
     from_entries,
     leave_one_load_out,
 )
-from labpipe.methods.run_ups.metamodels_learned import GaussianProcess, fit_network, fit_process
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.virtual_rig import true_coefficients
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
@@ -154,7 +156,7 @@ def test_its_hyperparameters_are_at_a_maximum(rng: np.random.Generator) -> None:
     hyper = fit_process(grid).hyper[0]
     x, y = Extent.of(grid).coded(grid.load, grid.speed), grid.eight[:, 0]
     y = (y - y.mean()) / y.std()
-    median, deviation = (np.array(column) for column in zip(*metamodels_learned.HYPER, strict=True))
+    median, deviation = (np.array(column) for column in zip(*metamodels.HYPER, strict=True))
 
     def density(hyper: np.ndarray) -> float:
         square = np.sum(((x[:, None] - x[None]) / hyper[1:3]) ** 2, axis=-1)

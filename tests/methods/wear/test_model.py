@@ -11,8 +11,8 @@ import pytest
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
+from labpipe.methods.journal_bearing.curve import PARAMETERS
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.journal_bearing.table import PARAMETERS
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.wear.model import WornModel, worn_model
 from labpipe.methods.wear.settings import ANGLE, DEPTH

@@ -15,7 +15,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
-from labpipe.methods.journal_bearing.table import journal_table
+from labpipe.methods.journal_bearing.curve import journal_table
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.shaft import ALUMINIUM, Disc, Rotor, ShaftElement, Sleeve, Support, bearing_loads
 from labpipe.methods.wear.tables import VaryingSupport, WornRig, worn_response
