@@ -78,7 +78,10 @@ def test_all_of_the_excited_range_is_one_sweep(name: str) -> None:
     assert (len(complete), len(sweeps)) == (whole, whole + cut)
 
 
-@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize(
+    "name",
+    ["linear", "falling tenfold", "repeated without a pause", "of unequal lengths", "begun within one"],
+)
 def test_the_frf_is_that_of_the_plate_within_its_covariance(name: str) -> None:
     """Closed form of the plate: |H - A|^2 over the variance is 1 in the mean, and an FRF reaches over all
     seven modes but that swept at an end without a pause.
