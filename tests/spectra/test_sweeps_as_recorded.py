@@ -98,3 +98,18 @@ def test_the_frf_is_that_of_the_plate_within_its_covariance(name: str) -> None:
     assert f"{whole} sweep(s)" in described
     is_cut = "left out, since the record cuts it" in described
     assert is_cut == bool(cut)
+
+
+def test_sweeps_from_rest_to_rest_are_repeats_and_lose_no_lines() -> None:
+    """Three recordings of a sweep that is over 4 to 6 s before their end, against the closed form."""
+    recordings = [
+        Recording(CHANNELS, recorded([LINEAR, REST[: int(rest * RATE)]]), RATE, f"plate {rest}")
+        for rest in (4.0, 5.0, 6.0)
+    ]
+    response = measure(recordings, FrfSettings("sweep", band=(15.0, 495.0)))
+    assert response.repeat_names == ("sweep 1", "sweep 2", "sweep 3") and response.repeats_are == "sweeps"
+    assert not [finding for finding in response.findings if finding.code == "sweep-leakage"]
+    assert np.max(np.diff(response.frequency)) < 1.5 * np.min(np.diff(response.frequency))
+    for repeat in response.repeats:
+        error = np.abs(repeat[:, 0, 0] - accelerance(response.frequency))
+        assert np.median(error / np.abs(accelerance(response.frequency))) < 0.05
