@@ -16,14 +16,8 @@ from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, setting
-from labpipe.simulate.virtual_rigs import (
-    Simulation,
-    VirtualRigKind,
-    generator,
-    require_positive,
-    whole_numbers,
-)
+from labpipe.records.settings import Settings, require_positive, setting
+from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-rotor-rig"
 # The rotor on strings; shaken at rest in y, and in z; run up.
