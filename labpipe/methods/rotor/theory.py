@@ -6,20 +6,15 @@ and the two speeds at .707 of it. Margins by the formulas of API 617 and 684, kn
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
 import numpy as np
 from scipy import interpolate, optimize
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.cli import options
-from labpipe.cli.output import echo, echo_table
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError
 from labpipe.methods.rotor.response import (
     Modes,
     forward_backward_motion,
@@ -221,6 +216,10 @@ def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Criti
         least = optimize.minimize_scalar(
             curve, bounds=(speed[n - 1], speed[n + 1]), method="bounded", options={"xatol": 1e-9 * speed[n]}
         )
+        if least.fun <= 0 or amplitude[n] < HALF_POWER * least.fun**-0.5:
+            # Sharper than the speeds tell.
+            criticals.append(Critical(float(speed[n]), float(amplitude[n]), node))
+            continue
         top, height = float(least.x), float(least.fun) ** -0.5
         below = np.flatnonzero(amplitude[:n] < HALF_POWER * height)
         above = np.flatnonzero(amplitude[n:] < HALF_POWER * height)
@@ -250,68 +249,7 @@ if TYPE_CHECKING:
 LEAST_DECREMENT = 0.1
 
 
-@click.command()
-@click.argument("rotor_path", metavar="FILE", type=options.PATH)
-@click.option(
-    "--speeds", default="", metavar="BAND", help="e.g. '10-120 Hz'; default: 5 % to twice the file's speed."
-)
-@click.option("--steps", type=click.IntRange(min=8), default=40, show_default=True, help="Speeds in it.")
-@click.option(
-    "--json", "json_path", type=options.PATH, metavar="FILE", help="Write the result as JSON as well."
-)
-@click.option("-o", "--output", type=options.PATH, metavar="FILE", help="Report: .html, .pdf or .md.")
-@options.overrides
-def rotor(
-    rotor_path: Path,
-    speeds: str,
-    steps: int,
-    json_path: Path | None,
-    output: Path | None,
-    overrides: tuple[str, ...],
-) -> None:
-    """A rotor by theory alone: natural frequencies over speed, critical speeds with amplification factors and
-    margins, stability, unbalance response.
-    """
-    import numpy as np
-
-    from labpipe.artefacts.writing import output_file
-    from labpipe.document.render import DOCUMENTS
-    from labpipe.methods.rotor.rotor_file import load_rotor
-
-    rig = load_rotor(rotor_path, overrides)
-    low, high = _band(speeds, rig.speed)
-    theory = rotor_theory(rig, np.linspace(low, high, steps))
-    echo(f"{rig.name}, {60 * rig.speed:g} rpm")
-    echo_table(("critical speed", "damping", "whirl"), list(_crossing_rows(theory)), (0, 1))
-    for line in sentences(theory):
-        echo(line)
-    if json_path is not None:
-        with output_file(json_path) as path:
-            path.write_text(json.dumps(rotor_entry(theory), indent=1) + "\n", encoding="utf-8")
-    if output is not None:
-        render = DOCUMENTS.load(output.suffix.lstrip("."))
-        with output_file(output) as path:
-            path.write_bytes(render(rotor_document(theory)))
-
-
-def _band(text: str, speed: float) -> tuple[float, float]:
-    from labpipe.quantities import UnitError
-    from labpipe.records.settings import Setting, to_band
-
-    if not text:
-        if speed == 0:
-            raise ConfigError(
-                "--speeds is needed, since the file's speed is zero", hint="--speeds '5-200 Hz'"
-            )
-        return 0.05 * speed, 2 * speed
-    try:
-        low, high = to_band(text, Setting("band", "speeds", unit="Hz"))
-    except UnitError as error:
-        raise ConfigError(f"--speeds: {error.what}", hint=error.hint) from None
-    return low, high
-
-
-def _crossing_rows(theory: RotorTheory) -> Iterator[tuple[str, str, str]]:
+def crossing_rows(theory: RotorTheory) -> Iterator[tuple[str, str, str]]:
     """Where a damped natural frequency is that of the speed."""
     for speed, decrement, whirl in theory.crossings:
         word = "forward" if whirl > 0.3 else "backward" if whirl < -0.3 else "mixed"
@@ -396,7 +334,7 @@ def rotor_document(theory: RotorTheory) -> Document:
 
     speed, operating = theory.speed, theory.rig.speed
     table = Table(
-        ("critical speed", "damping", "whirl"), tuple(_crossing_rows(theory)), "Where a mode meets the speed"
+        ("critical speed", "damping", "whirl"), tuple(crossing_rows(theory)), "Where a mode meets the speed"
     )
     blocks: list[Block] = [Paragraph(line) for line in sentences(theory)]
     shown = [n for n in range(theory.frequency.shape[1]) if (theory.frequency[:, n] < 2.5 * speed[-1]).any()]

@@ -97,6 +97,14 @@ class RotorSystem:
     unbalances: tuple[tuple[int, complex, float], ...] = ()
     linear: Mapping[str, LinearBearing] = field(default_factory=dict)
 
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the plain theory of its rig says less than there is."""
+        errors = [*self.young.values(), *self.masses, *(error for _, _, error in self.sleeves.values())]
+        errors += [error for _, _, error in self.unbalances]
+        errors += [float(np.max([b.stiffness_error, b.damping_error])) for b in self.linear.values()]
+        return any(errors) or bool(self.pedestals or self.internal[0] or self.rig.sources)
+
 
 @dataclass(frozen=True)
 class Built:

@@ -13,7 +13,15 @@ from scipy import stats
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
-from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built, RotorSystem, Sensors, build
+from labpipe.methods.rotor_system.build import (
+    PEDESTALS,
+    TOGETHER,
+    Built,
+    RotorSystem,
+    Sensors,
+    SmallErrors,
+    build,
+)
 from labpipe.methods.rotor_system.evidence import (
     Deflections,
     Evidence,
@@ -25,6 +33,7 @@ from labpipe.methods.rotor_system.evidence import (
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import WIDENED, Posterior, Pull, fit_system, is_normal, pulls
 from labpipe.methods.rotor_system.predictions import (
+    DRAWS,
     Campbell,
     CriticalSpeed,
     at_speed,
@@ -83,7 +92,9 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemRe
         sensors = {test.name: _sensors(test, work, runs) for test in settings.tests}
         work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
         built, posterior = _fitted(settings, system, sensors, work, runs)
-        return _result(settings, system, built, posterior)
+        kinds = {test.name: test.kind for test in settings.tests}
+        result = _result(system, built, posterior, settings.band, kinds, settings.draws, settings.seed)
+        return replace(result, balance=_balance(settings, built, posterior))
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"
         raise
@@ -287,24 +298,39 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
     )
 
 
+def declared_result(system: RotorSystem, band: tuple[float, float]) -> RotorSystemResult:
+    """What a rotor file says before anything is measured, over speeds [Hz]: intervals by what it declares."""
+    built = build(system, SmallErrors(), {})
+    posterior = fit_system(built.model, [], estimate_sizes=False)
+    values = posterior.values.copy()
+    for _, real, imaginary in built.planes.values():
+        # No unbalance in the middle makes no peak: that of its uncertainty does.
+        if values[real] == values[imaginary] == 0:
+            values[real] = built.model.errors[real]
+    return _result(system, built, replace(posterior, values=values), band, {}, DRAWS // 2, 1)
+
+
 def _result(
-    settings: RotorSystemSettings, system: RotorSystem, built: Built, posterior: Posterior
+    system: RotorSystem,
+    built: Built,
+    posterior: Posterior,
+    band: tuple[float, float],
+    kinds: Mapping[str, str],
+    n_draw: int,
+    seed: int,
 ) -> RotorSystemResult:
     rig = system.rig
-    low, high = settings.band
+    low, high = band
     operating = rig.speed if rig.speed > 0 else high
     speeds = np.union1d(np.linspace(low, high, SPEEDS), [operating])
     diagram = campbell(posterior, speeds)
     least, error = diagram.least_decrement(operating)
     pulled = pulls(posterior)
-    kinds = {test.name: test.kind for test in settings.tests}
     criticals: list[CriticalSpeed] = []
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
         outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
-        criticals = critical_speeds(
-            posterior, built, (low, high), operating, outputs, settings.draws, settings.seed
-        )
+        criticals = critical_speeds(posterior, built, band, operating, outputs, n_draw, seed)
     return RotorSystemResult(
         rig.name,
         operating,
@@ -328,7 +354,6 @@ def _result(
         decrement=(least, error, float(stats.norm.sf((LEAST_DECREMENT - least) / error)) if error else 1.0),
         criticals=tuple(_critical(each) for each in criticals),
         onset=onset(posterior, max(low, 0.05 * operating)),
-        balance=_balance(settings, built, posterior),
         next_tests=_next_tests(posterior, operating, criticals),
         ln_evidence=posterior.ln_evidence,
         alternative=posterior.alternative,

@@ -329,8 +329,9 @@ class SystemModel:
         mass, damping, restoring = (
             matrix[np.ix_(kept, kept)] for matrix in (whole.mass, whole.at_speed(spin), whole.restoring(spin))
         )
-        n, inverse = kept.size, linalg.cho_factor(mass)
-        lower = -linalg.cho_solve(inverse, np.concatenate([restoring, damping], axis=1))
+        # A negative apparent mass may outweigh that of a short element: not positive definite, but regular.
+        n, inverse = kept.size, linalg.lu_factor(mass)
+        lower = -linalg.lu_solve(inverse, np.concatenate([restoring, damping], axis=1))
         state = np.block([[np.zeros((n, n)), np.eye(n)], [lower]])
         roots, *vectors = linalg.eig(state, left=slopes)
         # Rounding makes slow oscillations of the rigid motions of a free rotor, two for each plane.
@@ -343,7 +344,7 @@ class SystemModel:
         if not slopes:
             return Roots(found, shapes, np.zeros((chosen.size, 0), np.complex128))
         adjoint = np.zeros_like(shapes)
-        adjoint[kept] = linalg.cho_solve(inverse, vectors[0][n:, chosen])
+        adjoint[kept] = linalg.lu_solve(inverse, vectors[0][n:, chosen])
         rows, columns = adjoint.conj().T[:, None, :], shapes.T[:, :, None]
         moved = self.slopes(values, spin, rows, columns, found, supported)[:, :, 0, 0]
         middle = 2 * found[:, None, None] * whole.mass + whole.at_speed(spin)

@@ -31,6 +31,8 @@ ROUNDS, SETTLED = 8, 0.03
 GIVES_WAY, STUDENT = 2.0, 4.0
 # Distance in standard errors at which a descent ends, and its most steps.
 NEAR, MOST_STEPS = 1e-2, 40
+# Further starts, drawn this far about the means in standard uncertainties.
+RESTARTS, DRAWN, RESTART_SEED = 3, 0.6, 20261126
 # Steps with noise that is enlarged by a share of the amplitudes, before the share is taken anew.
 STEPS = 4
 # Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
@@ -175,7 +177,7 @@ def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes:
     the declared size and six times it. Equation (system-sizes).
     """
     errors = model.errors.copy()
-    values = _started(model, tests, errors)
+    values = _begun(model, tests, errors)
     sizes: dict[str, float] = {}
     for unknown in model.unknowns:
         if unknown.group:
@@ -204,11 +206,38 @@ def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes:
     return _posterior(model, tests, errors, values, sizes)
 
 
-def _started(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) -> FloatArray:
+def _begun(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) -> FloatArray:
+    """Values at a minimum: from the middle of the priors, and where that ends in none or in one that no test
+    fits, from draws about it as well; the least of them.
+    """
+    rng = np.random.default_rng(RESTART_SEED)
+    best: tuple[float, FloatArray] | None = None
+    reason: FitError | None = None
+    for attempt in range(RESTARTS + 1):
+        moved = DRAWN * model.errors * rng.standard_normal(errors.size) if attempt else 0.0
+        try:
+            values = _descended(model, tests, errors, _started(model, tests, errors, model.means + moved))
+        except FitError as error:
+            reason = error
+            continue
+        residuals = [test.residual(model, values)[0] for test in tests]
+        n, chi2 = sum(r.size for r in residuals), sum(float(r @ r) for r in residuals)
+        cost = chi2 + float(np.sum(((values - model.means) / errors) ** 2))
+        best = (cost, values) if best is None or cost < best[0] else best
+        if chi2 < n + 4 * np.sqrt(2 * n):
+            break
+    if best is None:
+        assert reason is not None
+        raise reason
+    return best[1]
+
+
+def _started(
+    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray
+) -> FloatArray:
     """Values near the minimum: modes and deflections, then responses, then all, noise enlarged less and
     less.
     """
-    values = model.means.copy()
     early = [test for test in tests if isinstance(test, FreeModes | Deflections)]
     standing = [test for test in tests if isinstance(test, FreeModes | Deflections | Responses)]
     unbalance = np.array([unknown.unit == "kg.m" for unknown in model.unknowns])

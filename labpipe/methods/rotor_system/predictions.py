@@ -21,8 +21,9 @@ from labpipe.methods.rotor_system.posterior import Posterior
 MOST_MODES = 8
 # Draws of the posterior for critical speeds; modes of the basis in which they are computed.
 DRAWS, BASIS = 200, 24
-# Speeds about a critical one: every .33 % over 15 % to either side.
-AROUND, STEP = 0.15, 0.0033
+# Speeds about a critical one: every .33 % over 15 % to either side; where more than two fifths of the draws
+# have no peak there, from half to twice of it.
+AROUND, STEP, SCATTERED, WIDE = 0.15, 0.0033, 0.4, 0.7
 # Steps in which the onset of instability is looked for, and how often.
 GROWTH, MOST_STEPS = 1.25, 30
 # Draws from which percentiles are steadier than the spread of logarithms, since peaks may split.
@@ -125,9 +126,10 @@ class _Reduced:
 
     def __init__(self, model: SystemModel, values: FloatArray, forced: Sequence[int]) -> None:
         whole = model.matrices(values, 0.0)
-        _, vectors = linalg.eigh(
-            whole.stiffness, whole.mass, subset_by_index=[0, min(BASIS, model.n_dof) - 1]
-        )
+        n = model.n_dof
+        # As 1 / w^2, largest first: the stiffness is positive definite, the mass need not be.
+        first = max(0, n - BASIS)
+        _, vectors = linalg.eigh(whole.mass, whole.stiffness, subset_by_index=[first, n - 1])
         carried = sorted({dof for term in model.terms if term.support for dof in term.dofs} | set(forced))
         static = np.linalg.solve(whole.stiffness, np.eye(model.n_dof)[:, carried])
         basis, size, _ = linalg.svd(
@@ -241,17 +243,14 @@ def _critical(
     operating: float,
     apart: float,
 ) -> CriticalSpeed:
-    grid = peak.speed * np.exp(np.arange(-AROUND, AROUND + STEP, STEP))
+    half = AROUND
     # A flat peak needs more room for its half-power points.
     if peak.low is not None and peak.high is not None:
-        room = 2 * max(np.log(peak.high / peak.speed), np.log(peak.speed / peak.low))
-        grid = peak.speed * np.exp(np.linspace(-1, 1, grid.size) * max(AROUND, room))
-    rows = []
-    for values in draws:
-        acting = at_speed(reduced.model, values)
-        amplitude = reduced.amplitudes(acting, 2 * np.pi * grid, unbalance_forces(built, values), [dof])[:, 0]
-        near = [each for each in peaks(grid, amplitude) if abs(np.log(each.speed / peak.speed)) < apart]
-        rows.append(min(near, key=lambda each: abs(np.log(each.speed / peak.speed))) if near else None)
+        half = max(half, 2 * np.log(peak.high / peak.speed), 2 * np.log(peak.speed / peak.low))
+    rows = _drawn_peaks(reduced, built, peak, dof, draws, (half, half * STEP / AROUND, apart))
+    if np.mean([row is None for row in rows]) > SCATTERED:
+        # Speeds that are hardly known: the nearest peak, wherever it is.
+        rows = _drawn_peaks(reduced, built, peak, dof, draws, (WIDE, 2 * STEP, WIDE))
     there = [row for row in rows if row is not None]
     whole = [row for row in there if row.amplification is not None]
     factors = np.array([row.amplification for row in whole], dtype=float)
@@ -269,6 +268,28 @@ def _critical(
         float(np.mean([m is None or m[0] >= m[1] for m in margins])) if asked else None,
         peak.margin(operating) if operating else None,
     )
+
+
+def _drawn_peaks(
+    reduced: _Reduced,
+    built: Built,
+    peak: Critical,
+    dof: int,
+    draws: FloatArray,
+    looked: tuple[float, float, float],
+) -> list[Critical | None]:
+    """The nearest peak of every draw; *looked*: ln of the speeds to either side, their step, and how far a
+    peak may be off.
+    """
+    half, step, apart = looked
+    grid = peak.speed * np.exp(np.arange(-half, half + step, step))
+    rows: list[Critical | None] = []
+    for values in draws:
+        acting = at_speed(reduced.model, values)
+        amplitude = reduced.amplitudes(acting, 2 * np.pi * grid, unbalance_forces(built, values), [dof])[:, 0]
+        near = [each for each in peaks(grid, amplitude) if abs(np.log(each.speed / peak.speed)) < apart]
+        rows.append(min(near, key=lambda each: abs(np.log(each.speed / peak.speed))) if near else None)
+    return rows
 
 
 def _interval(value: float, draws: FloatArray) -> tuple[float, float]:

@@ -89,7 +89,7 @@ def lines(result: RotorSystemResult) -> Iterator[str]:
     for unknown in result.unknowns:
         if not unknown.group and not unknown.name.startswith(("gain", "phase")):
             mark = "" if unknown.told else "   (no test tells)"
-            yield f"  {unknown.name:<28} {amount_text(unknown.value, unknown.error, unknown.unit)}{mark}"
+            yield f"  {unknown.name:<28} {_shown(unknown.value, unknown.error, unknown.unit)}{mark}"
     yield from sentences(result)
 
 
@@ -108,6 +108,11 @@ def sentences(result: RotorSystemResult) -> Iterator[str]:
     else:
         speed, spread = result.onset
         yield f"unstable from {RPM * speed:.0f} rpm on (standard error {100 * spread:.1f} %)"
+    yield from _weights(result)
+    yield from _next(result)
+
+
+def _weights(result: RotorSystemResult) -> Iterator[str]:
     if result.balance is not None:
         balance = result.balance
         for weight in balance.weights:
@@ -122,6 +127,9 @@ def sentences(result: RotorSystemResult) -> Iterator[str]:
         )
         best = min(balance.next_runs, key=lambda name: balance.next_runs[name])
         yield f"one more run with {best} first: {UM * balance.next_runs[best]:.3g} um expected"
+
+
+def _next(result: RotorSystemResult) -> Iterator[str]:
     others = {name: error for name, error in result.next_tests.items() if name != "as it is"}
     if others:
         best = min(others, key=lambda name: others[name])
@@ -153,15 +161,54 @@ def _critical_sentence(critical: CriticalResult, operating: float) -> str:
 
 def sections(result: RotorSystemResult, _identification: Identification) -> tuple[Section, ...]:
     """The section of the report."""
-    blocks: list[Block] = [Paragraph(line) for line in sentences(result)]
-    blocks += [
-        unknown_table(result),
-        test_table(result),
-        small_error_table(result),
-        campbell_figure(result),
-        unknown_figure(result),
-    ]
-    return (Section(f"Rotor: {result.rotor}", tuple(blocks)),)
+    return (Section(f"Rotor: {result.rotor}", result_blocks(result)),)
+
+
+def result_blocks(result: RotorSystemResult) -> tuple[Block, ...]:
+    """Predictions, unknowns, tests and figures; of a rotor without tests its predictions."""
+    blocks: list[Block] = [prediction_table(result)]
+    blocks += [Paragraph(line) for line in (*_weights(result), *_next(result))]
+    if result.tests:
+        blocks += [unknown_table(result), test_table(result), small_error_table(result)]
+    blocks.append(campbell_figure(result))
+    if result.tests:
+        blocks.append(unknown_figure(result))
+    return tuple(blocks)
+
+
+def prediction_table(result: RotorSystemResult) -> Table:
+    """Critical speeds and stability with their 95 % intervals, and what is asked of them."""
+    rows: list[tuple[str, str, str, str]] = []
+    for critical in result.criticals:
+        low, high = (RPM * end for end in critical.speed_interval)
+        place = f"critical speed, at {critical.place} [rpm]"
+        rows.append((place, f"{RPM * critical.speed:.0f}", f"{low:.0f} to {high:.0f}", _margin(critical)))
+        if critical.amplification is not None and critical.amplification_interval is not None:
+            ends = "{:.3g} to {:.3g}".format(*critical.amplification_interval)
+            rows.append(("amplification factor there", f"{critical.amplification:.3g}", ends, ""))
+    least, error, probability = result.decrement
+    ends = f"{least - NORMAL * error:.3g} to {least + NORMAL * error:.3g}"
+    asked = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %"
+    rows.append((f"least log decrement at {RPM * result.operating:.0f} rpm", f"{least:.3g}", ends, asked))
+    if result.onset is not None:
+        speed, spread = RPM * result.onset[0], NORMAL * result.onset[1]
+        ends = f"{speed * np.exp(-spread):.0f} to {speed * np.exp(spread):.0f}"
+        rows.append(("onset of instability [rpm]", f"{speed:.0f}", ends, ""))
+    return Table(
+        ("prediction", "value", "95 %", "asked for"), tuple(rows), "What follows for the rotor", (1,)
+    )
+
+
+def _margin(critical: CriticalResult) -> str:
+    if critical.margin is None or critical.met is None:
+        return ""
+    there, asked = critical.margin
+    return f"margin {there:.1f} %, {asked:.1f} % asked for: probability {100 * critical.met:.0f} %"
+
+
+def _shown(value: float, error: float, unit: str) -> str:
+    """A value with its error; unbalance as balancers write it."""
+    return with_error(UM * value, UM * error, "g mm") if unit == "kg.m" else amount_text(value, error, unit)
 
 
 def unknown_table(result: RotorSystemResult) -> Table:
@@ -169,8 +216,8 @@ def unknown_table(result: RotorSystemResult) -> Table:
     rows = tuple(
         (
             unknown.name,
-            amount_text(unknown.value, unknown.error, unknown.unit),
-            amount_text(unknown.prior, unknown.prior_error, unknown.unit),
+            _shown(unknown.value, unknown.error, unknown.unit),
+            _shown(unknown.prior, unknown.prior_error, unknown.unit),
             number(unknown.error / unknown.prior_error, 2),
             "" if unknown.told else "no test tells",
         )

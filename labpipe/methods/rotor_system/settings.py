@@ -108,6 +108,8 @@ class SystemTest(Settings):
             raise ConfigError(
                 f"{words.get(self.kind, KEYS[self.kind][0])}: is missing", field=KEYS[self.kind][0]
             )
+        if self.mass is not None and not 0 < self.mass.std_error < self.mass.value:
+            raise ConfigError("'mass' needs its uncertainty", hint="mass: 33 kg +- 0.1 kg", field="mass")
         self._check_texts()
 
     def _check_texts(self) -> None:

@@ -256,11 +256,7 @@ def _linear(place: BearingPlace, stiffness_error: float, damping_error: float) -
 
 def check_unknown(system: RotorSystem) -> None:
     """ConfigError where nothing of a rotor is unknown."""
-    rig = system.rig
-    errors = [*system.young.values(), *system.masses, system.internal[1]]
-    errors += [error for _, _, error in system.sleeves.values()] + [p.error for p in system.pedestals]
-    errors += [float(np.max([b.stiffness_error, b.damping_error])) for b in system.linear.values()]
-    if not any(errors) and not rig.sources:
+    if not system.is_uncertain:
         raise ConfigError(
             "nothing of the rotor is unknown",
             hint=f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]",

@@ -1,0 +1,115 @@
+"""labpipe rotor FILE"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from labpipe.cli import options
+from labpipe.cli.output import echo, echo_table
+from labpipe.errors import ConfigError
+
+if TYPE_CHECKING:
+    from labpipe.methods.rotor_system.build import RotorSystem
+
+
+@click.command()
+@click.argument("rotor_path", metavar="FILE", type=options.PATH)
+@click.option(
+    "--speeds", default="", metavar="BAND", help="e.g. '10-120 Hz'; default: 5 % to twice the file's speed."
+)
+@click.option("--steps", type=click.IntRange(min=8), default=40, show_default=True, help="Speeds in it.")
+@click.option(
+    "--json", "json_path", type=options.PATH, metavar="FILE", help="Write the result as JSON as well."
+)
+@click.option("-o", "--output", type=options.PATH, metavar="FILE", help="Report: .html, .pdf or .md.")
+@options.overrides
+def rotor(
+    rotor_path: Path,
+    speeds: str,
+    steps: int,
+    json_path: Path | None,
+    output: Path | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """A rotor by theory alone: natural frequencies over speed, critical speeds with amplification factors and
+    margins, stability, unbalance response. Uncertainties of the file's numbers, its pedestals and its
+    internal damping count, and give intervals.
+    """
+    import numpy as np
+
+    from labpipe.artefacts.writing import output_file
+    from labpipe.document.render import DOCUMENTS
+    from labpipe.methods.rotor.theory import (
+        crossing_rows,
+        rotor_document,
+        rotor_entry,
+        rotor_theory,
+        sentences,
+    )
+    from labpipe.methods.rotor_system.system_file import load_system
+
+    system = load_system(rotor_path, overrides)
+    rig = system.rig
+    low, high = _band(speeds, rig.speed)
+    if system.is_uncertain:
+        _declared(system, (low, high), json_path, output)
+        return
+    theory = rotor_theory(rig, np.linspace(low, high, steps))
+    echo(f"{rig.name}, {60 * rig.speed:g} rpm")
+    echo_table(("critical speed", "damping", "whirl"), list(crossing_rows(theory)), (0, 1))
+    for line in sentences(theory):
+        echo(line)
+    if json_path is not None:
+        with output_file(json_path) as path:
+            path.write_text(json.dumps(rotor_entry(theory), indent=1) + "\n", encoding="utf-8")
+    if output is not None:
+        render = DOCUMENTS.load(output.suffix.lstrip("."))
+        with output_file(output) as path:
+            path.write_bytes(render(rotor_document(theory)))
+
+
+def _declared(
+    system: RotorSystem, band: tuple[float, float], json_path: Path | None, output: Path | None
+) -> None:
+    """The same of a file whose numbers carry uncertainties, with intervals."""
+    from labpipe.artefacts.json_file import entry_of
+    from labpipe.artefacts.writing import output_file
+    from labpipe.document.render import DOCUMENTS
+    from labpipe.methods.rotor_system.evaluate import declared_result
+    from labpipe.methods.rotor_system.section import result_blocks, sentences
+    from labpipe.report.document import Document, Section
+
+    result = declared_result(system, band)
+    echo(f"{result.rotor}, {60 * system.rig.speed:g} rpm, as declared")
+    for line in sentences(result):
+        echo(line)
+    if json_path is not None:
+        entry = {"schema": "labpipe/rotor-declared/1", **entry_of(result)}
+        with output_file(json_path) as path:
+            path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
+    if output is not None:
+        render = DOCUMENTS.load(output.suffix.lstrip("."))
+        sections = (Section("Result", result_blocks(result)),)
+        with output_file(output) as path:
+            path.write_bytes(render(Document(result.rotor, "Rotor as declared", sections, to_sign=False)))
+
+
+def _band(text: str, speed: float) -> tuple[float, float]:
+    from labpipe.quantities import UnitError
+    from labpipe.records.settings import Setting, to_band
+
+    if not text:
+        if speed == 0:
+            raise ConfigError(
+                "--speeds is needed, since the file's speed is zero", hint="--speeds '5-200 Hz'"
+            )
+        return 0.05 * speed, 2 * speed
+    try:
+        low, high = to_band(text, Setting("band", "speeds", unit="Hz"))
+    except UnitError as error:
+        raise ConfigError(f"--speeds: {error.what}", hint=error.hint) from None
+    return low, high
