@@ -547,7 +547,6 @@ def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ..
 
 
 def sentences(result: Balanced) -> Iterator[str]:
-    """The result in lines."""
     from scipy import stats
 
     from labpipe.display import plain_text

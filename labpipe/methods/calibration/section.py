@@ -197,7 +197,6 @@ class _Column:
 
 
 def run_calibrations(settings: Iterable[CalibrationSettings], work: Work) -> list[Fit]:  # noqa: ARG001 (one signature for all sections)
-    """The section calibrate: the straight lines of all its entries."""
     return calibrate(settings)
 
 

@@ -101,7 +101,6 @@ def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
 
 
 def few_averages(noise: Noise) -> tuple[Finding, ...]:
-    """A note where few periods or blocks widen the intervals."""
     if noise.loss < LOSS:
         return ()
     message = (

@@ -133,7 +133,6 @@ def _scale(shown: DynamicStiffness) -> FloatArray:
 
 
 def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
-    """The model of a fitted dynamic stiffness."""
     form = banded(np.array(shown.bands)) if shown.form == BANDS else FORMS[shown.form]
     return StiffnessModel(form, shown.symmetry)
 
@@ -277,7 +276,6 @@ def _candidate(form: str, found: Estimate, n_equation: int) -> Candidate:
 
 
 def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> tuple[Finding, ...]:
-    """Warnings: no candidate passes its chi-square test; another form than the *given* one is better."""
     if not candidates:
         return ()
     findings = []

@@ -61,7 +61,6 @@ class Given:
 
     @property
     def accelerated(self) -> bool:
-        """Whether the balance needs accelerations."""
         return self.mass is not None or self.baseline is not None
 
     def side(self, omega: FloatArray) -> ComplexArray:
@@ -291,7 +290,6 @@ class SmearedBalance:
         return np.asarray(mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved)))
 
     def corrected(self, balance: Balance, stiffness: Stiffness) -> Balance:
-        """The balance whose force side is without what leaks by the model's own H."""
         leaked = self.shown(stiffness) - stiffness(balance.omega)
         return replace(balance, right=balance.right - times(leaked[:, None], balance.motion))
 
@@ -343,7 +341,6 @@ def _half_power(omega: FloatArray, size: FloatArray) -> tuple[float, float] | No
 
 
 def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBalance | None:
-    """What leaks into the balance."""
     blocks = stator.spectra.blocks
     if blocks is None or not has_kernel(blocks):
         return None

@@ -49,7 +49,6 @@ class Stator:
 
     @property
     def accelerated(self) -> bool:
-        """Whether accelerations were measured."""
         return bool(np.any(self.to_axes[4:]))
 
     @property
@@ -310,7 +309,6 @@ def one_at_a_time(stator: Stator) -> bool:
 
 
 def motion_note(stator: Stator) -> str:
-    """The amplitude that the coefficients hold for."""
     size = np.sqrt(np.mean(np.sum(np.abs(stator.axes[..., 2:4]) ** 2, axis=0) / 2, axis=0))
     x, y = (f"{1e6 * value:.3g} um" for value in size)
     return (

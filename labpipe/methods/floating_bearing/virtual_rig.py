@@ -107,7 +107,6 @@ class FloatingNoise(Settings):
     drive: float = quantity("recorded drives", "V", 1e-4)
 
     def of(self, quantity: str) -> float:
-        """Standard deviation of a channel of this quantity [SI]."""
         return {
             "force": self.force,
             "displacement": self.displacement,
@@ -192,7 +191,6 @@ class FloatingRig(Settings):
 
     @property
     def runs(self) -> tuple[str, ...]:
-        """The names of all recordings that can be made."""
         return tuple(
             f"{name}-{end}" for name, _ in self.conditions for ends in RUNS_OF.values() for end in ends
         )
@@ -203,12 +201,10 @@ class FloatingRig(Settings):
         return tuple(f"{name}-{end}" for name, _ in self.conditions for end in RUNS_OF[self.excitation])
 
     def condition(self, run: str) -> Condition:
-        """The condition of a recording."""
         return dict(self.conditions)[run.rpartition("-")[0]]
 
     @property
     def n_sample(self) -> int:
-        """Samples of a recording."""
         return self.periods * round(self.sample_rate / self.spacing)
 
     @property
@@ -403,7 +399,6 @@ SHAKERS: dict[str, Callable[[FloatingRig, np.random.Generator], ComplexArray]] =
 
 
 def truth(rig: FloatingRig) -> dict[str, Any]:
-    """Masses and baseline of the stator, and per condition k_xx ... m_yy, relaxation and pad [SI, Hz]."""
     stator = coefficients_by_name(AXES, k=rig.baseline_stiffness, c=rig.baseline_damping)
     conditions: dict[str, Any] = {}
     for name, condition in rig.conditions:

@@ -283,7 +283,6 @@ class JournalBearing:
         return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
-        """The dimensionless film on a mesh."""
         return Film.of(
             mesh,
             self.diameter / self.length,

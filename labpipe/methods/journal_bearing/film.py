@@ -91,12 +91,10 @@ class FilmMesh:
 
     @property
     def arc(self) -> float:
-        """Angle of one cell [rad]."""
         return 2 * np.pi / self.around
 
     @property
     def strip(self) -> float:
-        """Width of one cell over half the bearing's length [-]."""
         return 2 / self.across
 
     def halved(self) -> FilmMesh | None:
@@ -125,7 +123,6 @@ class FilmGrid:
 
 @lru_cache(maxsize=16)
 def film_grid(mesh: FilmMesh) -> FilmGrid:
-    """The grid of a mesh."""
     centre = (np.arange(mesh.around) + 0.5) * mesh.arc
     face = (np.arange(mesh.around) + 1.0) * mesh.arc
     at_centre = -np.stack([np.cos(centre), np.sin(centre)])

@@ -19,10 +19,6 @@ HEIGHT = 5.2
 
 
 def film_figure(name: str, film: PressureField) -> Figure:
-    """Pressure over angle and width as filled contours.
-
-    Below, pressure at mid width and the film's thickness.
-    """
     caption = (
         f"{name}: pressure of the oil film against ambient, unrolled; below, at mid width (full) with "
         "the film's thickness (dashed)."

@@ -63,7 +63,6 @@ class Bench(Watch):
 
     @property
     def hits(self) -> bool:
-        """Whether the averages are hits of a hammer."""
         return self.frf.excitation == "impact"
 
     def add(self, block: FloatArray) -> list[Update]:

@@ -89,8 +89,6 @@ class Verdict:
 
 
 class Charts:
-    """The charts of one running fit."""
-
     def __init__(self, fit: RunningFit) -> None:
         self._fit = fit
         self._energy = Series()

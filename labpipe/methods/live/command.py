@@ -120,7 +120,6 @@ def headline(session: Session, update: Update) -> str:
 
 
 def course(session: Session, update: Update) -> Document:
-    """The state and the course of the test."""
     blocks: list[Block] = [Paragraph(headline(session, update), "passed" if update.stop else "note")]
     blocks += [Paragraph(f"{finding.code}: {finding.message}", "warning") for finding in update.findings]
     rows = rows_of(session, update)
@@ -242,7 +241,6 @@ class Page:
         return f"http://{ADDRESS}:{self._server.server_port}/?token={self.token}"
 
     def show(self, document: Document) -> None:
-        """Take the place of what was shown."""
         self._html = render_html(document).encode()
         with self._lock:
             for listener in self._listeners:
@@ -250,7 +248,6 @@ class Page:
                     listener.put(True)
 
     def close(self) -> None:
-        """Serve no more."""
         self._server.shutdown()
         self._server.server_close()
 

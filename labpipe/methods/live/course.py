@@ -47,7 +47,6 @@ class LiveSettings(Settings):
 
     @property
     def goals(self) -> list[Goal]:
-        """The goals in their order."""
         return [Goal.of(text) for text in self.until]
 
 
@@ -103,7 +102,6 @@ def coefficients_of(updates: Sequence[Update]) -> tuple[CoefficientCourse, ...]:
 
 
 def course_figure(coefficients: Sequence[CoefficientCourse]) -> Figure:
-    """The coefficients with their intervals over the averages, beside what is asked for."""
     panels = []
     for course in coefficients:
         unit = shown_unit(course.unit, float(course.value[-1]), None)
@@ -171,7 +169,6 @@ def _course(
 
 
 def course_lines(courses: Courses) -> Iterator[str]:
-    """One line for each test."""
     for course in courses:
         yield f"live{f' {course.test}' if course.test else ''}: {_sentence(course)}"
 

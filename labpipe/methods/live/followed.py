@@ -48,7 +48,6 @@ class Common:
 
     @property
     def half(self) -> float:
-        """Its part of a 95 % interval, as a half-width [parameter unit]."""
         return NORMAL * self.error
 
 

@@ -139,7 +139,6 @@ class Directions:
         self._sums: dict[int, Sums] = {}
 
     def of(self, direction: int) -> Sums:
-        """The sums of one direction."""
         return self._sums.setdefault(direction, HitSums() if self._hits else PeriodSums())
 
     @property

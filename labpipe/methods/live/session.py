@@ -93,7 +93,6 @@ class WholeFits(Watch):
         return self.look()
 
     def look(self) -> list[Update]:
-        """The fits of all samples so far."""
         self._spool.flush()
         prefix = Prefix(self.channels, self.sample_rate, Path(self._spool.name), self.n_sample)
         seconds = self.n_sample / self.sample_rate
@@ -136,7 +135,6 @@ class WholeFits(Watch):
         return Standing(parameter, half, wanted, Forecast(expected))
 
     def by_hand(self) -> dict[str, tuple[float, float]]:
-        """No interval holds for a stop at any moment here."""
         return {}
 
 

@@ -71,7 +71,6 @@ class Standing:
 
     @property
     def reached(self) -> bool:
-        """Whether it is known as well as was asked for."""
         return self.goal is not None and self.half <= self.goal
 
     @property
@@ -142,10 +141,6 @@ def check_names(goals: Sequence[Goal], names: Mapping[str, Sequence[str]]) -> No
 
 
 class Watch:
-    """What follows a test: the *channels* and rate of its samples, what is measured, the *goals*, and every
-    *update* so far.
-    """
-
     def __init__(
         self, channels: Sequence[Channel], sample_rate: float, frf: FrfSettings, goals: Sequence[Goal]
     ) -> None:
@@ -155,7 +150,6 @@ class Watch:
         self.updates: list[Update] = []
 
     def keep(self, update: Update) -> None:
-        """Remember an update."""
         self.updates.append(update)
         if len(self.updates) > MOST_UPDATES:
             del self.updates[1:-1:2]

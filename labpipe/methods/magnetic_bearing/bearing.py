@@ -224,7 +224,6 @@ class MagneticFile(Settings):
 
     @property
     def motion_frequency(self) -> float:
-        """The frequency of the motion [Hz]."""
         return float(self.speed or 0.0) if self.frequency is None else self.frequency
 
     def levitated(self) -> Levitated:
@@ -241,7 +240,6 @@ class MagneticFile(Settings):
         return Levitated(loop, pull, self.mass)
 
     def assumptions(self) -> str:
-        """Assumptions of the result, with the inferred values named."""
         single, rate = self.loop.cross is None, self.loop.rate
         assumptions = [
             "both directions alike, without coupling"
@@ -273,12 +271,10 @@ class Verdict:
 
 @lru_cache(maxsize=32)
 def verdict(plant: Levitated) -> Verdict:
-    """Poles and sensitivity."""
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
 
 
 def magnetic_coefficients(settings: Sequence[MagneticFile]) -> list[BearingCoefficients]:
-    """The coefficients of all settings, in order."""
     return [_coefficients(entry) for entry in settings]
 
 

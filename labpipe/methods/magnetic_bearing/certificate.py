@@ -100,7 +100,6 @@ class ClosedLoop:
         return float(np.sqrt(max(self.covariance[place, place], 0.0) + systematic))
 
     def modes(self) -> list[str]:
-        """Names of the logarithmic decrements."""
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
     def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
@@ -334,9 +333,6 @@ def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tup
 
 
 def resolved(settings: CompareSettings) -> CertificateSettings:
-    """The settings of the certificate, with the points of the comparison where it names none behind the
-    sums.
-    """
     certificate_settings: CertificateSettings = settings.kind_settings
     return (
         certificate_settings

@@ -395,7 +395,6 @@ class LevitatedLoop:
 
 
 def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
-    """The closed loop of a rig."""
     of, control = mechanics(rig), rig.control
     n_q, n_axis = of.mass.shape[0], len(rig.labels)
     plant = [_sampled_plant(rig, of, part / BETWEEN) for part in range(BETWEEN + 1)]

@@ -197,9 +197,6 @@ def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
 
 
 def truth(rig: LevitatedRig) -> dict[str, Any]:
-    """k_i, k_s per bearing (negative where the magnet pulls), the rotor's matrices, and the poles of the
-    closed loop [SI, 1/s].
-    """
     of = mechanics(rig)
     poles = levitated_loop(rig).poles
     slowest = poles[np.argsort(-poles.real)]

@@ -83,7 +83,6 @@ class CertificateSettings(Settings):
 
     @property
     def recorded(self) -> tuple[str, ...]:
-        """The responses that it names."""
         return tuple(
             name for name in (*self.before, *self.after, self.output, self.displacement, self.current) if name
         )
@@ -116,7 +115,6 @@ def below(value: float, error: float, limit: float) -> float:
 
 
 def words(probability: float) -> str:
-    """A probability as people read it."""
     return (
         "over 99.9 %"
         if probability > 0.999
@@ -138,7 +136,6 @@ def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
 
 
 def probabilities(limits: Sequence[Limit]) -> list[Parameter]:
-    """The probability that each limit is kept, of those that were judged."""
     judged = ((limit.name, limit.probability) for limit in limits if limit.probability is not None)
     return [Parameter(f"probability_{name}", probability, "1", derived=True) for name, probability in judged]
 

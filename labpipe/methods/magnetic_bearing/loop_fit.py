@@ -136,9 +136,6 @@ class LoopMinimum:
         return cls(problem, u, problem.residual(u), jacobian, inverse)
 
     def chi2(self, excess: float) -> float:
-        """Chi-square for weights that are too large by *excess*, of the responses less what their sources
-        explain, and of these.
-        """
         n = self.residual.size - len(self.problem.sources)
         return float(self.residual[:n] @ self.residual[:n] / excess + self.residual[n:] @ self.residual[n:])
 
@@ -531,7 +528,6 @@ def _bent_findings(fit: LoopFit) -> list[Finding]:
 
 
 def fit_statement(fit: LoopFit) -> str:
-    """Goodness of fit of all lines as a sentence."""
     chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
     statement = (
         f"All {fit.lines} lines against the "

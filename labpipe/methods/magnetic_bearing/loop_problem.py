@@ -347,10 +347,6 @@ class LoopProblem:
 
 @dataclass(frozen=True)
 class View:
-    """One test with its sliding fits: the measured *response*, the fits, and their settings with mass,
-    support and share.
-    """
-
     test: str
     response: FrequencyResponse
     settings: FitSettings

@@ -126,7 +126,6 @@ class Peak:
         return float(np.sqrt(self.error**2 + np.sum(self.changes**2)))
 
     def amounts(self, quantile: float, suffix: str = "") -> list[Parameter]:
-        """The peak and its frequency with what noise leaves of them."""
         named = f"peak_frequency{suffix}"
         if self.frequency_error is None:
             place = Parameter(named, self.frequency, "Hz", derived=True)

@@ -43,8 +43,6 @@ class Levitation(Settings):
 
 @dataclass(frozen=True)
 class Noise(Settings):
-    """Standard deviations of the measuring noise and of the rotor's wander."""
-
     displacement: float = quantity("displacement sensors", "m", 0.3e-6)
     force: float = quantity("force transducer", "N", 0.02)
     hover: float = quantity("slow wander of the levitated rotor", "m", 1e-6)

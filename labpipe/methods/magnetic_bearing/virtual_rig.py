@@ -46,7 +46,6 @@ class OneDofRun:
 
     @property
     def truth(self) -> dict[str, float]:
-        """k, c, mass, f_n and zeta [SI, Hz]."""
         return one_mass_truth(self.mass, self.stiffness, self.damping)
 
 
@@ -126,7 +125,6 @@ def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
 
 
 def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
-    """What is made unless runs are named: of a rig under its control loop the time-domain runs."""
     return tuple(_loop_runs(rig) or RUNS)
 
 

@@ -67,12 +67,10 @@ class Evaluation:
 
     @property
     def shakers(self) -> list[str]:
-        """Every shaker that runs in a test."""
         return list(dict.fromkeys(shaker for test in self.tests for shaker in test.shakers))
 
     @property
     def at_once(self) -> bool:
-        """Whether shakers run at once."""
         return any(len(test.shakers) > 1 for test in self.tests)
 
     @property
@@ -115,7 +113,6 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
 
 
 def forces_of(rig: Rig) -> list[Channel]:
-    """The forces of a rig."""
     return [channel.channel for channel in rig.channels if channel.channel.role == "input"]
 
 
@@ -224,7 +221,6 @@ def uncertain_text(number: Uncertain) -> str:
 
 
 def rig_path(file: PlanFile) -> Path | None:
-    """The rig file that a plan names, if any."""
     settings: PlanSettings = file.settings
     return (file.path.parent / settings.rig).absolute() if settings.rig else None
 

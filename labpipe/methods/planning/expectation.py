@@ -56,12 +56,10 @@ class Identifiability:
 
     @property
     def full(self) -> bool:
-        """Whether all coefficients are determined."""
         return self.rank == self.n_coefficient
 
     @property
     def words(self) -> str:
-        """What is determined, in a sentence."""
         if self.full:
             return f"the excitation determines all {self.n_coefficient} coefficients"
         return (
@@ -71,7 +69,6 @@ class Identifiability:
 
     @property
     def remedy(self) -> str:
-        """The changes that help, in a sentence."""
         return (
             f"{' or '.join(self.remedies)} would determine all"
             if self.remedies

@@ -76,7 +76,6 @@ class TrialSettings(Settings):
 
     @property
     def words(self) -> str:
-        """The excitation in words."""
         if self.shaker:
             return f"shaker at {self.shaker}: {self.force:g} N in x, {self.ratio:g} of the speed"
         return "; ".join(
@@ -249,12 +248,10 @@ class RunUpsPlanned:
 
     @property
     def plan(self) -> RunPlan:
-        """What is to be run."""
         return self.answered.plan
 
 
 def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan the run-ups and write their files; sentences on them, and the files' names."""
     settings: RunUpPlanSettings = file.settings
     planned = plan_run_ups(settings, file.title, _earlier(file))
     names = []
@@ -284,7 +281,6 @@ def _earlier(file: PlanFile) -> dict[str, float]:
 
 
 def pipeline_entries(plan: RunPlan, settings: RunUpPlanSettings) -> dict[str, Any]:
-    """The pipeline that evaluates the runs."""
     runs = [{"file": f"recordings/{name}.csv"} for run in plan.runs for name in run_names(run)]
     section: dict[str, Any] = {"rotor": ROTOR, "methods": [METHOD], "runs": runs}
     if settings.known:

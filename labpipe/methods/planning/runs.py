@@ -353,7 +353,6 @@ class RunQuestion:
         return self._choices(self.conditions, self.known)
 
     def changed(self, change: Change) -> RunChoices:
-        """The choices after a change."""
         return self._choices(change.conditions, (*self.known, *change.known))
 
     def _choices(self, conditions: Sequence[Condition], known: Sequence[str]) -> RunChoices:
@@ -372,7 +371,6 @@ class Answered:
     covariance: FloatArray
 
     def noted(self, notes: Iterable[str]) -> Answered:
-        """With further notes."""
         return replace(self, plan=replace(self.plan, notes=(*self.plan.notes, *notes)))
 
 

@@ -128,7 +128,6 @@ class StatePlanSettings(Settings):
 
     @property
     def periods(self) -> int:
-        """Measured periods of a run."""
         return int(self.run / self.period + 0.5)
 
     @property
@@ -271,7 +270,6 @@ UNTESTED = (
 
 
 def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan the runs and write their files; sentences on them, and the files' names."""
     settings: StatePlanSettings = file.settings
     answered, tests = plan_states(settings, file.title, file.path.parent)
     names = []

@@ -116,7 +116,6 @@ class Goals:
 
     @property
     def any(self) -> bool:
-        """Whether anything is wanted in particular."""
         return bool(np.any(np.isfinite(self.random) | np.isfinite(self.expanded)))
 
 

@@ -157,12 +157,10 @@ class WearPlanSettings(Settings):
 
     @property
     def nuisances(self) -> dict[str, Uncertain]:
-        """What is estimated along, by name."""
         return {name: getattr(self, name) for name in NUISANCES if getattr(self, name) is not None}
 
     @property
     def static_forces(self) -> tuple[float, ...]:
-        """The static forces that can be set [N]; those of the rotor file unless given."""
         assert self.rig is not None
         return self.loads or (sum(force for node, _, force in self.rig.loads if node == self.node),)
 
@@ -300,12 +298,10 @@ class WearPlanned:
 
     @property
     def plan(self) -> RunPlan:
-        """What is to be run."""
         return self.answered.plan
 
 
 def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan the tests and write their files; sentences on them, and the files' names."""
     settings: WearPlanSettings = file.settings
     planned = plan_wear(settings, file.title)
     rotor = yaml.safe_load((file.path.parent / settings.rotor).read_text(encoding="utf-8"))
@@ -497,7 +493,6 @@ def _rotor_name(run: PlannedRun) -> str:
 
 
 def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoint) -> dict[str, Any]:
-    """A virtual rig that rehearses one test: labpipe simulate FILE -o recordings/NAME."""
     expected = settings.expected
     return {
         "kind": "virtual-journal-rig",
@@ -517,7 +512,6 @@ def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoin
 
 
 def rig_entries(settings: WearPlanSettings) -> dict[str, Any]:
-    """The rig file that the pipeline names."""
     channels = {
         "f": {"column": "force [N]", "quantity": "force", "unit": "N", "role": "input", "dof": "y"},
         "y": {"column": "y [um]", "quantity": "displacement", "unit": "um", "role": "output", "dof": "y"},

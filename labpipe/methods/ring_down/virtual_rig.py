@@ -104,10 +104,6 @@ def _slipping(rig: DecayRig, time: FloatArray, strength: float) -> FloatArray:
 
 
 def truth(rig: DecayRig, names: Sequence[str] = RUNS) -> dict[str, float]:
-    """f_n, zeta and logarithmic decrement of every mode of the named runs, k and c of the first.
-
-    Of a joint its law [SI, Hz].
-    """
     modes = len(rig.frequencies) if "beating" in names else 1
     entries: dict[str, float] = {}
     for n, (frequency, ratio) in enumerate(

@@ -96,7 +96,6 @@ LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
-    """Coefficients of all settings, in order."""
     groups: dict[object, list[int]] = {}
     for number, entry in enumerate(settings):
         groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)

@@ -483,7 +483,6 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
 
 
 def ratio_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
-    """The ratio of stiffness measured / theory over all tests."""
     if settings.theory is None:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(settings, "k")

@@ -303,7 +303,6 @@ class RollingSettings(Settings, ABC):
 
     @property
     def fixed_dofs(self) -> tuple[str, ...]:
-        """The dofs with given displacement."""
         return tuple(dof for dof in LOAD_OF_DOF if getattr(self.displacements, dof) is not None)
 
     @abstractmethod

@@ -237,7 +237,6 @@ def build_rotor(
     tree: Marked,
     faults: Faults,
 ) -> Rotor | None:
-    """The shaft with discs and sleeves; None and faults at the place of each part."""
     before = len(faults)
 
     def material(entry: Marked, part: Any) -> Material:

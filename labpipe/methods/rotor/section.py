@@ -339,7 +339,6 @@ def _drawn(ring: Ring) -> list[Series]:
 
 
 def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
-    """The sketch of a rotor from its entries (SI units)."""
     rotor, stations = rig["rotor"], node_positions(rig["rotor"])
     shaft = [
         _ring("shaft", left, entry["length"], entry["inner_diameter"], entry["outer_diameter"])
@@ -421,12 +420,10 @@ EXPLAINED = (
 
 
 def unbalance_sections(runs: UnbalanceRuns, _identification: Identification) -> tuple[Section, ...]:
-    """The section of the response to unbalance."""
     return (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),)
 
 
 def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
-    """What it means, table and figure."""
     rows = []
     for case in runs.cases:
         (forward, _), (at, _), (backward, _), (back_at, _) = runs.values(case).values()
@@ -463,7 +460,6 @@ def _with_uncertainty(value: float, factor: float, case: UnbalanceCase, name: st
 
 
 def unbalance_figure(runs: UnbalanceRuns) -> Figure:
-    """Forward and backward radius over speed, one line per case."""
     panels = []
     for name in ("forward", "backward"):
         radii = [UM * np.array(getattr(case, name)) for case in runs.cases]

@@ -103,7 +103,6 @@ class RotorTheory:
     nodes: tuple[int, ...] = ()
 
     def least_decrement(self) -> float:
-        """The least logarithmic decrement at the file's speed [1]."""
         at = int(np.argmin(np.abs(self.speed - self.rig.speed)))
         return float(np.nanmin(self.log_decrement[at]))
 
@@ -319,7 +318,6 @@ def _crossing_rows(theory: RotorTheory) -> Iterator[tuple[str, str, str]]:
 
 
 def sentences(theory: RotorTheory) -> Iterator[str]:
-    """Peaks of the unbalance response with their margins, and stability."""
     operating = theory.rig.speed
     for critical in theory.criticals:
         text = (

@@ -158,7 +158,6 @@ def measured_run(read: ReadRun, plane: str) -> tuple[MeasuredRun, str]:
 
 
 def excitation_text(run: RunUp) -> str:
-    """Excitation of a run as text: shaker force or unbalances."""
     if run.shaker is not None:
         force = f"{run.shaker.x:g} N in x, {run.shaker.y:g} N in y at {run.shaker.plane}"
         return f"shaker: {force}, {run.shaker.frequency_ratio:g} of the speed"

@@ -9,19 +9,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
-from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.arrays import FloatArray
+from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.amplitudes import AmplitudeFit, fit_amplitudes, perfect_but_wrong
-from labpipe.methods.run_ups.film_family import PARAMETERS, as_eight, carried_beyond
+from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_amplitudes, perfect_but_wrong
+from labpipe.methods.run_ups.film_family import PARAMETERS, as_eight
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
-from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
 from labpipe.methods.run_ups.measured import column
 from labpipe.methods.run_ups.metamodel_kinds import Fitted, Queried
 from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, scales, sources_of
-from labpipe.methods.run_ups.predictions import RPM, AtLoad
+from labpipe.methods.run_ups.predictions import AtLoad
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
 from labpipe.methods.run_ups.records import (
     REJECTED,
@@ -33,7 +31,7 @@ from labpipe.methods.run_ups.records import (
     RunUpMethod,
     StartSpread,
 )
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor
 from labpipe.methods.run_ups.settings import RunUpSettings
 from labpipe.records.finding import Contribution, Parameter
 
@@ -45,24 +43,12 @@ LEAST_DAMPING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointFit:
-    """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
-
-    coefficients, start, std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes; at_bound
-    (n_speed, 8): there the standard error is NaN; rank, condition (n_speed,): of the data alone; chi2,
-    n_datum, n_effective: sum of squares, real data, and parameters that the data determine.
+class PointFit(SpeedwiseFit):
+    """std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes, NaN at a bound; n_effective:
+    parameters that the data determine.
     """
 
-    load: float
-    speed: FloatArray
-    start: FloatArray
-    coefficients: FloatArray
     std_error: FloatArray
-    at_bound: BoolArray
-    rank: IntArray
-    condition: FloatArray
-    chi2: float
-    n_datum: int
     n_effective: float
 
     @property
@@ -70,20 +56,8 @@ class PointFit:
         """chi-square over degrees of freedom, at least one; near one when model and noise are right."""
         return self.chi2 / max(self.n_datum - self.n_effective, 1.0)
 
-    @property
-    def share_at_bound(self) -> float:
-        return float(np.mean(self.at_bound))
 
-    def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points.
-
-        Beyond them K and Omega C stay constant.
-        """
-
-        def between(speed: FloatArray) -> FloatArray:
-            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
-
-        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
+PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 
 
 def fit_points(
@@ -219,7 +193,6 @@ class Solved:
 
 
 def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
-    """Coefficients of the rotor file's bearing: the original model of the source."""
 
     def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
         return AtLoad(run_rig.start(run.load), as_eight(*run_rig.start_coefficients(run.load, run.speed)))
@@ -228,10 +201,6 @@ def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
 
 
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
-    """(a): amplitudes alone, one search per point from the rotor file's values.
-
-    The spread of many starts at one load.
-    """
     unbalanced = [run for run in trained if run.shaker is None]
     fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
     method = RunUpMethod(
@@ -248,7 +217,6 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
 
 
 def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
-    """(b): complex amplitudes, point by point."""
     fits = fit_points(rig, trained, settings.bound, settings.ridge)
     ridge_text = (
         f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not"
@@ -266,7 +234,6 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
 
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
-    """(c): one fit of the physical family to all responses and thresholds."""
     fit = fit_jointly(rig, trained, known=settings.known)
     return Solved(
         joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit
@@ -274,48 +241,42 @@ def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
 
 
 def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
-    """(d): the joint fit times smooth factors."""
-    joint = fit_jointly(rig, trained)
-    fit = fit_with_process(rig, trained, joint)
-    n_redundant = fit.n_datum - fit.n_effective
-    p_value = float(chdtrc(n_redundant, fit.chi2))
+    fit = fit_with_process(rig, trained, fit_jointly(rig, trained))
     method = RunUpMethod(
         "process",
         "(d) joint fit with factors",
-        REJECTED if p_value < LEAST_PROBABILITY else "not rejected",
-        predictions=(),
         unknowns=int(fit.values.size),
         rank=fit.n_determined,
-        condition=fit.condition,
-        chi2_per_datum=fit.chi2_per_datum,
-        chi2_p=p_value,
-        n_datum=fit.n_datum,
-        n_effective=fit.n_effective,
         remarks=(f"{fit.statement}.",),
+        **_of_fit(fit),
     )
-    return Solved(method, _joint_at(fit, p_value < LEAST_PROBABILITY), anywhere=fit)
+    return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
 
 
 def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
-    """The record of a joint fit, its predictions to come."""
     return RunUpMethod(
         name,
         title,
-        REJECTED if fit.rejected else "not rejected",
-        predictions=(),
         unknowns=len(PARAMETERS) - len(fit.known),
         rank=fit.rank,
-        condition=fit.condition,
         share_at_bound=fit.share_at_bound,
-        chi2_per_datum=fit.chi2_per_datum,
-        chi2_p=fit.chi2_p,
-        n_datum=fit.n_datum,
-        n_effective=fit.n_effective,
         free=fit.prior_dominated,
         parameters=tuple(
             _parameter(fit, parameter) for parameter in PARAMETERS if parameter not in fit.known
         ),
+        **_of_fit(fit),
     )
+
+
+def _of_fit(fit: JointFit | ProcessFit) -> dict[str, Any]:
+    return {
+        "verdict": REJECTED if fit.rejected else "not rejected",
+        "predictions": (),
+        **{
+            name: getattr(fit, name)
+            for name in ("condition", "chi2_per_datum", "chi2_p", "n_datum", "n_effective")
+        },
+    }
 
 
 def _parameter(fit: JointFit, name: str) -> Parameter:
@@ -386,7 +347,7 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
     return at
 
 
-def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
+def _points_at(fits: PointFits) -> Predictor:
     def at(_rig: RunUpRotor, run: RunUp) -> AtLoad | str:
         load_fit = next((fit for fit in fits if abs(fit.load / run.load - 1) < SAME_LOAD), None)
         if load_fit is None:
@@ -399,7 +360,7 @@ def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
     return at
 
 
-def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, Any]:
+def _of_points(fits: PointFits) -> dict[str, Any]:
     """Fields of RunUpMethod on the uncertainty of all points: lowest rank, largest condition number,
     chi-square.
     """
@@ -415,13 +376,13 @@ def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, A
         "condition": float(max(fit.condition.max() for fit in fits)),
         "share_at_bound": float(np.mean(shares)),
         "chi2_per_datum": chi2 / n_redundant if n_redundant > 0.5 else None,
-        "chi2_p": float(chdtrc(n_redundant, chi2)) if n_redundant > 0.5 else None,
+        "chi2_p": chi2_tail(chi2, n_redundant) if n_redundant > 0.5 else None,
         "n_datum": datum,
         "n_effective": float(effective),
     }
 
 
-def _determined(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> str:
+def _determined(fits: PointFits) -> str:
     return "determined" if min(int(fit.rank.min()) for fit in fits) == 8 else "not determined"
 
 

@@ -43,11 +43,6 @@ def _unit(quantity: str) -> tuple[str, float]:
 
 
 def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], quantity: str) -> Figure:
-    """Amplitude with two standard deviations and phase of every response over the speed; forward and backward
-    of every plane below.
-
-    The whole motion stands beside the amplitudes, dashed.
-    """
     across, along = _across(track)
     unit, factor = _unit(quantity)
     phases = [
@@ -114,9 +109,6 @@ def _across(track: OrderTrack) -> tuple[FloatArray, Axis]:
 def gap_figure(
     name: str, track: OrderTrack, circles: Sequence[OrderTrack], gap: float, limit: float
 ) -> Figure:
-    """Size of the orbit in every plane as share of the gap over the speed: the whole motion and, dashed, the
-    order's larger half axis.
-    """
     across, along = _across(track)
     series: list[Series] = []
     for number, circle in enumerate(circles):
@@ -139,10 +131,6 @@ def gap_figure(
 
 
 def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure:
-    """Orbits at stretches spread over the run: the sum of a forward and a backward circle.
-
-    A dot where the pulse comes.
-    """
     chosen = np.unique(
         np.linspace(0, circles.time.size - 1, min(MOST_ORBITS, circles.time.size)).round().astype(int)
     )
@@ -231,7 +219,6 @@ def track_run(
 
 
 def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
-    """orders.csv and the figures; their names."""
     from labpipe.document.charts import svg_file
 
     _write_table(run, output.write_path("orders.csv"))
@@ -264,7 +251,6 @@ def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[st
 
 
 def order_lines(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
-    """Terminal lines on every response, circle and plane; *shown*: from an SI value to the display *unit*."""
     rows = []
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):
@@ -364,7 +350,6 @@ def track_and_write(
     unbalance: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    """Track a recording, write what was found, and say so."""
     if order <= 0:
         raise ConfigError("--order must be positive")
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)

@@ -15,10 +15,9 @@ from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.rig import Unbalance
 from labpipe.methods.run_ups.measured import column, motions
 from labpipe.methods.run_ups.records import Amount, RunPrediction, RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor
 from labpipe.records.uncertain import Uncertain
 
-RPM = np.pi / 30
 # Step of the speeds at which curves are drawn [rad/s].
 CURVE_STEP = 40 * RPM
 # About a peak, where the phasor turns fast: step [rad/s] and points to either side.

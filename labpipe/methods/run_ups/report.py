@@ -9,7 +9,6 @@ import numpy as np
 
 from labpipe.display import with_error, written
 from labpipe.methods.run_ups.figures import (
-    NAMES,
     RPM,
     best_method,
     bode_figure,
@@ -22,6 +21,7 @@ from labpipe.methods.run_ups.figures import (
     spread_figure,
     surface_figures,
 )
+from labpipe.methods.run_ups.film_family import COEFFICIENTS
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     REJECTED,
@@ -60,7 +60,6 @@ MOST_SPEEDS = 7
 
 
 def rpm_text(amount: Amount | None) -> str:
-    """A speed with its standard error."""
     if amount is None or not math.isfinite(amount.value):
         return "none"
     if amount.std_error is None:
@@ -69,7 +68,6 @@ def rpm_text(amount: Amount | None) -> str:
 
 
 def measured_table(result: RunUpResult) -> Table:
-    """Every run with load, role, excitation, and measured speeds."""
     header = (
         "run",
         "load [N]",
@@ -224,7 +222,6 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
 
 
 def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Rank, condition, bounds and chi-square of every method."""
     fitted = [method for method in result.methods if method.rank is not None]
     header = (
         "method",
@@ -300,9 +297,6 @@ def _rank_blocks(result: RunUpResult) -> list[Block]:
 
 
 def parameter_table(method: RunUpMethod) -> Table:
-    """The physical parameters of a joint fit: factors on the rotor file's values, exponents for the
-    slopes.
-    """
     rows = []
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
@@ -318,7 +312,6 @@ def parameter_table(method: RunUpMethod) -> Table:
 
 
 def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
-    """The eight coefficients of a method at some of a run's speeds, with their standard deviations."""
     prediction = method.prediction(run.name)
     if prediction is None or not prediction.coefficients:
         return None
@@ -327,7 +320,7 @@ def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
     rows = tuple(
         (f"{RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place)) for place in chosen
     )
-    units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in NAMES)
+    units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in COEFFICIENTS)
     caption = (
         f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; "
         "every speed in identification.json"
@@ -351,7 +344,6 @@ def _with_deviation(value: float, error: float | None) -> str:
 
 
 def validation_table(models: Sequence[MetamodelResult]) -> Table:
-    """Leave-one-load-out errors of every metamodel."""
     loads = dict.fromkeys(validation.load for model in models for validation in model.left_out)
     rows = []
     for model in models:
@@ -365,7 +357,10 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
         "the others"
     )
     return Table(
-        ("metamodel", "load [N]", "of the others", *NAMES, "all"), tuple(rows), caption, tuple(range(3, 12))
+        ("metamodel", "load [N]", "of the others", *COEFFICIENTS, "all"),
+        tuple(rows),
+        caption,
+        tuple(range(3, 12)),
     )
 
 
@@ -377,7 +372,6 @@ FRAME = (
 
 
 def cover_facts(result: RunUpResult) -> dict[str, str]:
-    """The rotor, and its runs with their loads."""
     return {
         "rig": result.rotor,
         "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for run in result.runs),
@@ -385,9 +379,6 @@ def cover_facts(result: RunUpResult) -> dict[str, str]:
 
 
 def run_up_sections(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
-    """Sections on measurements, both speeds, identifiability, coefficients, metamodels, and the response of
-    every run.
-    """
     searches: list[Block] = []
     for method in result.methods:
         searches += [convergence_figure(method, search) for search in method.convergence]

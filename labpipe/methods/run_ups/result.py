@@ -21,7 +21,7 @@ from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, p
 from labpipe.methods.run_ups.metamodels import Metamodel, caution, fit_metamodel, leave_one_load_out
 from labpipe.methods.run_ups.methods import BEYOND, Predictor, Solved, solve_start
 from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
-from labpipe.methods.run_ups.predictions import RPM, AtLoad, excited_as, predict, with_unbalance_of
+from labpipe.methods.run_ups.predictions import AtLoad, excited_as, predict, with_unbalance_of
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     REJECTED,
@@ -37,7 +37,7 @@ from labpipe.methods.run_ups.records import (
     RunUpResult,
     Surface,
 )
-from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, searched_over
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter
@@ -208,7 +208,6 @@ def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunU
 def prediction(
     predictor: Predictor, rig: RunUpRotor, run: RunUp, plane: str, curves: bool = True
 ) -> RunPrediction:
-    """Prediction of a method for a run."""
     run_rig = with_unbalance_of(rig, run)
     return predict(run_rig, run, predictor(run_rig, run), plane, curves)
 

@@ -136,7 +136,6 @@ class RunUpRotor:
 
     @cached_property
     def pinned(self) -> PinnedRotor:
-        """Its matrices between the pins."""
         return pinned_rotor(self.rotor, self.pins)
 
     @cached_property
@@ -294,10 +293,3 @@ def largest_displacement(response: ComplexArray) -> FloatArray:
     return (
         np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])
     ) / 2
-
-
-def relative_difference(first: float, second: float) -> tuple[float, float]:
-    """A prediction against a measurement [-]: relative to the measurement, and by the source's rule, relative
-    to the larger of the two.
-    """
-    return (first - second) / second, abs(first - second) / max(abs(first), abs(second))

@@ -154,9 +154,6 @@ Tell = Callable[[str], None]
 
 
 def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
-    """The section run_ups: every run read, all methods fitted to the trained runs and compared on every
-    run.
-    """
     return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
 
 
@@ -311,7 +308,6 @@ def _attribute(
 
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
-    """Critical and threshold speed of every run, measured and by every method, in rpm."""
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
     names = [
         "measured",

@@ -281,9 +281,6 @@ def _threshold(
 
 
 def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
-    """Per load: the true critical speed and threshold [rad/s], and the eight coefficients at the run-up's
-    speeds [N/m, N s/m].
-    """
     rig, loads = virtual.nominal, {}
     for name, load in virtual.load_of_run.items():
         if name.endswith(("-second", "-shaker")):

@@ -67,7 +67,6 @@ DISPLAY = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg"), "Pa": (1e-5, "bar")}
 
 
 def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
-    """Names of the parameters at a bound."""
     model = misfit.model
     margin = AT_BOUND * (model.high - model.low)
     at = (best.parameters <= model.low + margin) | (best.parameters >= model.high - margin)
@@ -75,7 +74,6 @@ def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
 
 
 def bound_findings(names: Sequence[str]) -> list[Finding]:
-    """One finding per parameter at its bound."""
     findings = []
     for name in names:
         reason = {
@@ -89,7 +87,6 @@ def bound_findings(names: Sequence[str]) -> list[Finding]:
 
 
 def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
-    """Further minima within RIVAL of the lowest chi-square."""
     best = minima[0]
     rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
     if not rivals or DEPTH not in misfit.model.names:
@@ -110,7 +107,6 @@ def _place(misfit: Misfit, minimum: Minimum) -> str:
 
 
 def angle_findings(identifiable: bool) -> list[Finding]:
-    """A finding where the angle is not identifiable."""
     if identifiable:
         return []
     message = (
@@ -120,7 +116,6 @@ def angle_findings(identifiable: bool) -> list[Finding]:
 
 
 def is_identifiable(interval: Interval) -> bool:
-    """False if the profile interval covers the whole range."""
     return not (interval.open_low and interval.open_high)
 
 
@@ -138,7 +133,6 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
 
 
 def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
-    """Starts, minima and meshes of the search, as a note; *mesh*: of the films that refine a minimum."""
     total = sum(minimum.starts for minimum in minima)
     best = minima[0]
     cells = f"{mesh.around} x {mesh.across}"

@@ -217,7 +217,6 @@ class Misfit:
 
     @property
     def n_prior(self) -> int:
-        """Number of the prior's rows."""
         return len(self.model.prior.names)
 
     def sized(self, size: float) -> Misfit:

@@ -127,7 +127,6 @@ def _continued(misfit: Misfit, minimum: Minimum) -> Minimum:
 
 
 def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
-    """The minima in their order, those at the same place merged."""
     distinct: list[Minimum] = []
     for candidate in candidates:
         near = next(

@@ -156,7 +156,6 @@ class Ranges:
 
     @property
     def wide(self) -> bool:
-        """True if viscosity, clearance or cavitation pressure varies."""
         return self.viscosity_factor > 1 or self.clearance_factor > 1 or self.cavitation_pressure < 0
 
     def of_table(self, worn: bool) -> TableRange:
