@@ -17,8 +17,8 @@ from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodne
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, inflation_factors
-from labpipe.methods.floating_bearing.budget import as_estimate, budgeted, unconverged
 from labpipe.methods.floating_bearing.findings import (
+    BalanceError,
     effective_forces,
     given_notes,
     motion_findings,
@@ -26,11 +26,21 @@ from labpipe.methods.floating_bearing.findings import (
     physical_findings,
     remedy,
     shown_course,
+    stator_error,
     whirl_findings,
 )
 from labpipe.methods.floating_bearing.forms import BANDS, FORMS, Form, StiffnessModel, banded
-from labpipe.methods.floating_bearing.given import (
+from labpipe.methods.floating_bearing.likelihood import (
+    Balance,
+    ErrorsInVariables,
+    Estimate,
+    GivenErrors,
+    Noise,
+    estimate,
+)
+from labpipe.methods.floating_bearing.settings import (
     Baseline,
+    DynamicStiffnessSettings,
     Given,
     balance_of,
     contradictions,
@@ -41,16 +51,6 @@ from labpipe.methods.floating_bearing.given import (
     smeared_balance,
     smoothed_channels,
 )
-from labpipe.methods.floating_bearing.likelihood import (
-    Balance,
-    ErrorsInVariables,
-    Estimate,
-    GivenErrors,
-    Noise,
-    estimate,
-)
-from labpipe.methods.floating_bearing.model_error import BalanceError, stator_error
-from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.floating_bearing.stator import (
     LineStiffness,
     Stator,
@@ -63,9 +63,12 @@ from labpipe.methods.floating_bearing.values import (
     Bearing,
     FittedStiffness,
     Shaft,
+    as_estimate,
+    budgeted,
     coefficients,
     derived_values,
     dimensionless,
+    unconverged,
 )
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter

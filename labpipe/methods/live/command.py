@@ -27,10 +27,10 @@ from labpipe.cli.output import echo, echo_table, printable
 from labpipe.display import difference_in, shown_unit, unit_label, with_error
 from labpipe.document.html_page import render_html
 from labpipe.errors import ConfigError
+from labpipe.methods.live.bench import FollowedFit
+from labpipe.methods.live.charts import Standing, Update
 from labpipe.methods.live.course import coefficients_of, course_figure
-from labpipe.methods.live.followed import FollowedFit
 from labpipe.methods.live.session import Session, WholeFits
-from labpipe.methods.live.standings import Standing, Update
 from labpipe.quantities import to_display
 from labpipe.report.chart import Axis, Panel, curve, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
@@ -308,8 +308,8 @@ class Page:
 
 
 if TYPE_CHECKING:
+    from labpipe.methods.live.charts import Update
     from labpipe.methods.live.session import Session
-    from labpipe.methods.live.standings import Update
 
 # Seconds between two pictures of the terminal and the page.
 PICTURE = 0.25
@@ -364,9 +364,9 @@ def live(
     recordings of PIPELINE are not read. Exit code 0 when every rule of --until holds (or there is none), 1
     when the test ended before.
     """
+    from labpipe.methods.live.charts import Goal
     from labpipe.methods.live.session import Session, columns_of
     from labpipe.methods.live.sources import open_source, standard_input
-    from labpipe.methods.live.standings import Goal
     from labpipe.project.pipeline_file import load_for_stream
 
     if (source is None) == (simulate is None):

@@ -11,10 +11,9 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.display import difference_in, shown_unit, unit_label
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.averages import CUTTERS
-from labpipe.methods.live.bench import Bench
-from labpipe.methods.live.followed import is_followed
-from labpipe.methods.live.standings import Goal, Update
+from labpipe.methods.live.bench import Bench, is_followed
+from labpipe.methods.live.charts import Goal, Update
+from labpipe.methods.live.running_fit import CUTTERS
 from labpipe.project.ingest import ingest, unique_names
 from labpipe.project.tests import Test
 from labpipe.project.work import Work

@@ -17,12 +17,10 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.averages import CUTTERS
-from labpipe.methods.live.bench import Bench
-from labpipe.methods.live.charts import Forecast
-from labpipe.methods.live.followed import is_followed
+from labpipe.methods.live.bench import Bench, is_followed
+from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, half_width
+from labpipe.methods.live.running_fit import CUTTERS
 from labpipe.methods.live.sources import Folder, SampleStream, is_old
-from labpipe.methods.live.standings import Goal, Standing, Update, Watch, check_names, half_width
 from labpipe.project.ingest import Calibration, channel_screen
 from labpipe.project.measured import OTHERS
 from labpipe.project.pipeline_file import Pipeline

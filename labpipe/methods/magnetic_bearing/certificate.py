@@ -36,10 +36,15 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import GAIN, MEASURED, measured_margins
-from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, peak_of
+from labpipe.methods.magnetic_bearing.sensitivity import (
+    MeasuredSensitivity,
+    Peak,
+    SensitivityMatrix,
+    peak_of,
+    sensitivity_matrix,
+)
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,
     Levitated,

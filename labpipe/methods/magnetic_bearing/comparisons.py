@@ -22,7 +22,6 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.loop_matrix import per_injection
 from labpipe.methods.magnetic_bearing.loop_problem import (
     View,
     checked_view,
@@ -30,7 +29,7 @@ from labpipe.methods.magnetic_bearing.loop_problem import (
     predicted_fits,
     with_unknowns,
 )
-from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity
+from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, per_injection
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note

@@ -32,22 +32,20 @@ from labpipe.methods.modal.model_error import (
     with_model_errors,
 )
 from labpipe.methods.modal.moved import MovedMode, aligned, aligned_measured, with_moved_modes
-from labpipe.methods.modal.number import (
-    Completed,
-    LineNoise,
-    completed,
-    kept_modes,
-    refine_with_terms,
-    with_real_modes,
-)
 from labpipe.methods.modal.poles import (
+    Completed,
     Diagram,
+    LineNoise,
     NormalEquations,
     Poles,
+    completed,
     damping_ratio,
+    kept_modes,
     nearest_modes,
     normal_equations,
+    refine_with_terms,
     stabilisation,
+    with_real_modes,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.methods.modal.whole_covariance import (

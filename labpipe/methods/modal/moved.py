@@ -16,7 +16,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import Measured
 from labpipe.methods.modal.likelihood import Lines, Refined, pole_functions, remaining
-from labpipe.methods.modal.number import Completed, LineNoise, refine_with_terms, whiteness
+from labpipe.methods.modal.poles import Completed, LineNoise, refine_with_terms, whiteness
 from labpipe.records.finding import Finding, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.

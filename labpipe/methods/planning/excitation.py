@@ -24,14 +24,13 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.planning.campaigns import Multisines
 from labpipe.methods.planning.campaigns import Rig as LimitedRig
-from labpipe.methods.planning.expectation import Earlier, Expected
 from labpipe.methods.planning.model import AXES
 from labpipe.methods.planning.plan import Planned, make_plan, planned_test
 from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_plan, write_settings
 from labpipe.methods.planning.records import PlannedTest
 from labpipe.methods.planning.report import goal_sentence, plan_document, sentence
 from labpipe.methods.planning.settings import PlanKind, PlanSettings, TheorySettings
-from labpipe.methods.planning.uncertainty import Rehearse, rehearsed
+from labpipe.methods.planning.uncertainty import Earlier, Expected, Rehearse, rehearsed
 from labpipe.project.bearing_file import open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import load_marked, set_entry

@@ -25,14 +25,6 @@ from labpipe.methods.planning.campaigns import (
     settling,
     with_shares,
 )
-from labpipe.methods.planning.expectation import (
-    Earlier,
-    Excitation,
-    Expected,
-    identifiability,
-    spread,
-    spread_notes,
-)
 from labpipe.methods.planning.model import AXES, Noise, PlannedModel
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
 from labpipe.methods.planning.runs import LONGEST, least_factor
@@ -48,15 +40,21 @@ from labpipe.methods.planning.search import (
 )
 from labpipe.methods.planning.settings import BEST, PlanSettings
 from labpipe.methods.planning.uncertainty import (
+    Earlier,
+    Excitation,
+    Expected,
     Goals,
     Rehearse,
     aims,
     beside_earlier,
     calibration_notes,
     goals_of,
+    identifiability,
     lasting_notes,
     limits,
     predicted,
+    spread,
+    spread_notes,
     unreachable,
     with_uncertainty,
 )

@@ -28,10 +28,9 @@ from labpipe.methods.planning.run_up_information import (
 )
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_relative
-from labpipe.methods.run_ups.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily
 from labpipe.methods.run_ups.misfit import scales
 from labpipe.methods.run_ups.records import Shaker
-from labpipe.methods.run_ups.rotor import RPM, RunUpRotor
+from labpipe.methods.run_ups.rotor import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, RPM, FilmFamily, RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.registry import nearest

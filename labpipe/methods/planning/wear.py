@@ -31,8 +31,7 @@ from labpipe.methods.planning.settings import PlanKind
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import Support
-from labpipe.methods.wear.measured import PLACES
-from labpipe.methods.wear.model import BETA_STEP
+from labpipe.methods.wear.model import BETA_STEP, PLACES
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
 from labpipe.records.settings import Settings, quantity, require_positive, setting

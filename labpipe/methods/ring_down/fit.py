@@ -18,12 +18,22 @@ from labpipe.estimation.statistics import correlation, derived, estimated, stude
 from labpipe.methods.ring_down.amplitude_law import (
     FittedLaw,
     MissingMode,
+    decay_findings,
+    depends_on_amplitude,
     fitted_law,
+    jump_of,
     missing_mode,
     over_amplitude,
 )
-from labpipe.methods.ring_down.findings import decay_findings, depends_on_amplitude, jump_of
-from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
+from labpipe.methods.ring_down.likelihood import (
+    Decayed,
+    Judged,
+    Piece,
+    energies,
+    judged,
+    most_likely,
+    pieces_of,
+)
 from labpipe.methods.ring_down.repeats import (
     RepeatedDecays,
     drift_findings,
@@ -31,7 +41,6 @@ from labpipe.methods.ring_down.repeats import (
     repeated_decays,
     with_repeats,
 )
-from labpipe.methods.ring_down.residual_test import Judged, judged
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness

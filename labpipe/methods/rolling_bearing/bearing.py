@@ -21,14 +21,19 @@ from labpipe.bearings.kinds import (
     not_on_rotor,
 )
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
-from labpipe.methods.rolling_bearing.loads import DOFS, RollingBearing
+from labpipe.methods.rolling_bearing.loads import (
+    DOFS,
+    RollingBearing,
+    modes,
+    sdof_stiffness,
+    theoretical_response,
+)
 from labpipe.methods.rolling_bearing.settings import (
     LOAD_OF_DOF,
     BallBearingSettings,
     RollerBearingSettings,
     RollingSettings,
 )
-from labpipe.methods.rolling_bearing.shaft import modes, sdof_stiffness, theoretical_response
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
 

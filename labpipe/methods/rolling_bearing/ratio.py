@@ -19,8 +19,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.rolling_bearing.loads import DOFS
-from labpipe.methods.rolling_bearing.shaft import RigidShaft, bent_transfer_matrix
+from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, bent_transfer_matrix
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
 from labpipe.records.finding import Parameter

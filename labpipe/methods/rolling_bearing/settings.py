@@ -15,8 +15,7 @@ import numpy as np
 from scipy import optimize, special
 
 from labpipe.errors import ConfigError
-from labpipe.methods.rolling_bearing.loads import RollingBearing
-from labpipe.methods.rolling_bearing.shaft import RigidShaft
+from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing
 from labpipe.records.settings import Settings, quantity, setting
 
 

@@ -25,7 +25,6 @@ from scipy import optimize
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matrices, carried_beyond
 from labpipe.methods.run_ups.misfit import (
     ExcitedRun,
     LoadRuns,
@@ -35,7 +34,14 @@ from labpipe.methods.run_ups.misfit import (
     scales,
 )
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement
+from labpipe.methods.run_ups.rotor import (
+    COEFFICIENTS,
+    RunUpRotor,
+    as_eight,
+    as_matrices,
+    carried_beyond,
+    largest_displacement,
+)
 from labpipe.registry import nearest
 
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*

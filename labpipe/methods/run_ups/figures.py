@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.methods.run_ups.film_family import COEFFICIENTS
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     TWO_SIDED,
@@ -26,6 +25,7 @@ from labpipe.methods.run_ups.records import (
     RunUpResult,
     StartSpread,
 )
+from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.report.chart import (
     INK,
     PALETTE_SIZE,

@@ -20,10 +20,18 @@ from labpipe.estimation.descent import minimise, sum_of_squares
 from labpipe.estimation.statistics import Stated, combination_text, pulls_of, steps_by
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily, as_matrices
 from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds, sources_of
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import (
+    BOUND,
+    PARAMETERS,
+    PRIOR,
+    RPM,
+    FilmFamily,
+    RunUpRotor,
+    as_matrices,
+    searched_over,
+)
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
 MOST_SEARCHES = 25

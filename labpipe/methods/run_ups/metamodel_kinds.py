@@ -21,10 +21,9 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.run_ups.film_family import FilmFamily
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor
 
 # Relative difference below which two loads are the same.
 SAME_LOAD = 1e-6

@@ -25,7 +25,6 @@ from scipy import optimize
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
-from labpipe.methods.run_ups.film_family import coefficient_errors
 from labpipe.methods.run_ups.joint import LOAD_SLACK
 from labpipe.methods.run_ups.metamodel_kinds import (
     Extent,
@@ -35,6 +34,7 @@ from labpipe.methods.run_ups.metamodel_kinds import (
     fit_surface,
     physical_without,
 )
+from labpipe.methods.run_ups.rotor import coefficient_errors
 from labpipe.registry import nearest
 
 PLANE = 3.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,8 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.rotor.pinned import CondensedRotor
-from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matrices
 from labpipe.methods.run_ups.records import RankRow, RunUp, Shaker
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import COEFFICIENTS, RunUpRotor, as_eight, as_matrices
 from labpipe.records.uncertain import Uncertainty
 
 # Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
@@ -288,17 +288,9 @@ def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
     return RankRow(source, rank, float(condition), sentence, unseen_combinations(rows), advice)
 
 
-def _slopes(
-    rig: RunUpRotor,
-    speed: FloatArray,
-    eight: FloatArray,
-    unbalance: Mapping[str, complex] | None,
-    shaker: Shaker | None = None,
-) -> FloatArray:
-    """Of real and imaginary parts (4 n_plane, 8), under an unbalance or, without one, a force along x at the
-    first plane.
-    """
-    _, slopes = _response(rig, speed, eight, unbalance, shaker)
+def _slopes(rig: RunUpRotor, *excitation: Any) -> FloatArray:
+    """Of real and imaginary parts (4 n_plane, 8)."""
+    _, slopes = _response(rig, *excitation)
     return np.concatenate([slopes.real, slopes.imag])
 
 
@@ -309,6 +301,7 @@ def _response(
     unbalance: Mapping[str, complex] | None,
     shaker: Shaker | None = None,
 ) -> tuple[ComplexArray, ComplexArray]:
+    """Under an unbalance or, without one, a force along x at the first plane."""
     shape = (1, len(rig.planes), 2)
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
     run = RunUp(

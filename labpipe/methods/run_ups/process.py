@@ -27,7 +27,6 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR, FilmFamily, as_matrices
 from labpipe.methods.run_ups.joint import (
     JointFit,
     RunUpFit,
@@ -40,7 +39,16 @@ from labpipe.methods.run_ups.joint import (
 )
 from labpipe.methods.run_ups.misfit import displacement_slopes, runs_by_load
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, largest_displacement, searched_over
+from labpipe.methods.run_ups.rotor import (
+    PARAMETERS,
+    PRIOR,
+    RPM,
+    FilmFamily,
+    RunUpRotor,
+    as_matrices,
+    largest_displacement,
+    searched_over,
+)
 from labpipe.records.uncertain import Uncertain
 
 # Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.

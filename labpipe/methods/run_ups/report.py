@@ -21,7 +21,6 @@ from labpipe.methods.run_ups.figures import (
     spread_figure,
     surface_figures,
 )
-from labpipe.methods.run_ups.film_family import COEFFICIENTS
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     REJECTED,
@@ -33,6 +32,7 @@ from labpipe.methods.run_ups.records import (
     RunUpMethod,
     RunUpResult,
 )
+from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.records.identification import Identification
 from labpipe.report.document import Block, Paragraph, Section, Table
 

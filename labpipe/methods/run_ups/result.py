@@ -13,15 +13,22 @@ import numpy as np
 
 from labpipe.errors import LabpipeError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.run_ups.film_family import carried_beyond
 from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
 from labpipe.methods.run_ups.joint import JointFit
 from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
 from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, physical_without
 from labpipe.methods.run_ups.metamodels import Metamodel, caution, fit_metamodel, leave_one_load_out
-from labpipe.methods.run_ups.methods import BEYOND, Predictor, Solved, solve_start
+from labpipe.methods.run_ups.methods import (
+    BEYOND,
+    AtLoad,
+    Predictor,
+    Solved,
+    excited_as,
+    predict,
+    solve_start,
+    with_unbalance_of,
+)
 from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
-from labpipe.methods.run_ups.predictions import AtLoad, excited_as, predict, with_unbalance_of
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     REJECTED,
@@ -37,7 +44,7 @@ from labpipe.methods.run_ups.records import (
     RunUpResult,
     Surface,
 )
-from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, carried_beyond, searched_over
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter

@@ -34,8 +34,7 @@ from labpipe.estimation.statistics import (
 )
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.wear.measured import MISFITS, Misfit, WornReceptance, worn_receptance
-from labpipe.methods.wear.model import WornModel, worn_model
+from labpipe.methods.wear.model import MISFITS, Misfit, WornModel, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.search import (
     LEAST_INFORMATION,
     Interval,

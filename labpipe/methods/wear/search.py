@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_quantile
 from labpipe.errors import FitError
-from labpipe.methods.wear.measured import Misfit
+from labpipe.methods.wear.model import Misfit
 from labpipe.methods.wear.settings import ANGLE, DEPTH, WearSettings
 
 # Least depth of a start [m]: at zero depth the response does not depend on depth (to first order) or angle.

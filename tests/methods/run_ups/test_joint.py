@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.methods.run_ups.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily, as_eight
 from labpipe.methods.run_ups.joint import JointFit, RunUpProblem, fit_jointly, nearby_threshold, threshold_row
 from labpipe.methods.run_ups.misfit import runs_by_load
 from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.rotor import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily, as_eight
 from labpipe.methods.run_ups.virtual_rig import INSIDE, true_coefficients
 from labpipe.records.uncertain import Uncertain
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
