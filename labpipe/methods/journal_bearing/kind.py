@@ -146,7 +146,6 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
 
 
 def _figures(name: str, coefficients: BearingCoefficients) -> Mapping[str, Any]:
-    from labpipe.methods.journal_bearing.kind import film_figure
 
     return {} if coefficients.film is None else {"pressure.svg": film_figure(name, coefficients.film)}
 

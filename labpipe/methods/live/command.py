@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import click
@@ -28,9 +28,9 @@ from labpipe.display import difference_in, shown_unit, unit_label, with_error
 from labpipe.document.html_page import render_html
 from labpipe.errors import ConfigError
 from labpipe.methods.live.bench import FollowedFit
-from labpipe.methods.live.charts import Standing, Update
+from labpipe.methods.live.charts import Goal, Standing, Update
 from labpipe.methods.live.course import coefficients_of, course_figure
-from labpipe.methods.live.session import Session, WholeFits
+from labpipe.methods.live.session import Session, WholeFits, columns_of
 from labpipe.quantities import to_display
 from labpipe.report.chart import Axis, Panel, curve, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
@@ -307,10 +307,6 @@ class Page:
                 self._listeners.remove(news)
 
 
-if TYPE_CHECKING:
-    from labpipe.methods.live.charts import Update
-    from labpipe.methods.live.session import Session
-
 # Seconds between two pictures of the terminal and the page.
 PICTURE = 0.25
 REACHED, NOT_REACHED = 0, 1
@@ -364,8 +360,7 @@ def live(
     recordings of PIPELINE are not read. Exit code 0 when every rule of --until holds (or there is none), 1
     when the test ended before.
     """
-    from labpipe.methods.live.charts import Goal
-    from labpipe.methods.live.session import Session, columns_of
+
     from labpipe.methods.live.sources import open_source, standard_input
     from labpipe.project.pipeline_file import load_for_stream
 
@@ -507,8 +502,6 @@ def _asked_to_stop() -> Iterator[list[int]]:
 
 
 def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Path, columns: list[str]) -> Any:
-    import numpy as np
-
     from labpipe.artefacts.writing import output_folder
     from labpipe.methods.live.sources import Played
     from labpipe.project.simulate import TRUTH, load_virtual_rig, simulate_files

@@ -59,12 +59,8 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     names = _names(settings, views[0].fits[0])
     bands = [band for view in views for band in _bands(view, view.file, names)]
     fitted = loop_fit([view.observation for view in views], settings.estimate)
-    changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.usable else None
-    after = (
-        []
-        if changed is None
-        else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
-    )
+    changed = [with_unknowns(view.file, fitted.values()) for view in views if fitted.usable]
+    after = [band for view, file in zip(views, changed, strict=False) for band in _bands(view, file, names)]
     findings = (
         *_unstable(views),
         *identifiability_findings(fitted),
@@ -85,7 +81,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
         condition=settings.condition,
         bands=tuple(bands),
         curves=tuple(
-            _curve(view, letter, None if changed is None else changed[n])
+            _curve(view, letter, changed[n] if changed else None)
             for n, view in enumerate(views)
             for letter in LETTERS
         ),
@@ -146,15 +142,11 @@ def _amounts(
     bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]
 ) -> list[Parameter]:
     amounts = [
-        Parameter(f"share_{letter}", _share(bands, name), "1", derived=True)
+        Parameter(f"share_{letter}{fitted}", _share(of, name), "1", derived=True)
+        for of, fitted in ((bands, ""), (after, "_fitted"))
+        if of
         for letter, name in zip(LETTERS, names, strict=True)
     ]
-    if after:
-        pairs = zip(LETTERS, names, strict=True)
-        amounts += [
-            Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True)
-            for letter, name in pairs
-        ]
     return [*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
 
 
@@ -258,12 +250,10 @@ def _file_of(settings: CompareSettings, evidence: Evidence) -> MagneticFile | No
 
 
 def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | None:
+    if evidence.theory is None and settings.theory is not None:
+        return magnetic_theory(evidence.folder, settings.theory)
     given: MagneticTheory | None = evidence.theory
-    return (
-        magnetic_theory(evidence.folder, settings.theory)
-        if given is None and settings.theory is not None
-        else given
-    )
+    return given
 
 
 def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:

@@ -67,10 +67,18 @@ class MeasuredSensitivity:
     def size_changes(self) -> FloatArray:
         """Changes of |S| by one standard uncertainty of every source, (n_source, n_line) [1]."""
         along = self.values.conj() / np.maximum(self.size, 1e-300)
-        changes = np.array([error.change[:, 0, 0] for error in self.errors]).reshape(
-            len(self.errors), self.values.size
-        )
-        return np.asarray((changes * along).real)
+        return np.asarray((self._changes * along).real)
+
+    @property
+    def _changes(self) -> ComplexArray:
+        changes = [error.change[:, 0, 0] for error in self.errors]
+        return np.array(changes).reshape(len(changes), self.values.size)
+
+    @property
+    def course(self) -> Course:
+        """S over omega with its noise and changes."""
+        omega, dof = 2 * np.pi * self.frequency, self.response.covariance_dof
+        return Course(omega, self.values, 2 * self.error**2, self._changes, dof)
 
     @property
     def combined(self) -> FloatArray:
@@ -132,6 +140,13 @@ class Peak:
         """Combined standard uncertainty of the value [1]."""
         return float(np.sqrt(self.error**2 + np.sum(self.changes**2)))
 
+    def findings(self) -> list[Finding]:
+        what = (
+            f"the largest sensitivity is at the edge of the band, {self.frequency:.4g} Hz; it may be larger "
+            "beyond"
+        )
+        return [Finding("sensitivity-edge", what)] if self.at_edge else []
+
     def amounts(self, quantile: float, suffix: str = "") -> list[Parameter]:
         named = f"peak_frequency{suffix}"
         if self.frequency_error is None:
@@ -139,6 +154,11 @@ class Peak:
         else:
             place = with_error(named, "Hz", self.frequency, self.frequency_error, quantile)
         return [with_error(f"peak{suffix}", "1", self.value, self.error, quantile), place]
+
+
+def _quantile(dof: float) -> float:
+    """Standard errors to either side of a 95 % interval by complex degrees of freedom."""
+    return student_quantile(0.975, COMPLEX_PARTS * dof) if np.isfinite(dof) else normal_quantile(0.975)
 
 
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
@@ -160,7 +180,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     index = [row * len(response.inputs) + columns[0] for row in rows]
     ahead, behind = response.matrix[:, rows, columns[0]].T
     added = behind - ahead
-    if np.any(np.abs(added) < 1e-9 * np.abs(behind)):
+    if np.any(np.abs(added) < SAME_SIGNAL * np.abs(behind)):
         raise FitError(
             f"'{before}' and '{after}' are the same signal",
             hint="record one ahead of the sum and one behind it",
@@ -168,8 +188,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     slopes = np.stack([behind, -ahead], axis=1) / added[:, None] ** 2
     covariance = response.covariance[:, index][:, :, index]
     variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
-    dof = COMPLEX_PARTS * response.covariance_dof
-    quantile = student_quantile(0.975, dof) if np.isfinite(dof) else normal_quantile(0.975)
+    quantile = _quantile(response.covariance_dof)
     errors = tuple(
         replace(error, change=np.einsum("fi,fic->fc", slopes, error.change)[:, :, None])
         for error in response_errors(response, rows, columns)
@@ -185,17 +204,11 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
 
     Equation (comp-peak-change).
     """
-    frequency, error = measured.frequency, measured.error
-    changes = np.array([one.change[:, 0, 0] for one in measured.errors]).reshape(-1, frequency.size)
-    crest = crest_of(
-        Course(
-            2 * np.pi * frequency, measured.values, 2 * error**2, changes, measured.response.covariance_dof
-        )
-    )
+    crest = crest_of(measured.course)
     if crest is None:
         top = int(np.argmax(measured.size))
         of_lines = measured.size_changes
-        at_edge = float(measured.size[top]), float(error[top]), float(frequency[top])
+        at_edge = float(measured.size[top]), float(measured.error[top]), float(measured.frequency[top])
         return Peak(*at_edge, True, of_lines[:, top], None, np.zeros(len(of_lines)))
     value, spread, moved = crest.value
     place, wide, shifted = crest.place
@@ -220,9 +233,9 @@ def loop_sensitivity(
     amounts, budgets = list(measured_amounts), [budget]
     if theory is not None and predicted is not None:
         holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
-        pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
         amounts += [
-            *tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items()),
+            Parameter("predicted_peak", float(np.max(predicted)), "1", derived=True),
+            Parameter("share", float(np.mean(holds)), "1", derived=True),
             *goodness(theory.fitted),
             *theory.fitted.parameters,
         ]
@@ -303,23 +316,19 @@ def _statement(
         f"zone {zone} of ISO 14839-3"
     )
     ends = [zone_of(low), zone_of(high)]
-    confidence = (
-        "." if ends[0] == ends[1] else (f"; its interval reaches from zone {ends[0]} to zone {ends[1]}.")
-    )
-    limits = f" Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
+    if ends[0] != ends[1]:
+        peak_text += f"; its interval reaches from zone {ends[0]} to zone {ends[1]}"
+    peak_text += f". Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
     if theory is None or predicted is None:
-        return peak_text + confidence + limits
+        return peak_text
     stability = verdict(theory.file.levitated())
     if stability.unstable:
-        return (
-            f"{peak_text}{confidence}{limits} The loop of the bearing file is unstable, so it cannot be "
-            "the recorded one."
-        )
+        return f"{peak_text} The loop of the bearing file is unstable, so it cannot be the recorded one."
     prediction_text = f" Predicted in this band: {float(np.max(predicted)):.3f}."
     if stability.peak.value > 1.01 * float(np.max(predicted)):
         where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz, zone {stability.peak.zone}"
         prediction_text += f" Outside it the prediction reaches {where}, which this recording does not show."
-    return f"{peak_text}{confidence}{limits}{prediction_text} {fit_statement(theory.fitted)}"
+    return f"{peak_text}{prediction_text} {fit_statement(theory.fitted)}"
 
 
 def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, ...]:
@@ -331,12 +340,7 @@ def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, .
                 f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation",
             )
         )
-    if peak.at_edge:
-        what = (
-            f"the largest sensitivity is at the edge of the band, {peak.frequency:.4g} Hz; it may be "
-            "larger beyond"
-        )
-        findings.append(Finding("sensitivity-edge", what))
+    findings += peak.findings()
     if theory is not None:
         predicted = stability_findings(verdict(theory.file.levitated()))
         findings += [replace(finding, message=f"prediction: {finding.message}") for finding in predicted]
@@ -459,8 +463,7 @@ class SensitivityMatrix:
 
     @property
     def quantile(self) -> float:
-        """Standard errors to either side of a 95 % interval."""
-        return student_quantile(0.975, 2 * self.dof) if np.isfinite(self.dof) else normal_quantile(0.975)
+        return _quantile(self.dof)
 
     def errors_of(self, loop: int) -> tuple[MatrixError, ...]:
         """Changes (n_line, 1, 1) [1] of S_ii of a loop."""
@@ -550,11 +553,8 @@ def sensitivity_matrix(
             hint="average several periods or blocks",
         )
     h_after = response.matrix[:, rows]
-    added = (
-        h_after - response.matrix[:, ahead]
-        if ahead
-        else np.broadcast_to(np.eye(n), h_after.shape).astype(np.complex128)
-    )
+    unit = np.broadcast_to(np.eye(n), h_after.shape).astype(np.complex128)
+    added = h_after - response.matrix[:, ahead] if ahead else unit
     if np.any(
         np.linalg.svd(added, compute_uv=False)[:, -1] < SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2))
     ):
@@ -564,9 +564,8 @@ def sensitivity_matrix(
     inverse = np.linalg.inv(added)
     values = h_after @ inverse
     # dS = (dH_after - S (dH_after - dH_before)) added^-1.
-    of_after = np.eye(n) - values if ahead else np.broadcast_to(np.eye(n), values.shape)
     picked = np.zeros((len(values), n, len(response.outputs)), np.complex128)
-    picked[:, :, rows] += of_after
+    picked[:, :, rows] += unit - values if ahead else unit
     if ahead:
         picked[:, :, ahead] += values
     slopes = np.einsum("lio,lkj->lijok", picked, inverse).reshape(len(values), n * n, -1)

@@ -184,8 +184,6 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     )
 
 
-# Damping and frequency of a decay over its amplitude.
-
 # Stretches of one decay at most, periods of one at least, and amplitudes over their standard error below
 # which nothing is seen.
 MOST_STRETCHES, LEAST_PERIODS, LEAST_RATIO = 16, 3.0, 10.0
@@ -272,8 +270,6 @@ def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: 
     table = np.array(sorted(rows)).reshape(-1, 5).T
     return OverAmplitude(*table)
 
-
-# One mode more than a fit has, where it explains better what looks like damping over amplitude.
 
 # Difference of the Bayesian information criterion beyond which the better model is chosen: strong evidence
 # (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 3.2).

@@ -51,9 +51,9 @@ def margin_below(amplification: float) -> float:
 
 def margin_above(amplification: float) -> float:
     """The same of one above the highest operating speed: 10 + 17 (1 - 1 / (AF - 1.5)), at most 26."""
-    return (
-        0.0 if amplification < LEAST_AMPLIFICATION else min(26.0, 10 + 17 * (1 - 1 / (amplification - 1.5)))
-    )
+    if amplification < LEAST_AMPLIFICATION:
+        return 0.0
+    return min(26.0, 10 + 17 * (1 - 1 / (amplification - 1.5)))
 
 
 @dataclass(frozen=True)
@@ -127,15 +127,14 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     except FitError:
         onset = 2 * np.pi * float(speeds[0])
     crossings = []
-    for mode in range(order.shape[1]):
-        excess = frequency[:, mode] - speeds
+    for of_mode, decrements, whirls in zip(frequency.T, decrement.T, whirl.T, strict=True):
+        excess = of_mode - speeds
         for n in np.flatnonzero(np.sign(excess[:-1]) * np.sign(excess[1:]) < 0):
             share = excess[n] / (excess[n] - excess[n + 1])
-            mixed = [
-                (1 - share) * row[n] + share * row[n + 1]
-                for row in (speeds, decrement[:, mode], whirl[:, mode])
-            ]
-            crossings.append((float(mixed[0]), float(mixed[1]), float(mixed[2])))
+            at_speed, damped, turning = (
+                float((1 - share) * row[n] + share * row[n + 1]) for row in (speeds, decrements, whirls)
+            )
+            crossings.append((at_speed, damped, turning))
     theory = RotorTheory(
         rig,
         speeds,
@@ -192,20 +191,15 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
 def _with_response(theory: RotorTheory, at: _SupportsBetween) -> RotorTheory:
     """The response to the file's unbalances at bearings, discs and the node that is measured."""
     rig = theory.rig
-    amounts: dict[int, complex] = {}
-    for part in rig.unbalances:
-        amounts[part.node] = amounts.get(part.node, 0j) + part.size * np.exp(1j * part.phase)
+    amounts = rig.amounts
     nodes = sorted({rig.response, *amounts, *(place.node for place in rig.bearings)})
     outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
     fine = np.linspace(theory.speed[0], theory.speed[-1], FINE)
-    motion = np.array(
-        [
-            unbalance_response(rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs)[
-                0
-            ]
-            for speed in fine
-        ]
-    ).reshape(fine.size, len(nodes), 2)
+    rows = [
+        unbalance_response(rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs)
+        for speed in fine
+    ]
+    motion = np.array(rows).reshape(fine.size, len(nodes), 2)
     # The major semi-axis of an orbit is the sum of its two circles.
     amplitude = np.sum(np.abs(forward_backward_motion(motion)), axis=2)
     criticals = [critical for n, node in enumerate(nodes) for critical in peaks(fine, amplitude[:, n], node)]
@@ -271,8 +265,6 @@ def rotor(
     """A rotor by theory alone: natural frequencies over speed, critical speeds with amplification factors and
     margins, stability, unbalance response.
     """
-    import numpy as np
-
     from labpipe.artefacts.writing import output_file
     from labpipe.document.render import DOCUMENTS
     from labpipe.methods.rotor.rotor_file import load_rotor
@@ -350,7 +342,6 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
 
 def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
     """The result as `labpipe rotor --json` writes it: speeds in Hz, null where a mode is gone."""
-    import numpy as np
 
     def rows(matrix: Any) -> list[list[float | None]]:
         return [[None if np.isnan(value) else float(value) for value in row] for row in matrix]
