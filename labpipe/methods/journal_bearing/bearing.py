@@ -159,7 +159,11 @@ def _balanced(
             - np.einsum("aij,ij->a", by_force, equations.residual)
         )
         change = np.linalg.solve(stiffness, missing)
-        part = _allowed_part(film, displacement, change)
+        _, face = film.thickness(displacement)
+        if np.min(face) < THINNEST:
+            raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
+        closing = float(np.max(-(change @ film.grid.at_face) / face))
+        part = min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
         displacement = displacement + part * change
         side = (
             equations.residual
@@ -206,14 +210,6 @@ def _squeeze(film: Film) -> FloatArray:
     [-].
     """
     return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
-
-
-def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> float:
-    _, face = film.thickness(displacement)
-    if np.min(face) < THINNEST:
-        raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
-    closing = float(np.max(-(change @ film.grid.at_face) / face))
-    return min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
 
 
 DEFAULT_MESH = FilmMesh(120, 30)

@@ -128,17 +128,13 @@ def film_grid(mesh: FilmMesh) -> FilmGrid:
     at_centre = -np.stack([np.cos(centre), np.sin(centre)])
     at_face = -np.stack([np.cos(face), np.sin(face)])
     wedge = (at_face - np.roll(at_face, 1, axis=1)) / mesh.arc
-    grid = FilmGrid(centre, face, at_centre, at_face, wedge, _curvature(mesh))
-    for values in vars(grid).values():
-        values.setflags(write=False)
-    return grid
-
-
-def _curvature(mesh: FilmMesh) -> FloatArray:
     n_half = mesh.across // 2
     curvature = 2 * np.eye(n_half) - np.eye(n_half, k=1) - np.eye(n_half, k=-1)
     curvature[0, 0], curvature[-1, -1] = 1, 3
-    return curvature / mesh.strip**2
+    grid = FilmGrid(centre, face, at_centre, at_face, wedge, curvature / mesh.strip**2)
+    for values in vars(grid).values():
+        values.setflags(write=False)
+    return grid
 
 
 @lru_cache(maxsize=16)

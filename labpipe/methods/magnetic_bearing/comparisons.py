@@ -69,13 +69,24 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     unstable = any(verdict(view.file.levitated()).unstable for view in views)
     shares = [_share(bands, name) for name in names]
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
+    amounts = [
+        Parameter(f"share_{letter}{fitted}", _share(of, name), "1", derived=True)
+        for of, fitted in ((bands, ""), (after, "_fitted"))
+        if of
+        for letter, name in zip(LETTERS, names, strict=True)
+    ]
     return Comparison(
         name=settings.name,
         kind="prediction",
         subject=f"{names[0]} and {names[1]}, fit {settings.fit}",
         unit="N/m",
         points=(),
-        amounts=(*_amounts(bands, after, names), *_stability(views), *goodness(fitted), *fitted.parameters),
+        amounts=(
+            *[*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)],
+            *_stability(views),
+            *goodness(fitted),
+            *fitted.parameters,
+        ),
         verdict=word,
         statement=_statement(bands, after, names, fitted, word, views),
         condition=settings.condition,
@@ -136,18 +147,6 @@ def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
 
 def _share(bands: Sequence[ComparedBand], name: str) -> float:
     return float(np.mean([band.holds for band in bands if band.parameter == name]))
-
-
-def _amounts(
-    bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]
-) -> list[Parameter]:
-    amounts = [
-        Parameter(f"share_{letter}{fitted}", _share(of, name), "1", derived=True)
-        for of, fitted in ((bands, ""), (after, "_fitted"))
-        if of
-        for letter, name in zip(LETTERS, names, strict=True)
-    ]
-    return [*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
 
 
 def _stability(views: Sequence[View]) -> list[Parameter]:

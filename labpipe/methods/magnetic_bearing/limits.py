@@ -361,10 +361,17 @@ def _changes(
         )
         for factor in (-1.0, *(sign * 10.0**power for power in POWERS for sign in (1, -1))):
             # More of the excitation is less of all responses to it.
+            assert response.covariance is not None
+            scale = np.ones(len(response.outputs))
+            scale[list(rows)] = factor if name in signals else 1 / factor
+            errors = tuple(replace(error, change=error.change * scale[:, None]) for error in response.errors)
+            covariance = response.covariance * np.outer(scale, scale)
             yield (
                 _words(name, factor),
                 own,
-                _scaled(response, rows, factor if name in signals else 1 / factor),
+                replace(
+                    response, matrix=response.matrix * scale[:, None], covariance=covariance, errors=errors
+                ),
             )
 
 
@@ -373,12 +380,3 @@ def _words(name: str, factor: float) -> str:
         return f"with the sign of '{name}' changed (invert: in the rig file)"
     sign = " and its sign changed" if factor < 0 else ""
     return f"with '{name}' times {abs(factor):g}{sign} (its unit or sensitivity in the rig file)"
-
-
-def _scaled(response: FrequencyResponse, rows: Sequence[int], factor: float) -> FrequencyResponse:
-    assert response.covariance is not None
-    scale = np.ones(len(response.outputs))
-    scale[list(rows)] = factor
-    errors = tuple(replace(error, change=error.change * scale[:, None]) for error in response.errors)
-    covariance = response.covariance * np.outer(scale, scale)
-    return replace(response, matrix=response.matrix * scale[:, None], covariance=covariance, errors=errors)

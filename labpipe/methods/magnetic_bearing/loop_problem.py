@@ -61,7 +61,16 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     field = ALIASES.get(name, name)
     value_and_unit: tuple[float | None, str] | None
     if field.startswith(BLOCK):
-        value_and_unit = _block_entry(file, name)
+        place, _, entry = name.removeprefix(BLOCK).partition(".")
+        count = len(file.loop.controller)
+        if not place.isdigit() or not 1 <= int(place) <= count:
+            hint = f"controller.1 to controller.{count}" if count else ""
+            raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
+        if entry not in _BLOCK_ENTRIES:
+            raise ConfigError(
+                f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES))
+            )
+        value_and_unit = getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
     elif field == "static_stiffness":
         value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
     elif field in FACTORS:
@@ -95,19 +104,6 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
             hint="a value near the expected one is needed to start from",
         )
     return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
-
-
-def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
-    place, _, entry = name.removeprefix(BLOCK).partition(".")
-    count = len(file.loop.controller)
-    if not place.isdigit() or not 1 <= int(place) <= count:
-        hint = f"controller.1 to controller.{count}" if count else ""
-        raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
-    if entry not in _BLOCK_ENTRIES:
-        raise ConfigError(
-            f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES))
-        )
-    return getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
 
 
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:

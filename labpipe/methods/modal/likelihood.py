@@ -172,7 +172,11 @@ def refine(
     The noise of every element, the same at all lines, is estimated from its residual after each step.
     Equation (modal-model).
     """
-    start = _normalised(participation)
+    rows, largest = np.arange(participation.shape[0]), np.argmax(np.abs(participation), axis=1)
+    scaled = participation / participation[rows, largest][:, None]
+    # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.
+    scaled[rows, largest] = 1.0
+    start = np.asarray(scaled)
     state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)
     for steps in range(1, most_steps + 1):
         step, std_errors = state.step()
@@ -309,14 +313,6 @@ def _pseudo_inverse(normal: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))
     keep = values > ROUNDING * values[-1]
     return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / (scale[:, None] * scale))
-
-
-def _normalised(participation: ComplexArray) -> ComplexArray:
-    rows, largest = np.arange(participation.shape[0]), np.argmax(np.abs(participation), axis=1)
-    scaled = participation / participation[rows, largest][:, None]
-    # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.
-    scaled[rows, largest] = 1.0
-    return np.asarray(scaled)
 
 
 def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:

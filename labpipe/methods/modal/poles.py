@@ -371,18 +371,6 @@ def _even(flat: ComplexArray) -> ComplexArray:
     return np.asarray(flat / np.sqrt(np.maximum(around, np.finfo(float).tiny)))
 
 
-def loudest_line(residual: ComplexArray, noise: FloatArray, width: int) -> int:
-    """The line around which the residual (n_line, n_output, n_input) [unit of the FRF] is largest over
-    *width* lines.
-
-    It is taken relative to its noise (n_output, n_input) [square of the FRF's unit].
-    """
-    scaled = (residual / np.sqrt(noise)).reshape(residual.shape[0], -1)
-    kernel = np.ones(max(width, 1))
-    summed = np.stack([np.convolve(column, kernel, mode="same") for column in scaled.T])
-    return int(np.argmax(np.sum(np.abs(summed) ** 2, axis=0)))
-
-
 # Number of residual terms by the information criterion, grown one term at a time from the refined modes.
 
 MOST_LOWER, MOST_UPPER = 3, 8
@@ -557,7 +545,10 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     residual = remaining(lines, done.terms, refined)
     spacing = float(np.mean(np.diff(lines.omega)))
     decay = float(np.median(-refined.poles.real))
-    line = loudest_line(residual, refined.noise, round(2 * decay / spacing))
+    scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
+    kernel = np.ones(max(round(2 * decay / spacing), 1))
+    summed = np.stack([np.convolve(column, kernel, mode="same") for column in scaled.T])
+    line = int(np.argmax(np.sum(np.abs(summed) ** 2, axis=0)))
     near = int(np.argmin(np.abs(refined.poles.imag - lines.omega[line])))
     pole = refined.poles.real[near] + 1j * lines.omega[line]
     if abs(pole - refined.poles[near]) < decay / 2:

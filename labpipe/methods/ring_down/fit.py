@@ -214,16 +214,6 @@ def law_parameters(
     )
 
 
-def pole_correlation(fitted: Decayed) -> FloatArray:
-    """Correlation (2 n_mode, 2 n_mode) [1] of f_n_1, zeta_1, f_n_2, zeta_2 ..."""
-    n = fitted.poles.size
-    slopes = np.zeros((2 * n, 2 * n))
-    for mode, pole in enumerate(fitted.poles):
-        for row, (_, _, _, gradient) in enumerate(_frequency_and_damping(pole)):
-            slopes[2 * mode + row, 2 * mode : 2 * mode + 2] = gradient
-    return correlation(slopes @ fitted.covariance @ slopes.T)
-
-
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
 
 
@@ -445,7 +435,12 @@ def _reported(
         _free_of_nuisance(piece) for piece in pieces
     )
     adjusted = 1 - (1 - r2) * equations / fitted.dof
-    matrix = pole_correlation(fitted)
+    n = fitted.poles.size
+    slopes = np.zeros((2 * n, 2 * n))
+    for mode, pole in enumerate(fitted.poles):
+        for row, (_, _, _, gradient) in enumerate(_frequency_and_damping(pole)):
+            slopes[2 * mode + row, 2 * mode : 2 * mode + 2] = gradient
+    matrix = correlation(slopes @ fitted.covariance @ slopes.T)
     return Fit(
         name=settings.name,
         model=settings.model,

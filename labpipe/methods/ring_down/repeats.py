@@ -74,7 +74,14 @@ def repeated_decays(
     failed = []
     for number, (decay, piece) in enumerate(zip(decays.decays, pieces, strict=True)):
         try:
-            fits[number] = _alone(decays, number, columns, piece, band, n_mode)
+            fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
+            if not fitted.converged:
+                raise FitError("its fit does not converge")
+            if np.any(fitted.poles.real >= 0):
+                raise FitError("it does not decay")
+            if np.any(energies([piece], fitted) < 2 * np.log(piece.rows.size / MISMATCH_P)):
+                raise FitError("a mode of it is noise")
+            fits[number] = fitted
         except FitError as error:
             where = f"decay {number + 1} of {len(pieces)} ('{decay.recording}', {decay.start:.3f} s)"
             failed.append(note("repeat-left-out", f"{where} is left out: {error.what}"))
@@ -93,24 +100,6 @@ def repeated_decays(
         means.append(pair)
     failed.extend(_outliers(decays, numbers, kept, logs, n_mode))
     return RepeatedDecays(len(pieces), numbers, own, tuple(failed), kept, tuple(means), at)
-
-
-def _alone(
-    decays: FreeDecays,
-    number: int,
-    columns: Sequence[int],
-    piece: Piece,
-    band: tuple[float, float] | None,
-    n_mode: int,
-) -> Decayed:
-    fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
-    if not fitted.converged:
-        raise FitError("its fit does not converge")
-    if np.any(fitted.poles.real >= 0):
-        raise FitError("it does not decay")
-    if np.any(energies([piece], fitted) < 2 * np.log(piece.rows.size / MISMATCH_P)):
-        raise FitError("a mode of it is noise")
-    return fitted
 
 
 def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:

@@ -138,11 +138,20 @@ def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
 def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoefficients:
     state = solved.state
     k, at = state.stiffness[case], state.contacts
+    rest = [
+        Amount(name, float(q), unit)
+        for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)
+    ]
+    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
+    rest += [
+        Amount(name, float(f), unit)
+        for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)
+    ]
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=k,
         damping=settings.damping_factor * k,
-        rest=_rest(state, case),
+        rest=(*rest, Amount("loaded_elements", float(np.sum(state.contacts.load[case] > 0)), "1")),
         element_state={
             "element_angle": state.angles[case],
             "element_load": at.load[case],
@@ -155,20 +164,6 @@ def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoeff
         shaft=_shaft(settings, k),
         findings=tuple(_findings(solved, case)),
     )
-
-
-def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
-    """Displacements, loads of the inner ring, and the number of loaded elements."""
-    rest = [
-        Amount(name, float(q), unit)
-        for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)
-    ]
-    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
-    rest += [
-        Amount(name, float(f), unit)
-        for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)
-    ]
-    return (*rest, Amount("loaded_elements", float(np.sum(state.contacts.load[case] > 0)), "1"))
 
 
 def _notes(settings: RollingSettings) -> tuple[Amount, ...]:

@@ -451,23 +451,18 @@ def _result(
     problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int, known: tuple[str, ...]
 ) -> JointFit:
     fields, scaled = posterior(problem, parameters, steps)
+    names = [name for name, is_free in zip(PARAMETERS, problem.free, strict=True) if is_free]
+    _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
+    weight = PRIOR[problem.free]
     return JointFit(
         **fields,
         at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
-        prior_dominated=_prior_dominated(scaled, problem.free),
+        prior_dominated=(
+            tuple(
+                combination_text(names, row * weight, 0.1)
+                for row, size in list(zip(rows, singular, strict=True))[::-1]
+                if size < 1
+            )
+        ),
         known=known,
-    )
-
-
-def _prior_dominated(scaled: FloatArray, free: BoolArray) -> tuple[str, ...]:
-    """Combinations (logarithms, in units of the priors) that the priors determine better than the data do,
-    the worst first.
-    """
-    names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
-    _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
-    weight = PRIOR[free]
-    return tuple(
-        combination_text(names, row * weight, 0.1)
-        for row, size in list(zip(rows, singular, strict=True))[::-1]
-        if size < 1
     )

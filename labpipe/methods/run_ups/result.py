@@ -95,11 +95,21 @@ def metamodels(
             (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
         )
         predictions = tuple(_prediction(model, rig, run, settings.plane, uncertainty) for run in runs)
+        loads = [run.load for run in runs]
+        load, speed = (
+            np.linspace(min(loads), max(loads), SURFACE_LOADS),
+            np.linspace(*model.extent.speeds, SURFACE_SPEEDS),
+        )
+        values = np.stack([model.predict(one_load, speed) for one_load in load])
         results.append(
             MetamodelResult(
                 name,
                 TITLES[name],
-                _surface(model, runs),
+                Surface(
+                    column(load),
+                    column(speed),
+                    tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)),
+                ),
                 rows,
                 predictions,
                 (f"{model.statement}.",),
@@ -148,19 +158,6 @@ def _prediction(
     )
 
 
-def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
-    """Coefficients over all loads, held-out loads included, and the speeds of the fit."""
-    loads = [run.load for run in runs]
-    load, speed = (
-        np.linspace(min(loads), max(loads), SURFACE_LOADS),
-        np.linspace(*model.extent.speeds, SURFACE_SPEEDS),
-    )
-    values = np.stack([model.predict(one_load, speed) for one_load in load])
-    return Surface(
-        column(load), column(speed), tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8))
-    )
-
-
 Tell = Callable[[str], None]
 
 
@@ -185,7 +182,17 @@ def run_up_result(
     ]
     if settings.metamodels:
         tell("run-ups   metamodels")
-    ranks = _ranks(rig, trained)
+    loads = sorted({run.load for run in trained})
+    load = loads[len(loads) // 2]
+    load_runs = [run for run in trained if run.load == load]
+    first = load_runs[0]
+    speed = float(first.speed[first.n_speed // 2])
+    ranks = {
+        "ranks": rank_statements(rig, load, speed),
+        "rank_load": load,
+        "rank_speed": speed,
+        "measured_rank": measured_statement(rig, load_runs, load, speed),
+    }
     result = RunUpResult(
         rig.name,
         settings.plane or rig.plane_names[-1],
@@ -228,21 +235,6 @@ def _bearing_text(rig: RunUpRotor) -> str:
         f"{1e6 * bearing.clearance:.4g} um"
     )
     return f"journal bearing '{rig.place.name}': {size}, viscosity {bearing.viscosity:.4g} Pa s"
-
-
-def _ranks(rig: RunUpRotor, trained: Sequence[RunUp]) -> dict[str, Any]:
-    """Rank statements at the middle load and speed, and the rank of the measured runs there."""
-    loads = sorted({run.load for run in trained})
-    load = loads[len(loads) // 2]
-    load_runs = [run for run in trained if run.load == load]
-    first = load_runs[0]
-    speed = float(first.speed[first.n_speed // 2])
-    return {
-        "ranks": rank_statements(rig, load, speed),
-        "rank_load": load,
-        "rank_speed": speed,
-        "measured_rank": measured_statement(rig, load_runs, load, speed),
-    }
 
 
 def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]) -> RunUpResult:

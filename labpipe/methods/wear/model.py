@@ -340,7 +340,17 @@ def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
     inside = lines_in(response.frequency, band)
     if wear.lines:
-        return _explicit(response.frequency, wear.lines)
+        nearest = np.array([int(np.argmin(np.abs(response.frequency - line))) for line in wear.lines])
+        spacing = float(np.median(np.diff(response.frequency))) if response.frequency.size > 1 else 0.0
+        for line, line_hz in zip(wear.lines, response.frequency[nearest], strict=True):
+            if abs(line - line_hz) > 0.51 * spacing:
+                raise ConfigError(
+                    f"there is no line near {line:g} Hz; the nearest is {line_hz:g} Hz",
+                    hint="is it masked or out of the band?",
+                )
+        chosen = np.zeros(response.frequency.shape, bool)
+        chosen[nearest] = True
+        return chosen
     if wear.half_power:
         size = np.sqrt(np.sum(np.abs(response.matrix) ** 2, axis=(1, 2)))
         peaks = [
@@ -350,20 +360,6 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
     if not np.any(inside):
         raise FitError("no frequency line is left", hint="widen the band")
     return inside
-
-
-def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
-    nearest = np.array([int(np.argmin(np.abs(frequency - line))) for line in wanted])
-    spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
-    for line, line_hz in zip(wanted, frequency[nearest], strict=True):
-        if abs(line - line_hz) > 0.51 * spacing:
-            raise ConfigError(
-                f"there is no line near {line:g} Hz; the nearest is {line_hz:g} Hz",
-                hint="is it masked or out of the band?",
-            )
-    chosen = np.zeros(frequency.shape, bool)
-    chosen[nearest] = True
-    return chosen
 
 
 # From (modelled terms, their slopes) to (residual, its slopes), both as real columns.
