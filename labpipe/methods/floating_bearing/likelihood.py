@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import Minimum, minimise
+from labpipe.estimation.descent import minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel

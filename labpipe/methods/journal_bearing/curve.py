@@ -291,24 +291,12 @@ def journal_table(
     *workers*: number of processes, without influence on the result.
     """
     ranges = ranges or TableRange()
-    nodes = _nodes(bearing, float(np.hypot(*load)), speed, ranges)
-    sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
-    if workers > 1:
-        with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
-            rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
-    else:
-        rows = [_sheet(sheet) for sheet in sheets]
-    return _fitted(bearing, load, nodes, np.array(rows))
-
-
-def _nodes(
-    bearing: JournalBearing, weight: float, speed: float, ranges: TableRange
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    weight = float(np.hypot(*load))
     mean_pressure = weight / (bearing.length * bearing.diameter)
     centre = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
     half = np.log(ranges.sommerfeld_factor)
     deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
-    return (
+    nodes = (
         np.linspace(0, deepest, ranges.n_depth) if ranges.depth > 0 else np.zeros(1),
         np.linspace(-ranges.angle, ranges.angle, ranges.n_angle)
         if ranges.depth > 0
@@ -318,6 +306,13 @@ def _nodes(
         if ranges.cavitation_pressure
         else np.zeros(1),
     )
+    sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
+    if workers > 1:
+        with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
+            rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
+    else:
+        rows = [_sheet(sheet) for sheet in sheets]
+    return _fitted(bearing, load, nodes, np.array(rows))
 
 
 @dataclass(frozen=True)

@@ -284,11 +284,25 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     (total,) = stiffness_matrix(plant.loop, plant.negative_stiffness, omega)
     # An unstable loop has no steady response, so its |S| has no meaning.
     zone = {"sensitivity_zone": stability.peak.zone} if stability.unstable == 0 else {}
+    # The stiffness of an integrating controller at rest is infinite.
+    at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
+    static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
+    peak = [
+        Amount("sensitivity_peak", stability.peak.value, "1"),
+        Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
+    ]
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=total.real,
         damping=total.imag / omega[0],
-        notes=_notes(settings, plant, stability),
+        notes=(
+            Amount("frequency", settings.motion_frequency, "Hz"),
+            *static,
+            Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
+            Amount("force_per_current", plant.loop.force_per_current, "N/A"),
+            Amount("unstable_poles", float(stability.unstable), "1"),
+            *(peak if stability.unstable == 0 else []),
+        ),
         shares=tuple(
             Amount(f"{letter}_{name}", float(value), unit)
             for letter, unit in (("k", "N/m"), ("c", "N.s/m"))
@@ -302,24 +316,6 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
             "assumptions": settings.assumptions(),
         },
         findings=stability_findings(stability),
-    )
-
-
-def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tuple[Amount, ...]:
-    # The stiffness of an integrating controller at rest is infinite.
-    at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
-    static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
-    peak = [
-        Amount("sensitivity_peak", stability.peak.value, "1"),
-        Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
-    ]
-    return (
-        Amount("frequency", settings.motion_frequency, "Hz"),
-        *static,
-        Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
-        Amount("force_per_current", plant.loop.force_per_current, "N/A"),
-        Amount("unstable_poles", float(stability.unstable), "1"),
-        *(peak if stability.unstable == 0 else []),
     )
 
 

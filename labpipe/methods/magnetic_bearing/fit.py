@@ -461,27 +461,24 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     for band in settings.bands or (settings.band,):
         lines = np.ones(response.frequency.size, bool) if band is None else lines_in(response.frequency, band)
         measured = measured_part(replace(response, form="receptance"), rows, columns, lines)
-        fits.append(_fit_block(measured, response, settings))
-    return tuple(fits)
-
-
-def _fit_block(measured: Measured, response: FrequencyResponse, settings: FitSettings) -> Fit:
-    block_settings: BlockSettings = settings.model_settings
-    if not has_noise(measured):
-        raise FitError("the noise of the response is not known", hint="average several periods or blocks")
-    if measured.omega.size < LEAST_LINES:
-        raise FitError(
-            f"{measured.omega.size} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
+        block_settings: BlockSettings = settings.model_settings
+        if not has_noise(measured):
+            raise FitError("the noise of the response is not known", hint="average several periods or blocks")
+        if measured.omega.size < LEAST_LINES:
+            raise FitError(
+                f"{measured.omega.size} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
+            )
+        orders = ORDERS[1:] if block_settings.order == AUTO else [block_settings.order]
+        minima = [minimum for order in orders if (minimum := _most_likely(measured, int(order))) is not None]
+        if not minima:
+            raise FitError("no block can be determined by these lines", hint="widen the band")
+        pairs = sorted(
+            ((_candidate(measured, *minimum), minimum) for minimum in minima),
+            key=lambda pair: pair[0].bic or 0.0,
         )
-    orders = ORDERS[1:] if block_settings.order == AUTO else [block_settings.order]
-    minima = [minimum for order in orders if (minimum := _most_likely(measured, int(order))) is not None]
-    if not minima:
-        raise FitError("no block can be determined by these lines", hint="widen the band")
-    pairs = sorted(
-        ((_candidate(measured, *minimum), minimum) for minimum in minima), key=lambda pair: pair[0].bic or 0.0
-    )
-    candidates = tuple(candidate for candidate, _ in pairs) if block_settings.order == AUTO else ()
-    return _reported(measured, response, settings, *pairs[0][1], candidates)
+        candidates = tuple(candidate for candidate, _ in pairs) if block_settings.order == AUTO else ()
+        fits.append(_reported(measured, response, settings, *pairs[0][1], candidates))
+    return tuple(fits)
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:

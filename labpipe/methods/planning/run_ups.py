@@ -292,7 +292,17 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
 
     ConfigError where a goal cannot be met however many there are.
     """
-    expected = _expected(settings, earlier)
+    assert settings.rig is not None
+    rig: RunUpRotor = settings.rig
+    if rig.speeds is None:
+        rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
+    film = rig.place.film("a plan of run-ups")
+    family = FilmFamily(
+        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
+    )
+    noise = settings.noise
+    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
+    expected = ExpectedRig(rig, family, settings.values(earlier), reading)
     candidates, notes = _allowed(expected, _candidates(settings, expected, settings.loads), settings)
     given = settings.known
     question = RunQuestion(
@@ -315,20 +325,6 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     )
     answered = plan_runs(question, title, settings.model, notes)
     return RunUpsPlanned(answered, expected, {candidate.name: candidate for candidate in candidates})
-
-
-def _expected(settings: RunUpPlanSettings, earlier: dict[str, float]) -> ExpectedRig:
-    assert settings.rig is not None
-    rig: RunUpRotor = settings.rig
-    if rig.speeds is None:
-        rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
-    film = rig.place.film("a plan of run-ups")
-    family = FilmFamily(
-        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
-    )
-    noise = settings.noise
-    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
-    return ExpectedRig(rig, family, settings.values(earlier), reading)
 
 
 def _candidates(

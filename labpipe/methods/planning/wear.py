@@ -313,7 +313,22 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
             "speed": f"{point.speed!r} Hz",
             "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
         }
-        files[f"virtual-{run.name}.yaml"] = virtual_entries(settings, run, point)
+        expected = settings.expected
+        files[f"virtual-{run.name}.yaml"] = {
+            "kind": "virtual-journal-rig",
+            "rotor": _rotor_name(run),
+            **({"bearing": settings.bearing} if settings.bearing else {}),
+            "states": {"worn": {"depth": f"{expected.depth!r} m", "angle": f"{expected.angle!r} rad"}},
+            "force": f"{settings.force!r} N",
+            "lowest": f"{point.band[0]!r} Hz",
+            "bandwidth": f"{point.band[1]!r} Hz",
+            "sample_rate": f"{settings.sample_rate!r} Hz",
+            "duration": f"{run.count * settings.run!r} s",
+            "noise": {
+                "displacement": f"{settings.noise.displacement!r} m",
+                "force": f"{settings.noise.force!r} N",
+            },
+        }
     files |= {RIG: rig_entries(settings), PIPELINE: pipeline_entries(planned, settings)}
     names = write_runs(planned.plan, files, output)
     return list(run_sentences(planned.plan)), names
@@ -327,7 +342,19 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
     assert settings.rig is not None
     bearing = settings.rig.place(settings.bearing).name
     expected = _expected(settings, bearing, settings.expected)
-    testing = _testing(settings)
+    density = float(np.sqrt(2 / settings.sample_rate))
+    exclude = tuple(
+        (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
+    )
+    noise = settings.noise
+    testing = ResponseTest(
+        settings.force,
+        settings.run,
+        1 / settings.block,
+        noise.displacement * density,
+        noise.force * density,
+        exclude,
+    )
     points = tuple(_points(settings))
     conditions = _conditions(settings, expected, testing, points)
     units = _units(settings, expected)
@@ -359,22 +386,6 @@ def _expected(settings: WearPlanSettings, bearing: str, wear: Wear) -> ExpectedW
         **{name: given.value for name, given in settings.nuisances.items()},
     }
     return ExpectedWear(settings.rig, bearing, values)
-
-
-def _testing(settings: WearPlanSettings) -> ResponseTest:
-    density = float(np.sqrt(2 / settings.sample_rate))
-    exclude = tuple(
-        (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
-    )
-    noise = settings.noise
-    return ResponseTest(
-        settings.force,
-        settings.run,
-        1 / settings.block,
-        noise.displacement * density,
-        noise.force * density,
-        exclude,
-    )
 
 
 def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
@@ -489,25 +500,6 @@ def _term_notes(
 
 def _rotor_name(run: PlannedRun) -> str:
     return f"rotor-{run.name}.yaml"
-
-
-def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoint) -> dict[str, Any]:
-    expected = settings.expected
-    return {
-        "kind": "virtual-journal-rig",
-        "rotor": _rotor_name(run),
-        **({"bearing": settings.bearing} if settings.bearing else {}),
-        "states": {"worn": {"depth": f"{expected.depth!r} m", "angle": f"{expected.angle!r} rad"}},
-        "force": f"{settings.force!r} N",
-        "lowest": f"{point.band[0]!r} Hz",
-        "bandwidth": f"{point.band[1]!r} Hz",
-        "sample_rate": f"{settings.sample_rate!r} Hz",
-        "duration": f"{run.count * settings.run!r} s",
-        "noise": {
-            "displacement": f"{settings.noise.displacement!r} m",
-            "force": f"{settings.noise.force!r} N",
-        },
-    }
 
 
 def rig_entries(settings: WearPlanSettings) -> dict[str, Any]:

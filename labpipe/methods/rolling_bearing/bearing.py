@@ -147,6 +147,20 @@ def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoeff
         Amount(name, float(f), unit)
         for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)
     ]
+    warnings = []
+    if solved.mirrored[case]:
+        message = (
+            "elements carry at the opposite contact angle, across the groove: a bearing with one "
+            "shoulder cannot carry this load"
+        )
+        warnings.append(Finding("mirrored", message))
+    if not solved.determinate[case]:
+        number = int(np.sum(solved.state.contacts.load[case] > 0))
+        message = (
+            f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not "
+            "unique, the stiffness is singular"
+        )
+        warnings.append(Finding("indeterminate", message))
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=k,
@@ -162,7 +176,7 @@ def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoeff
         highest=solved.highest[case],
         notes=_notes(settings),
         shaft=_shaft(settings, k),
-        findings=tuple(_findings(solved, case)),
+        findings=tuple(warnings),
     )
 
 
@@ -206,24 +220,6 @@ def rolling_response(
         np.linspace(*settings.shaft.band, settings.shaft.lines),
         settings.damping_factor,
     )
-
-
-def _findings(solved: _Solved, case: int) -> list[Finding]:
-    warnings = []
-    if solved.mirrored[case]:
-        message = (
-            "elements carry at the opposite contact angle, across the groove: a bearing with one "
-            "shoulder cannot carry this load"
-        )
-        warnings.append(Finding("mirrored", message))
-    if not solved.determinate[case]:
-        number = int(np.sum(solved.state.contacts.load[case] > 0))
-        message = (
-            f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not "
-            "unique, the stiffness is singular"
-        )
-        warnings.append(Finding("indeterminate", message))
-    return warnings
 
 
 @dataclass(frozen=True)

@@ -332,13 +332,22 @@ def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     unbalanced = [run for run in trained if run.shaker is None]
     fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
+    fit = fits[len(fits) // 2]
+    point = int(np.argmax(fit.evaluations))
+    rows = fit.history.of(point)
+    evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
+    best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
+    place = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
+    objective, mesh, counts = (
+        column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations)
+    )
     method = RunUpMethod(
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
         _determined(fits),
         predictions=(),
         **_of_points(fits),
-        convergence=(_convergence(fits[len(fits) // 2]),),
+        convergence=(Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),),
         spreads=_spreads(rig, unbalanced, settings),
         remarks=(f"{perfect_but_wrong(fits)}.", *_capped(fits)),
     )
@@ -523,18 +532,6 @@ def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
         if capped
         else []
     )
-
-
-def _convergence(fit: AmplitudeFit) -> Convergence:
-    point = int(np.argmax(fit.evaluations))
-    rows = fit.history.of(point)
-    evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
-    best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
-    place = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
-    objective, mesh, counts = (
-        column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations)
-    )
-    return Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best))
 
 
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:

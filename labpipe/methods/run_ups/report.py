@@ -67,24 +67,6 @@ def rpm_text(amount: Amount | None) -> str:
     return with_error(RPM * amount.value, RPM * amount.std_error)
 
 
-def measured_table(result: RunUpResult) -> Table:
-    header = (
-        "run",
-        "load [N]",
-        "role",
-        "known unbalance or force",
-        "speeds [rpm]",
-        "critical speed [rpm]",
-        "threshold [rpm]",
-    )
-    rows = tuple(_measured_row(run) for run in result.runs)
-    caption = (
-        f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one "
-        "standard error"
-    )
-    return Table(header, rows, caption, (1, 5, 6))
-
-
 def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
     speeds = f"{len(run.speed)} from {RPM * run.speed[0]:.0f} to {RPM * run.speed[-1]:.0f}"
     excitation = run.excitation + (f"; '{run.subtracted}' subtracted" if run.subtracted else "")
@@ -399,9 +381,23 @@ def _measured(result: RunUpResult) -> tuple[Block, ...]:
     method = best_method(result)
     description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
+    header = (
+        "run",
+        "load [N]",
+        "role",
+        "known unbalance or force",
+        "speeds [rpm]",
+        "critical speed [rpm]",
+        "threshold [rpm]",
+    )
+    rows = tuple(_measured_row(run) for run in result.runs)
+    caption = (
+        f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one "
+        "standard error"
+    )
     return (
         Paragraph(description),
-        measured_table(result),
+        Table(header, rows, caption, (1, 5, 6)),
         polar_figure(result, method),
         orbit_figure(result, method),
         *cascades,

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -185,14 +184,7 @@ def run_up_result(
     loads = sorted({run.load for run in trained})
     load = loads[len(loads) // 2]
     load_runs = [run for run in trained if run.load == load]
-    first = load_runs[0]
-    speed = float(first.speed[first.n_speed // 2])
-    ranks = {
-        "ranks": rank_statements(rig, load, speed),
-        "rank_load": load,
-        "rank_speed": speed,
-        "measured_rank": measured_statement(rig, load_runs, load, speed),
-    }
+    speed = float(load_runs[0].speed[load_runs[0].n_speed // 2])
     result = RunUpResult(
         rig.name,
         settings.plane or rig.plane_names[-1],
@@ -204,7 +196,10 @@ def run_up_result(
             (item.title for item in methods if settings.metamodels and item.name == settings.metamodels_of),
             "",
         ),
-        **ranks,
+        ranks=rank_statements(rig, load, speed),
+        rank_load=load,
+        rank_speed=speed,
+        measured_rank=measured_statement(rig, load_runs, load, speed),
         source=settings.source,
     )
     return _with_findings(result, [reason for _, reason in measured if reason], read)
