@@ -408,7 +408,6 @@ def _read_run(
 
 
 def _si_of(text: str) -> str:
-    """The SI unit of a reading: of a displacement, a velocity or an acceleration."""
     written = written_unit(text.partition(" at ")[0])
     for unit in ("m", "m/s", "m/s^2"):
         try:

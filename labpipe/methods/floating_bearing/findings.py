@@ -22,7 +22,6 @@ from labpipe.methods.floating_bearing.values import LIMIT, FittedStiffness, Whir
 from labpipe.records.finding import Discrepancy, Finding, Parameter, note
 from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty
 
-# Frequencies at which the model is drawn.
 N_DRAWN = 60
 
 

@@ -212,9 +212,6 @@ def _rows_of(model: StiffnessModel, part: int) -> list[int]:
 def _solved(
     model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary
-    part.
-    """
     measured = np.einsum("...ij,cij->...c", stiffness, model.elements)
     solution = np.empty((len(model.form.matrices), measured.shape[-1]))
     variance = np.empty((2, measured.shape[-1]))
@@ -363,7 +360,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
     bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
     main = coefficients(fitted, inflation_factors(best.design))
-    # A baseline is no bearing of a shaft.
     others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
     parameters, budget = budgeted(
@@ -423,7 +419,6 @@ def _given(settings: FitSettings, stator: Stator) -> Given:
 
 
 def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
-    """A number of the settings, else the test's condition of that name."""
     if given is not None or condition not in spectra.conditions:
         return given
     try:
@@ -469,7 +464,6 @@ def _solved_fit(
 def _most_likely(
     balance: Balance, settings: FitSettings, noise: Noise, uncertain: GivenErrors
 ) -> tuple[Estimate, tuple[Candidate, ...]]:
-    """The estimate of the form that is given, or with `compare` and without one that of the best form."""
     section: DynamicStiffnessSettings = settings.model_settings
     model = StiffnessModel(_form(section, balance.omega), section.symmetry)
     if not settings.compare:

@@ -226,7 +226,6 @@ def solved(
 # Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a
 # model.
 GivenErrors = Callable[[StiffnessModel, FloatArray, Whitened], ComplexArray]
-# Equations of a line and run.
 N_EQUATION = 2
 # Distance to the minimum in standard errors at which a descent ends: that which counts, and those from
 # several starts before it.

@@ -113,7 +113,6 @@ def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> lis
 
 
 def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:
-    """ConfigError for a name that no channel has."""
     columns = [n for quantity in quantities for n in _measured(spectra, quantity)]
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
@@ -256,8 +255,6 @@ def _pairs(values: NDArray[Any]) -> NDArray[Any]:
     return values[: 2 * n].reshape(n, 2, values.shape[2])
 
 
-# What another excitation of the same time and peak force would have given.
-
 # Share of the power of the forces below which a line or a direction does not act.
 QUIET = 1e-4
 SHAPES = (("amplitude ~ 1/f", -1), ("amplitude the same at all lines", 0), ("amplitude ~ f", 1))
@@ -295,7 +292,6 @@ def _errors(information: FloatArray) -> FloatArray:
 
 
 def _ratios(name: str, ratios: FloatArray, letters: list[str]) -> OtherExcitation:
-    """Geometric mean over the elements of K, of C and of M."""
     there = tuple(letter for letter in LETTERS if letter in letters)
     means = (np.mean(np.log(ratios[np.array(letters) == letter])) for letter in there)
     return OtherExcitation(name, there, tuple(float(np.exp(mean)) for mean in means))

@@ -37,7 +37,6 @@ from labpipe.records.uncertain import Budget, Uncertain, Uncertainty
 
 # Imaginary step of derivatives: exact to rounding.
 STEP = 1e-30
-# Two-sided 95 % of a standard normal value.
 LIMIT = 1.959964
 # Share of a complex root's size below which its imaginary part is rounding.
 REAL = 1e-6
@@ -109,7 +108,6 @@ def _polynomial(
 
 
 def _product(a: ComplexArray, b: ComplexArray) -> ComplexArray:
-    """(a_0 + a_1 x)(b_0 + b_1 x), highest power first."""
     return np.array([a[1] * b[1], a[0] * b[1] + a[1] * b[0], a[0] * b[0]])
 
 
@@ -231,7 +229,6 @@ def crossover(
 
 
 def _zero(omega: FloatArray, values: FloatArray, at: int) -> float:
-    """Where the straight line from point *at* to the next is zero."""
     step = values[at + 1] - values[at]
     return float(omega[at] - values[at] * (omega[at + 1] - omega[at]) / step) if step else float(omega[at])
 
@@ -311,7 +308,6 @@ def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
 
 
 def _shape(found: FittedStiffness, number: int, vif: float) -> Valued:
-    """A shape parameter; the interval of one that is positive is that of its logarithm."""
     declared, place = found.model.form.shape[number], found.model.n_linear + number
     inner, slope = float(found.values[place]), declared.slope(float(found.values[place]))
     noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (found.noise, found.whole))
@@ -330,7 +326,6 @@ def _finite(low: float, high: float) -> tuple[float, float] | None:
 
 
 def _tied(valued: Valued) -> Valued:
-    """k_yy = k_xx and k_yx = -k_xy."""
     parameter = valued.parameter
     parts = parameter.name.split("_")
     place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))

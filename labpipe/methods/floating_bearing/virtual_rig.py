@@ -29,7 +29,6 @@ from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_r
 KIND = "virtual-floating-rig"
 Matrix = tuple[tuple[float, ...], ...]
 NONE: Matrix = ((0.0, 0.0), (0.0, 0.0))
-# Way of excitation -> ends of the names of its recordings.
 RUNS_OF = {
     "alternating": ("x", "y"),
     "hadamard": ("plus", "minus"),
@@ -328,7 +327,6 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
 
 
 def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
-    """(n_sample, n) of amplitudes (n_line, n), 0 to peak, at lines of the whole run."""
     spectrum = np.zeros((rig.n_sample // 2 + 1, amplitudes.shape[1]), np.complex128)
     spectrum[lines] = amplitudes * (rig.n_sample / 2)
     return np.asarray(fft.irfft(spectrum, rig.n_sample, axis=0))
@@ -339,9 +337,6 @@ def _angle(rig: FloatingRig, speed: float) -> FloatArray:
 
 
 def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatArray:
-    """What the six channels see of the turning shaft: motion under the unbalance, and runout, (n_sample,
-    6).
-    """
     total = np.zeros((rig.n_sample, 6))
     if condition.speed == 0:
         return total
@@ -378,7 +373,6 @@ def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = Fals
 
 
 def _random(rig: FloatingRig, rng: np.random.Generator) -> ComplexArray:
-    """Independent random forces in x and y over all lines of the run in the band."""
     inside, lines = rig.lines_in_band
     draws = rng.standard_normal((inside.size, 2)) + 1j * rng.standard_normal((inside.size, 2))
     draws = draws * (lines**rig.slope)[:, None]

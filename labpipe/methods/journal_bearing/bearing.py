@@ -35,7 +35,6 @@ MOST_STEPS = 40
 MOST_HALVINGS = 6
 # Largest share of the film thickness that one step may close.
 LARGEST_CLOSING = 0.7
-# Least film thickness over clearance.
 THINNEST = 1e-6
 # First guess: this eccentricity ratio in the direction of the load.
 FIRST_ECCENTRICITY = 0.3
@@ -95,7 +94,6 @@ def film_equilibrium(
 
 
 def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
-    """The state *near*, changed as the equilibrium on half the cells changes from that film to this."""
     coarse = film.coarser() if film.mesh.around * film.mesh.across >= MANY_CELLS else None
     if (
         coarse is None
@@ -115,7 +113,6 @@ def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
 
 
 def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, FilmState | None]:
-    """Displacement, pressure and, where there are coarser meshes, the state on half the cells."""
     coarse = film.coarser()
     if coarse is None:
         return FIRST_ECCENTRICITY * load / np.hypot(*load), _ambient(film), None
@@ -125,7 +122,6 @@ def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, 
 
 
 def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
-    """The state on a coarse mesh; where Newton's method fails, started from the state under half the load."""
     try:
         displacement, pressure, coarse = _first_guess(film, load)
         return replace(_balanced(film, load, displacement, pressure, ROUGH_TOLERANCE), coarse=coarse)

@@ -138,9 +138,6 @@ def journal_curve(
 
 
 def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatArray:
-    """The spline's values (n_place, 10) on one mesh at logarithms of the Sommerfeld number, from the lightest
-    load on.
-    """
     rows = []
     near: JournalEquilibrium | None = None
     for place in places[::-1]:
@@ -157,7 +154,6 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
 
 
 AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
-# In the order of the derivatives.
 PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
 # Degree of the splines, and fewest nodes along an axis; three allow a parabola.
 CUBIC, FEWEST_NODES = 3, 3
@@ -332,7 +328,6 @@ class _Sheet:
     def equilibrium(
         self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None
     ) -> JournalEquilibrium:
-        """At a wear angle [rad], ln S [-] and p_cav L D / W [-]."""
         bearing, weight = self.bearing, float(np.hypot(*self.load))
         viscosity = (
             bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(self.speed)
@@ -347,7 +342,6 @@ class _Sheet:
         return journal_equilibrium(worn, self.load, self.speed, self.mesh, near, self.tolerance)
 
     def scaled(self, equilibrium: JournalEquilibrium) -> FloatArray:
-        """K c / W and C c Omega / W (8,) [-]."""
         matrices = np.concatenate([equilibrium.stiffness.ravel(), equilibrium.damping.ravel() * self.speed])
         return matrices * (self.bearing.clearance / float(np.hypot(*self.load)))
 

@@ -330,9 +330,6 @@ def _hold_ambient(
 
 
 def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:
-    """Cells in the grooves at theta = 0 and 180 deg, and conductance factors of the faces: 1 / distance to
-    the edge [cells].
-    """
     from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
     grooved = from_split < groove / 2
     distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
@@ -424,7 +421,6 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
 
 
 def _open_ring(cavitated: BoolArray) -> IntArray | None:
-    """Columns from the end of the longest cavitated arc to its start."""
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
         return None

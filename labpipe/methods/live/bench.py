@@ -223,9 +223,6 @@ class FollowedFit:
         return float(np.sqrt(estimate.reduced)) if estimate.misfit and not self.common else 1.0
 
     def _of_noise(self) -> tuple[Parameter, ...]:
-        """The coefficients and what is derived of them, with intervals of noise, and of the misfit as long as
-        nothing better is known of it.
-        """
         estimate = self.estimate
         assert estimate is not None
         dof = np.maximum(estimate.dof.astype(int), 1)
@@ -310,7 +307,6 @@ class Bench(Watch):
         self._waiting: list[Average] = []
         self._energies: list[float] = []
         self._last_start = 0
-        # First samples of the averages that count.
         self._starts: list[int] = []
         self.findings: dict[tuple[str, str], Finding] = {}
         names = {fit.name: names_of_fit(fit, self.layout) for fit in self._settings}
@@ -356,7 +352,6 @@ class Bench(Watch):
         return self._update((f"{what} {average.number} at {at:.3f} s",))
 
     def _begin(self) -> None:
-        """Choose the lines by the first two averages, and set up the fits."""
         frequency = self.cutter.frequency
         amplitudes = np.array([average.amplitude for average in self._waiting])
         excited = np.ones(frequency.size, bool)
@@ -379,7 +374,6 @@ class Bench(Watch):
         self.fits = [FollowedFit(fit, self.layout, self.frequency, self.hits) for fit in self._settings]
 
     def _follow(self, average: Average) -> str:
-        """Hold the average against the fits before it, and take it in; why it is left out instead, or ''."""
         average = replace(average, amplitude=average.amplitude[self.lines])
         force = average.amplitude[:, list(self.layout.input_columns[0])]
         sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
@@ -442,7 +436,6 @@ class Bench(Watch):
         )
 
     def _standings(self, variation: float, again: bool = False) -> dict[str, Standing]:
-        """Where every coefficient stands; *again*: after another look at the same average."""
         standings: dict[str, Standing] = {}
         for fit in self.fits:
             if fit.estimate is None:
@@ -474,7 +467,6 @@ class Bench(Watch):
         return Standing(parameter, half, wanted, remaining, floor)
 
     def _of_fits(self, standings: Mapping[str, Standing]) -> list[Finding]:
-        """What speaks of the fits as they stand now: a misfit, a floor, coefficients that are not told."""
         findings = []
         for fit in self.fits:
             estimate, name = fit.estimate, fit.settings.name
@@ -500,7 +492,6 @@ class Bench(Watch):
         return [*findings, *self._not_told(standings)]
 
     def _floors(self, fit: FollowedFit, standings: Mapping[str, Standing]) -> list[Finding]:
-        """Goals that more averages do not reach, with what holds them up."""
         estimate, findings = fit.estimate, []
         assert estimate is not None
         for label, standing in standings.items():

@@ -58,7 +58,6 @@ class Series:
     past: list[float] = field(default_factory=list)
     above: float = 0.0
     below: float = 0.0
-    # Average since which each sum is positive.
     since: list[int] = field(default_factory=lambda: [0, 0])
 
     def score(self, value: float) -> float:
@@ -170,7 +169,6 @@ class Charts:
         return [self._energy, *self._scores]
 
     def _follows_level(self) -> bool:
-        """Whether a coefficient's scores are correlated with the level of the hits, at few looks."""
         n = len(self._pairs)
         if n not in LEVEL_LOOKS:
             return False
@@ -184,7 +182,6 @@ class Charts:
         return any(stats.pearsonr(levels, column).pvalue < limit for column in scores.T)
 
 
-# Quantile of the stated band of 80 %.
 BAND = float(stats.norm.ppf(0.9))
 # Averages beyond which a goal counts as out of reach.
 FAR = 10**6

@@ -147,7 +147,6 @@ def course(session: Session, update: Update) -> Document:
 
 
 def _responses(session: Session) -> list[Figure]:
-    """Measured and fitted response of each fit with one force."""
     bench = session.bench
     if bench is None or isinstance(bench, WholeFits):
         return []
@@ -300,14 +299,12 @@ class Page:
                     request.wfile.write(b": still here\n\n")
                 request.wfile.flush()
         except OSError:
-            # The page was closed.
             pass
         finally:
             with self._lock:
                 self._listeners.remove(news)
 
 
-# Seconds between two pictures of the terminal and the page.
 PICTURE = 0.25
 REACHED, NOT_REACHED = 0, 1
 
@@ -483,7 +480,6 @@ def _echo_last(session: Session) -> None:
 
 
 def _echo_by_hand(session: Session) -> None:
-    """The intervals of a test that was ended by hand, by whatever it showed."""
     intervals = session.bench.by_hand() if session.bench else {}
     if intervals:
         echo("Ended by hand: intervals that hold whenever one stops (95 % for all averages together)")
@@ -528,7 +524,6 @@ def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Pat
 def _finish(
     session: Session, pipeline_path: Path, overrides: tuple[str, ...], output: Path, quiet: bool
 ) -> None:
-    """Run the pipeline over the recording as `labpipe run` does, with the course of the test."""
     from labpipe.artefacts.writing import output_folder
     from labpipe.cli.terminal import echo_identification
     from labpipe.project.one_test import silent

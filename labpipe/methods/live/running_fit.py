@@ -326,7 +326,6 @@ class RunningFit:
         return values
 
     def _cold(self, mean: ComplexArray, covariance: ComplexArray) -> FloatArray:
-        """Least squares of the equation, weighted anew by the noise that it has at the last values."""
         n_parameter = len(self.equation.model.names)
         slopes = self.equation.slopes(mean)
         motion, force = self.equation.split(mean)
@@ -435,7 +434,6 @@ class Cutter:
         self.channels, self.sample_rate, self.n_sample, self._lines = channels, sample_rate, n_sample, lines
         self.frequency = np.arange(lines.start, lines.stop) * (sample_rate / n_sample)
         self._rest = np.empty((0, len(channels)))
-        # Sample of the stream at which the rest begins.
         self._begin = 0
         self._number = 0
 
@@ -453,7 +451,6 @@ class Cutter:
         raise NotImplementedError
 
     def _missing(self, samples: FloatArray) -> str:
-        """The fault of samples that are no numbers, '' where all are."""
         there = np.isfinite(samples).all(axis=0)
         return "" if there.all() else f"no number in channel '{self.channels[int(np.argmin(there))].name}'"
 
@@ -512,7 +509,6 @@ class HitCutter(Cutter):
         self._search = self._begin
 
     def _level(self) -> float:
-        """The size of the force at which a hit begins, [N]."""
         usual = self._impact.trigger * max(self._sizes) if self._sizes else 0.0
         return max(usual, FIRST_HIT * self._noise)
 

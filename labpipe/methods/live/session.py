@@ -219,7 +219,6 @@ class Session:
                 yield replace(update, findings=(*update.findings, *self.findings, *screened))
 
     def _begun(self) -> bool:
-        """Set up the bench once the rate is known."""
         head = np.concatenate(self._head)
         rate = self.rig.sample_rate or self.stream.sample_rate
         if self.rig.time:
@@ -245,7 +244,6 @@ class Session:
         return True
 
     def _without_gaps(self, rows: FloatArray) -> Iterator[FloatArray]:
-        """The rows of the channels, cut where the time column leaves some out."""
         if not self.rig.time:
             yield rows
             return

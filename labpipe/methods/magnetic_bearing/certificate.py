@@ -62,7 +62,6 @@ from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
-# Step of differences in standard errors of the unknowns.
 STEP = 0.02
 # Upper end of the search without a sampling rate [Hz], and of modes as a share of the sampling rate.
 HIGHEST, NYQUIST = 20e3, 0.5
@@ -78,7 +77,6 @@ UNITS = {
 }
 
 
-# From values of the unknowns by name to the amounts by name.
 Amounts = Callable[[Mapping[str, float]], dict[str, float]]
 
 
@@ -186,7 +184,6 @@ def _bent(
 
 
 def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names: list[str]) -> FloatArray:
-    """Slopes (n,) of all amounts [their units] over one unknown."""
     step = STEP * (parameter.std_error or 0.0) or 1e-6 * abs(parameter.value)
     ahead, behind = (at({**values, parameter.name: parameter.value + sign * step}) for sign in (1, -1))
     return np.array([(ahead.get(name, np.nan) - behind.get(name, np.nan)) / (2 * step) for name in names])
@@ -247,7 +244,6 @@ def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: 
     return amounts
 
 
-# Modes are looked for up to this multiple of the measured band.
 BEYOND = 1.5
 
 
@@ -336,7 +332,6 @@ OF_LOOP = (
 
 
 def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tuple[str, str]]:
-    """What rests on a model that is rejected, with the reason: no rule is kept by it."""
     if model is None or not model.rejected:
         return []
     return [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
@@ -363,9 +358,6 @@ def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]
 def _measured_amounts(
     matrix: SensitivityMatrix, peaks: Sequence[Peak]
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """Measured peaks and margins of all loops, and of several the largest singular value, with what
-    systematic errors add.
-    """
     amounts: list[Parameter] = []
     changes: list[FloatArray] = []
     for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
@@ -399,9 +391,6 @@ def _fitted(
     matrix: SensitivityMatrix,
     file: MagneticFile,
 ) -> FittedModel:
-    """The fit of the file's unknowns to all recorded signals, its closed loop, and why nothing is decided by
-    it.
-    """
     if len(matrix.loops) != 1:
         raise ConfigError(
             "a bearing file describes one loop", hint="leave theory out, or certify one loop at a time"
@@ -470,9 +459,6 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
 
 
 def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:
-    """|S| of every loop with its 95 % band, of several the largest singular value, and the real and imaginary
-    part of L.
-    """
     curves = []
     fitted = _fitted_size(matrix.frequency, model)
     several = len(matrix.loops) > 1

@@ -46,7 +46,6 @@ from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, Theory
 ENOUGH = 0.9
 LETTERS = ("k", "c")
 
-# The bearing file at a condition (value, SI unit), or unchanged.
 MagneticTheory = Callable[[float | None, str], MagneticFile]
 
 
@@ -103,7 +102,6 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
 
 
 def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
-    """The stiffness of the settings and the corresponding damping."""
     names = [parameter.name for parameter in fit.parameters if parameter.unit in ("N/m", "N.s/m")]
     stiffness = settings.parameter
     if stiffness == "k" and "k" not in names:
@@ -150,7 +148,6 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
 
 
 def _stability(views: Sequence[View]) -> list[Parameter]:
-    """Number of unstable poles, and the largest sensitivity of the stable settings."""
     verdicts = [verdict(view.file.levitated()) for view in views]
     peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
     unstable = Parameter(
@@ -160,7 +157,6 @@ def _stability(views: Sequence[View]) -> list[Parameter]:
 
 
 def _unstable(views: Sequence[View]) -> list[Finding]:
-    """Warnings of the predicted rotor alone: an unstable loop, or one beyond zone B."""
     findings = []
     for view in views:
         plant = view.file.levitated()
@@ -264,9 +260,6 @@ def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Compar
 
 
 def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
-    """All tests of the fit with their bearing file, its entry set to the test's condition where the settings
-    name one.
-    """
     named, views = evidence.fits_of(settings), []
     for test in dict.fromkeys(fit.test for fit in named):
         response = evidence.response(test)

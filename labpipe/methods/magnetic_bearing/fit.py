@@ -125,8 +125,6 @@ def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, 
     return float(np.exp(gain[zero, pole])), float(corners[zero]), float(corners[pole])
 
 
-# What a magnet's fit says besides its numbers.
-
 # Condition number of the currents of all runs beyond which a line does not tell X per I.
 ONE_DIRECTION = 1e3
 
@@ -320,7 +318,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
 
 
 def _matrix(mass: object) -> FloatArray:
-    """A list of masses as the diagonal of a matrix, rows as they are [kg]."""
     values = np.asarray(mass, float)
     return np.diag(values) if values.ndim == 1 else values
 
@@ -421,8 +418,6 @@ class Block:
 
 
 class _Problem:
-    """The whitened residual of a block, with Re and Im of unit variance."""
-
     def __init__(self, measured: Measured, block: Block) -> None:
         assert measured.covariance is not None
         self.block, self.omega, self.matrix = block, measured.omega, measured.matrix[:, 0, 0]
@@ -482,7 +477,6 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:
-    """The best of the descents from several corner frequencies."""
     sign = float(np.sign(measured.matrix[0, 0, 0].real)) or 1.0
     problem = _Problem(measured, Block(order, sign, float(measured.omega[-1])))
     level = float(np.log(np.abs(measured.matrix[0, 0, 0])))

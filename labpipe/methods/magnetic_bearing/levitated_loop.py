@@ -279,7 +279,6 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
 
 
 def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
-    """Masses, polar inertias, own stiffnesses and dampings of the coordinates of one plane."""
     masses, gyroscopic, stiffnesses, damping = (
         [mass, rotor.inertia],
         [0.0, rotor.polar_inertia],

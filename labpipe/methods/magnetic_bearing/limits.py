@@ -88,8 +88,6 @@ class CertificateSettings(Settings):
         )
 
 
-# Limits of acceptance, each with the probability that it is kept, and the verdict on all of them.
-
 KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
 
 
@@ -149,8 +147,6 @@ def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
         *([("verdict", reasons)] if reasons else []),
     ]
 
-
-# Logarithmic decrements of the modes of a fit (an FRF's modal model.
 
 RATIO, DECREMENT = "zeta", "log_decrement"
 

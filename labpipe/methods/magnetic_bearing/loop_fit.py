@@ -96,8 +96,6 @@ def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
     return Minimum(values, end.converged and stays, minimum.steps + end.steps)
 
 
-# The end of a loop's fit.
-
 # Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
 UNDETERMINED = 1e6
 # Second order is looked for so many combined standard errors away.
@@ -431,7 +429,6 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
 def _curved(
     parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool
 ) -> Parameter:
-    """The unknown with an interval that follows the response. *at_zero*: an unknown is held there."""
     factor = parameter.coverage_factor or limit
     ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
     if ends[0] is None or ends[1] is None:

@@ -184,7 +184,6 @@ def directions_left_out(ports: Iterable[Port]) -> list[str]:
 
 STEP = 1e-5
 
-# Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
 Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]
 # What one standard uncertainty of every source does to measured less predicted, at the same.
 Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
@@ -276,7 +275,6 @@ class LoopProblem:
         return np.concatenate([np.concatenate(residuals) + change, deviations])
 
     def _at(self, observation: LoopObservation, u: FloatArray) -> tuple[MagneticFile, tuple[float, float]]:
-        """The file of an observation with its unknowns, and stiffness and damping of its support."""
         support = [observation.support.stiffness.value, observation.support.damping.value]
         deviations = u[len(self.unknowns) : self.n_shared]
         for (which, error), deviation in zip(self.support, deviations, strict=True):

@@ -310,7 +310,6 @@ def tustin(derivative: float, constant: float, time: float, interval: float) -> 
 
 
 def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
-    """Exact solution over one *interval* [s]; the newest voltage arrives after *late* of it."""
     loop, n = plant.loop, 3 if plant.loop.sensor_bandwidth is None else 4
     slope, voltage, force = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     slope[0, 1] = 1.0

@@ -258,8 +258,6 @@ def loop_sensitivity(
 
 @dataclass(frozen=True)
 class _Theory:
-    """The bearing file, and its fit to the measured sensitivity."""
-
     file: MagneticFile
     fitted: LoopFit
 

@@ -82,7 +82,6 @@ COUPLED_STIFFNESS = np.array([[180e3, 25e3], [-18e3, 210e3]])
 COUPLED_DAMPING = np.array([[120.0, 15.0], [-10.0, 150.0]])
 
 
-# Periods that are averaged; transient periods come before them.
 PERIODS = 5
 
 

@@ -214,7 +214,6 @@ def _inputs(force: FloatArray, noise: FloatArray) -> FloatArray:
 def _probe_noise(
     rig: VirtualMagneticRig, rate: float, shape: tuple[int, int], rng: np.random.Generator
 ) -> FloatArray:
-    """White noise in the loop that has the rig's standard deviation in a recording at *rate* [Hz]."""
     return rng.normal(0.0, rig.noise.displacement * np.sqrt(CONTROL_RATE / rate), shape)
 
 
@@ -244,7 +243,6 @@ def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) ->
 
 
 def _logged(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
-    # Loading scipy.signal takes longer than most runs.
     from scipy import signal
 
     return signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]

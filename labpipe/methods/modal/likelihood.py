@@ -190,7 +190,6 @@ def refine(
 
 
 def _moved(state: _State, step: FloatArray) -> _State | None:
-    """The state after the largest of the halved steps that lowers the misfit."""
     before = state.chi2
     for halving in range(MOST_HALVINGS):
         other = state.after(step / 2**halving)
@@ -239,7 +238,6 @@ class _State:
         )
 
     def after(self, step: FloatArray) -> _State | None:
-        """The state at the parameters moved by *step* (n,)."""
         poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
         if np.any(poles.real >= 0) or np.any(poles.imag <= 0):
             return None
@@ -259,7 +257,6 @@ class _State:
         return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
 
     def step(self) -> tuple[FloatArray, FloatArray]:
-        """Gauss-Newton step (n,) of the parameters and their standard errors (n,)."""
         normal, gradient, *_ = self._schur()
         inverse = _pseudo_inverse(normal)
         return inverse @ gradient, np.sqrt(np.diag(inverse) / 2)
@@ -322,7 +319,6 @@ def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
 
 
 def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
-    """u, v of every mode in turn, then their counterparts with squared denominators, (n_line, 4 n_mode)."""
     pairs = pole_functions(lines.s, poles, lines.hysteretic)
     columns = [np.stack([a + b, 1j * (a - b)], axis=-1).reshape(lines.omega.size, -1) for a, b in pairs]
     return np.asarray(np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None])

@@ -319,7 +319,6 @@ def _median(values: ComplexArray) -> complex:
 
 
 def _middle(participation: ComplexArray, values: ComplexArray) -> ComplexArray:
-    """The participation of the pole nearest to the median."""
     return np.asarray(participation[np.argmin(np.abs(values - _median(values)))])
 
 
@@ -483,7 +482,6 @@ def kept_modes(
 
 
 def _in_band(lines: Lines, refined: Refined) -> BoolArray:
-    """The modes inside the band, (n_mode,)."""
     frequency = np.abs(refined.poles)
     return (frequency >= lines.omega[0]) & (frequency <= lines.omega[-1])
 
@@ -494,7 +492,6 @@ def _narrow(lines: Lines, refined: Refined) -> BoolArray:
 
 
 def _seen(lines: Lines, refined: Refined) -> BoolArray:
-    """The modes that noise does not explain, (n_mode,)."""
     spacing = float(np.mean(np.diff(lines.omega)))
     return (shape_p(refined) < SEEN_P) & (-refined.poles.real > SHARPEST * spacing)
 
@@ -540,7 +537,6 @@ def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Complete
 
 
 def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
-    """With a mode where the residual is loudest."""
     refined = done.refined
     residual = remaining(lines, done.terms, refined)
     spacing = float(np.mean(np.diff(lines.omega)))

@@ -47,7 +47,6 @@ from labpipe.spectra.measurement import measure
 
 RIG, PIPELINE = "rig.yaml", "pipeline.yaml"
 FIT = "planned"
-# What evaluates spectra of all channels.
 OF_SPECTRA = "dynamic-stiffness"
 SI_UNITS = {"force": "N", "displacement": "m", "acceleration": "m/s^2"}
 
@@ -173,9 +172,6 @@ def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
 
 
 def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
-    """Name of the one force that is moved from test to test, and the uncertainty of its direction as it is
-    written; None where none is.
-    """
     settings = evaluation.settings
     if evaluation.side_by_side:
         return None
@@ -313,9 +309,6 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
 
 
 def _expected(file: PlanFile) -> Expected:
-    """Values by name: those of `expected`, the others from the earlier result, with its uncertainties, then
-    from theory.
-    """
     settings = file.settings
     theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
     typed = dict(settings.expected)

@@ -72,7 +72,6 @@ def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
 
 
 def _sort_theory(node: Marked) -> None:
-    """expected: {bearing: FILE, ...} is what `theory` says."""
     entries = node.content if isinstance(node.content, dict) else {}
     expected = entries.get("expected")
     if (
@@ -98,7 +97,6 @@ def _kind(node: Marked, faults: Faults) -> PlanKind | None:
 
 
 NAME = "plan.json"
-# Of an excitation, and of runs.
 SCHEMAS: dict[type, str] = {Plan: "labpipe/plan/1", RunPlan: "labpipe/run-plan/1"}
 
 

@@ -257,7 +257,6 @@ def _spectrum(plan: Plan) -> Figure:
 
 
 def _over_goal(coefficient: PlannedCoefficient) -> float:
-    """Error over goal, of noise or expanded, whichever is further."""
     parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
     parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
     return max(parts, default=0.0)

@@ -330,7 +330,6 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
 def _candidates(
     settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
 ) -> Iterator[RunCandidate]:
-    """Every trial under every load on every stretch of speeds; the highest also on to the threshold."""
     stretches = np.array_split(settings.omega, settings.stretches)
     for place, load in enumerate(loads, 1):
         for name, trial in settings.trials:
@@ -356,7 +355,6 @@ def _shaker(trial: TrialSettings) -> Shaker | None:
 def _allowed(
     expected: ExpectedRig, candidates: Iterator[RunCandidate], settings: RunUpPlanSettings
 ) -> tuple[list[RunCandidate], list[str]]:
-    """The candidates at the speeds that limits and stability allow, and notes on those that were cut."""
     limits = Limits(settings.displacement_limit, settings.journal_limit)
     kept, cut, whole = [], 0, 0
     for candidate in candidates:
@@ -398,7 +396,6 @@ def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: Ru
 def _remedies(
     settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Sequence[RunCandidate]
 ) -> Iterator[Change]:
-    """A measured clearance, a shaker, a second load: alone, then two of them."""
     conditions = tuple(_condition(settings, expected, candidate) for candidate in candidates)
     shaken = TrialSettings(shaker=expected.rig.plane_names[0])
     with_shaker = replace(settings, trials=(*settings.trials, ("shaker", shaken)))
@@ -433,7 +430,6 @@ def _extra(
 
 
 def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[Quantity]:
-    """Parameters that are not known; at a named load and speed also speeds and coefficients, relative."""
     goals = {name: values[0] for name, values in settings.goal}
     for number, name in enumerate(PARAMETERS):
         if name not in settings.known:
@@ -465,7 +461,6 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
 
 
 def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
-    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms."""
 
     def speed(values: FloatArray) -> float | None:
         at = expected.family.at_load(values, load)

@@ -134,7 +134,6 @@ def _ranked(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identi
 
 
 def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str, PlannedModel, Excitation]]:
-    """Single changes of model or test, in words: the smallest first."""
     if any(name.startswith("m") for name in model.names):
         yield "a known mass", model.with_known_mass(), excitation
     lines = np.unique(excitation.frequency)
@@ -153,8 +152,6 @@ def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str,
             Excitation(np.tile(excitation.frequency, 2), np.concatenate([excitation.forces, across])),
         )
 
-
-# What is expected of a rig, how sure that is, and what this does to a plan.
 
 DRAWS = 200
 SEED = 1
@@ -351,7 +348,6 @@ def rehearsed(
 
 
 def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
-    """Of what a channel measures, (n_line,) [SI]."""
     if channel.quantity == "force":
         shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
         return np.asarray(test.forces[:, shaker])
@@ -545,7 +541,6 @@ def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: 
 
 
 def _listed(budget: Budget, changes: FloatArray) -> str:
-    """The sources that make nearly all of the systematic part, the largest first."""
     order = np.argsort(-changes)
     count = int(np.searchsorted(np.cumsum(changes[order] ** 2), 0.95 * np.sum(changes**2))) + 1
     return ", ".join(budget.sources[number].source for number in order[:count])

@@ -423,7 +423,6 @@ def _prior(settings: WearPlanSettings) -> FloatArray:
 
 
 def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
-    """Micrometres and degrees; of the others their uncertainty."""
     return np.array(
         [
             1e-6,
@@ -442,14 +441,12 @@ def _quantities(settings: WearPlanSettings, expected: ExpectedWear) -> Iterator[
 def _remedies(
     settings: WearPlanSettings, bearing: str, testing: ResponseTest, points: Sequence[WearPoint]
 ) -> Iterator[Change]:
-    """What would tell an angle that light wear does not show: waiting until there is some."""
     if settings.expected.depth < VISIBLE:
         worn = _expected(settings, bearing, Wear(VISIBLE, settings.expected.angle))
         yield Change(f"a wear of {1e6 * VISIBLE:g} um", 1, _conditions(settings, worn, testing, points))
 
 
 def _range_notes(settings: WearPlanSettings, answered: Answered) -> Iterator[str]:
-    """Where the angle is known no better than before: with every angle of its range alike."""
     error = next(number.error for number in answered.plan.numbers if number.name == ANGLE)
     before = float(2 * settings.angle_limit / np.sqrt(12))
     if error is not None and error > before / 2:
@@ -483,7 +480,6 @@ def _term_notes(
     points: Sequence[WearPoint],
     answered: Answered,
 ) -> Iterator[str]:
-    """What the same tests tell from some terms of the response only."""
     counts = {run.name: run.count for run in answered.plan.runs}
     for terms in PLACES:
         if terms == "full":

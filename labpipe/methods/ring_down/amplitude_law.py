@@ -99,7 +99,6 @@ class _Problem:
         )
 
     def _target(self, piece: Piece, number: int, fitted: Decayed, mode: int, output: int) -> FloatArray:
-        """The rows of one output without the other modes."""
         others = np.arange(fitted.poles.size) != mode
         course = (
             np.exp(piece.time[:, None] * fitted.poles_of(number)[others])
@@ -127,7 +126,6 @@ class _Problem:
         )
 
     def course(self, number: int, parameters: FloatArray) -> FloatArray:
-        """The model of one piece (n_row,) without its nuisance, whitened."""
         rest, slope, turn, omega = self.physical(parameters)
         log_first, phase = parameters[SHARED + 2 * number : SHARED + 2 * number + 2]
         first, piece = float(np.exp(min(log_first, 700.0))), self.pieces[number]
@@ -144,7 +142,6 @@ class _Problem:
         )
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """Central differences; amplitude and phase of a piece act on its own rows."""
         blocks = []
         for number in range(len(self.pieces)):
             block = np.zeros((self.targets[number].size, parameters.size))
@@ -333,7 +330,6 @@ def missing_mode(
 
 # Places of a jump that are tried first, and the shares of a decay between which they lie.
 PLACES, FIRST, LAST = 24, 0.04, 0.8
-# Difference of BIC from which a jump is said.
 BETTER = 20.0
 # Missing samples leave the amplitude as it is to this share, and are a whole number to this part of one.
 EVEN, WHOLE = 0.1, 0.25
@@ -509,7 +505,6 @@ def decay_findings(
 
 
 def _lasting(fitted: Decayed) -> list[float]:
-    """Frequencies [Hz] of the modes that decay, but by less than two standard errors of their decay."""
     errors = np.sqrt(np.diag(fitted.covariance)[0::2])
     lasting = (fitted.poles.real < 0) & (-fitted.poles.real < 2 * errors)
     return [float(abs(pole) / (2 * np.pi)) for pole in fitted.poles[lasting]]

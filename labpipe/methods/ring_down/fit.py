@@ -83,7 +83,6 @@ DECAY = ModelKind(
 )
 
 
-# Peaks count down to this share of the first.
 DOWN_TO = 0.1
 
 
@@ -357,7 +356,6 @@ def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
 def _laws(
     pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]
 ) -> dict[int, FittedLaw]:
-    """The laws of modes whose damping or frequency depends on the amplitude."""
     if tested.amplitude >= MISMATCH_P or not fitted.converged:
         return {}
     laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
@@ -365,7 +363,6 @@ def _laws(
 
 
 def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int, FittedLaw]:
-    """The laws that leave noise, or less than EXPLAINED of what the decay without them leaves."""
     rows = sum(piece.rows.shape[0] for piece in pieces)
     return {
         mode: law
@@ -383,7 +380,6 @@ def _missing(
     strongest: dict[int, tuple[int, int]],
     settings: FitSettings,
 ) -> MissingMode | None:
-    """One mode more, where it explains better than the *laws* what the fit leaves."""
     if not laws or fitted.poles.size == MOST_MODES:
         return None
     try:
@@ -509,7 +505,6 @@ def _ring_down(
     strongest: dict[int, tuple[int, int]],
     curves: tuple[OverAmplitude, ...],
 ) -> RingDown:
-    """The decay in which the strongest mode is largest, thinned for drawing."""
     number, output = max(
         strongest.values(),
         key=lambda place: float(np.max(np.abs(fitted.pieces[place[0]].amplitudes[:, place[1]]))),

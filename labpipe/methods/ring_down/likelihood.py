@@ -411,7 +411,6 @@ def _decimated(
 
 
 def _filtered(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> FloatArray:
-    """The samples within a band, without the ends that the filter spoils."""
     if band is None:
         return samples
     frequency = fft.rfftfreq(samples.size, 1 / rate)
@@ -423,7 +422,6 @@ def _filtered(samples: FloatArray, rate: float, band: tuple[float, float] | None
 
 
 def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None, n_mode: int) -> float:
-    """The highest frequency [Hz] that the start values need: of the band, or of the strongest lines."""
     if band is not None:
         return band[1]
     power = np.abs(fft.rfft(samples)) ** 2

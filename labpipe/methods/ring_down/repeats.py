@@ -118,9 +118,6 @@ def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
 def _means(
     logs: FloatArray, variances: FloatArray, sizes: FloatArray
 ) -> tuple[tuple[RepeatMean, RepeatMean], float]:
-    """Means of ln f and ln zeta (n, 2) of one mode, and the amplitude they hold at where either follows the
-    *sizes* (n,), else nan.
-    """
     scales = (PRIOR_SCALE * float(np.exp(np.median(logs[:, 1]))), PRIOR_SCALE)
     middle = float(np.median(sizes))
     covariate = (sizes - middle) / middle
@@ -135,7 +132,6 @@ def _means(
 def _outliers(
     decays: FreeDecays, numbers: Sequence[int], kept: Kept, logs: FloatArray, n_mode: int
 ) -> list[Finding]:
-    """Notes on decays that stand out, and a warning where they are a second population."""
     if kept.two_populations:
         message = (
             "more than a quarter of the decays lie apart from the others: two populations, and the "

@@ -17,7 +17,6 @@ from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator,
 
 KIND = "virtual-decay-rig"
 RUNS = ("struck", "beating", "joint")
-# The logger begins this long before the first hit [s].
 PRETRIGGER = 0.2
 
 

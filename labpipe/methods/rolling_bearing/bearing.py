@@ -188,9 +188,6 @@ def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
 
 
 def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ...]:
-    """Natural frequencies and damping ratios of the shaft, and the results of one-dof fits of its direct
-    transfer functions.
-    """
     if settings.shaft is None:
         return ()
     shaft_modes = modes(settings.shaft.body, stiffness)

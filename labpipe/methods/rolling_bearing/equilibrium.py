@@ -127,8 +127,6 @@ def _case(case: int, n_case: int) -> str:
     return f"load case {case + 1}: " if n_case > 1 else ""
 
 
-# Newton's method with a line search on the convex load potential of a rolling bearing.
-
 TOLERANCE = 1e-12  # of the residual against the loads
 ACCEPTABLE = 1e-9  # where steps are down to the rounding of positions
 ROUNDING = 4 * np.finfo(np.float64).eps

@@ -85,8 +85,6 @@ class Matched:
 
 @dataclass(frozen=True)
 class _Curve:
-    """One term of a measured response on the lines of its fit, and the fit's settings for it alone."""
-
     response: FrequencyResponse
     settings: FitSettings
     place: tuple[int, int]
@@ -158,7 +156,6 @@ def _positive(fit: Fit, name: str) -> float:
 
 
 def _log_changes(fit: Fit) -> dict[str, FloatArray]:
-    """Change of ln k and ln c, (2,) [1], by one standard uncertainty of every source of a fit's budget."""
     if fit.budget is None:
         return {}
     names = ("k", "c")
@@ -203,7 +200,6 @@ def overlay(
 def _theory_curve(
     curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
 ) -> ComplexArray:
-    """The measured term of the theory's transfer matrix, (n_frequency,)."""
     frequency = curve.response.frequency
     receptance = (
         bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
@@ -214,7 +210,6 @@ def _theory_curve(
 def _curve(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
 ) -> _Curve:
-    """The part of the response that belongs to *fit*; *whole*: its term on all lines."""
     if not settings.kind.one_frf or fit.curve is None:
         raise ConfigError(
             f"fit '{fit.name}' is not of the model sdof",
@@ -412,7 +407,6 @@ def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
 
 
 def _log_beta_change(fit: Fit, source: str) -> float:
-    """Change of ln(c / k) by one standard uncertainty of a source."""
     return (
         change_in(fit, source, "c") / fit.parameter("c").value
         - change_in(fit, source, "k") / fit.parameter("k").value
@@ -420,7 +414,6 @@ def _log_beta_change(fit: Fit, source: str) -> float:
 
 
 def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> ComparedPoint:
-    """The test's c beside the common beta times its k, and their ratio."""
     ratio = from_log("ratio", "1", float(log - np.log(beta)), float(error), NORMAL)
     return replace(point, theory=point.value / ratio.value, ratio=ratio.value, ratio_ci95=ratio.ci95)
 
@@ -428,14 +421,11 @@ def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> 
 # The condition is raised by this share for the slope of the theory.
 CONDITION_STEP = 1e-3
 
-# The theory at the conditions (value, SI unit) of one comparison.
 Theory = Callable[[Sequence[tuple[float, str]]], TheoryAt]
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """The theory matched to every observation, and the curves of the first and the last one."""
-
     matched: list[Matched]
     overlays: tuple[Overlay, ...]
 
@@ -480,7 +470,6 @@ def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparis
 
 
 def _bending_error(settings: CompareSettings) -> float:
-    """Relative standard error of the shaft's bending stiffness."""
     shaft = None if settings.theory is None else settings.theory.shaft
     return shaft.std_error / shaft.value if shaft else 0.0
 

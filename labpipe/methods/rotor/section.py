@@ -175,7 +175,6 @@ def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
 
 
 def _radii(rig: RotorRig, speeds: FloatArray) -> FloatArray:
-    """Radii (2, n_speed) [m] of the forward and the backward circle at *speeds* (n_speed,) [Hz]."""
     return np.abs([orbit(rig.at_speed(float(speed))) for speed in speeds]).T
 
 
@@ -215,7 +214,6 @@ def orbit(rig: RotorRig) -> ComplexArray:
 
 MM = 1e3
 HEIGHT = 2.9
-# Number and opacity of the colour of every part.
 LOOKS = {"shaft": (GREY, 0.3), "sleeve": (5, 0.8), "disc": (4, 0.8), "bearing": (0, 0.55)}
 # Where words stand, as parts of the largest radius: names of bearings, numbers of nodes, arrows of force and
 # response.
@@ -320,9 +318,6 @@ def rotor_chart(sketch: RotorSketch) -> Chart:
 
 
 def _drawn(ring: Ring) -> list[Series]:
-    """A ring's section in the colour of its part: above and below its bore, or one rectangle where it has
-    none, each with its edge.
-    """
     colour, opacity = LOOKS[ring.part]
     right = ring.left + ring.length
     series = []
@@ -435,7 +430,6 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
 
 
 def _with_uncertainty(case: UnbalanceCase, name: str, value: float, unit: str) -> str:
-    """A value [um, Hz] with its standard uncertainty, where it has one."""
     factor, error = UM if unit == "m" else 1.0, case.error(name)
     return f"{factor * value:.4g}" if error is None else with_error(factor * value, factor * error)
 

@@ -32,7 +32,6 @@ from labpipe.methods.rotor.shaft import Support
 
 # Difference of ln |lambda| between neighbouring speeds that makes two modes hardly one.
 FREQUENCY_STEP = 0.15
-# Modes that are followed.
 MOST_MODES = 8
 # Half-power points, and speeds per peak of the response.
 HALF_POWER = np.sqrt(0.5)
@@ -148,8 +147,6 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
 
 
 class _SupportsBetween:
-    """The bearings at any speed [Hz] of a grid, by cubic splines of their coefficients."""
-
     def __init__(self, speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> None:
         self._nodes = [support.node for support in supports[0]]
         coefficients = np.array([[(s.stiffness, s.damping) for s in row] for row in supports])
@@ -189,7 +186,6 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
 
 
 def _with_response(theory: RotorTheory, at: _SupportsBetween) -> RotorTheory:
-    """The response to the file's unbalances at bearings, discs and the node that is measured."""
     rig = theory.rig
     amounts = rig.amounts
     nodes = sorted({rig.response, *amounts, *(place.node for place in rig.bearings)})
@@ -303,7 +299,6 @@ def _band(text: str, speed: float) -> tuple[float, float]:
 
 
 def _crossing_rows(theory: RotorTheory) -> Iterator[tuple[str, str, str]]:
-    """Where a damped natural frequency is that of the speed."""
     for speed, decrement, whirl in theory.crossings:
         word = "forward" if whirl > 0.3 else "backward" if whirl < -0.3 else "mixed"
         yield f"{60 * speed:.0f} rpm ({speed:.4g} Hz)", f"log decrement {decrement:.3g}", word

@@ -185,8 +185,6 @@ def cobyqa_search(
 
 @dataclass(frozen=True)
 class _Trace:
-    """All evaluations of one COBYQA run, points as shares of its box."""
-
     points: FloatArray
     objective: FloatArray
     capped: bool

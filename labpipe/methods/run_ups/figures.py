@@ -47,7 +47,6 @@ from labpipe.report.document import Figure
 UM = 1e6
 RPM = 30 / np.pi
 SPEED = Axis("speed", "rpm")
-# Colour and line of every method, the measurement in ink.
 LOOKS = {
     "start": (4, "--"),
     "amplitudes": (3, ":"),
@@ -125,7 +124,6 @@ def _measured_bode(run: MeasuredRun, motion: Motion) -> tuple[Series, Series]:
 
 
 def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Series, Series] | None:
-    """The curves of a method up to its threshold; None where it predicts nothing for the run."""
     prediction = method.prediction(run.name)
     if prediction is None or not prediction.motions:
         return None
@@ -226,14 +224,12 @@ def _orbits(run: MeasuredRun, place: int, method: RunUpMethod | None) -> Panel:
 
 
 def _at(prediction: RunPrediction, number: int, speed: float) -> complex:
-    """The motion of an output at a speed [rad/s], between the two nearest speeds."""
     motion = prediction.motions[number]
     real, imag = (np.interp(speed, prediction.speed, part) for part in (motion.real, motion.imag))
     return complex(real + 1j * imag)
 
 
 def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[Series]:
-    """The orbit of two phasors [m] in um; a measured one with a dot where the keyphasor passes."""
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
     across, along = UM * np.real(x * turn), UM * np.real(y * turn)
     path = curve(name, across, along, colour, line)
@@ -265,7 +261,6 @@ def speeds_figure(result: RunUpResult) -> Figure:
 
 
 def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
-    """One of the two speeds over the load: measured, and by every method that has it."""
     measured = _speeds(
         [(run.load, getattr(run, item)) for run in result.runs], "measured", INK, "", marker="o", size=5.0
     )
@@ -283,7 +278,6 @@ def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
 def _speeds(
     amounts: Sequence[tuple[float, Amount | None]], name: str, colour: int, line: str, **style: Any
 ) -> list[Series]:
-    """Speeds [rpm] over the load with their 95 % intervals; nothing where there is none."""
     points = sorted(
         (load, amount.value, amount.std_error or 0.0) for load, amount in amounts if amount is not None
     )

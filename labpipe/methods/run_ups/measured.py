@@ -194,8 +194,6 @@ def column(values: FloatArray) -> tuple[float, ...]:
     return tuple(float(f"{value:.8g}") for value in np.asarray(values, np.float64).tolist())
 
 
-# Run-ups from order tracks, and the vector difference of two runs.
-
 # Relative tolerance within which two speeds count as equal.
 SAME_SPEED = 1e-3
 
@@ -277,7 +275,6 @@ def _by_speed(
 
 
 def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
-    """Phasors and their standard deviations (n_segment, n_plane, 2) in x and y."""
     phasors, deviations = [], []
     for plane in track.planes:
         turn, columns = np.linalg.inv(plane.directions), list(plane.columns)

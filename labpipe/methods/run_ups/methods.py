@@ -139,9 +139,6 @@ def _threshold(rig: RunUpRotor, solution: AtLoad) -> Amount | None:
 
 
 def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> FloatArray:
-    """Speeds of the run, denser about the peak, up to the predicted threshold, beyond which there is no
-    steady motion.
-    """
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
     speed = np.linspace(
         run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1)
@@ -295,7 +292,6 @@ def _step(
     return np.clip(parts + step, -bound, bound)
 
 
-# Loads are the same when they agree to a millionth.
 SAME_LOAD = 1e-6
 BEYOND = "above the last measured speed K and Omega C stay constant: its threshold is extrapolated"
 WITHOUT_INTERVAL = (
@@ -499,9 +495,6 @@ def _points_at(fits: PointFits) -> Predictor:
 
 
 def _of_points(fits: PointFits) -> dict[str, Any]:
-    """Fields of RunUpMethod on the uncertainty of all points: lowest rank, largest condition number,
-    chi-square.
-    """
     chi2, datum, effective = (
         sum(f.chi2 for f in fits),
         sum(f.n_datum for f in fits),
@@ -535,9 +528,6 @@ def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
 
 
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:
-    """Spread of the starts at the middle load: at the speed of the largest response and at the highest
-    speed.
-    """
     if settings.starts < 2:
         return ()
     loads = sorted({run.load for run in runs})

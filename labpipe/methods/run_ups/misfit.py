@@ -289,7 +289,6 @@ def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
 
 
 def _slopes(rig: RunUpRotor, *excitation: Any) -> FloatArray:
-    """Of real and imaginary parts (4 n_plane, 8)."""
     _, slopes = _response(rig, *excitation)
     return np.concatenate([slopes.real, slopes.imag])
 

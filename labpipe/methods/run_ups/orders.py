@@ -76,7 +76,6 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
 
 
 def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Series]:
-    """The amplitude of every response with two standard deviations."""
     series = []
     for number, port in enumerate(track.ports):
         size = factor * np.abs(track.amplitude[:, number])
@@ -91,7 +90,6 @@ def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Se
 
 
 def _amplitude_axis(title: str, unit: str, series: Sequence[Series]) -> Axis:
-    """From zero to above the largest value, with room for the names."""
     return Axis(title, unit, low=0.0, high=LEGEND_ROOM * _largest(series))
 
 
@@ -101,7 +99,6 @@ def _largest(series: Sequence[Series]) -> float:
 
 
 def _across(track: OrderTrack) -> tuple[FloatArray, Axis]:
-    """What the run is drawn over, and its axis."""
     turning = bool(np.ptp(track.speed) > STEADY * np.max(track.speed))
     return (60 * track.speed, Axis("speed", "rpm")) if turning else (track.time, Axis("time", "s"))
 
@@ -269,7 +266,6 @@ def order_lines(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> 
 
 
 def _against_gap(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
-    """The largest orbit of every plane as share of the gap, and from which speed it lies beyond the limit."""
     if run.clearance is None:
         return []
     rows = []
@@ -289,9 +285,6 @@ def _against_gap(run: TrackedRun, unit: str, shown: Callable[[float], float]) ->
 
 
 def _write_table(run: TrackedRun, path: Path) -> None:
-    """A row for every stretch: amplitudes 0-to-peak [SI], phases [deg] against the tacho's pulse, standard
-    deviations, whole motion.
-    """
     columns = [("time_s", run.track.time), ("speed_hz", run.track.speed)]
     for track in (run.track, *run.circles):
         columns += _order_columns(track)
@@ -373,7 +366,6 @@ def track_and_write(
 
 
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
-    """Load and known unbalances of a run-up, which a recording does not hold."""
     newtons = _value("--load", load, "N")
     if newtons is None or not unbalance:
         raise ConfigError(
@@ -391,7 +383,6 @@ def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float
 
 
 def _clearance(gap: str | None, limit: str) -> Clearance | None:
-    """The gap with its limit; ConfigError for values that are no length and no share."""
     share, length = _value("--limit", limit, "1"), _value("--gap", gap, "m")
     if length is None or share is None:
         return None

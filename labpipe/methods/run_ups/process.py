@@ -154,7 +154,6 @@ def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     ).reshape(-1, 2)
 
 
-# Half-width of the differences about a peak, as a part of its speed.
 PEAK_STEP = 5e-3
 
 
@@ -381,7 +380,6 @@ class LinearData:
 def _rows_by_place(
     problem: RunUpProblem[ProcessFamily], values: FloatArray, eight: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Residual (n_equation,) and its slopes by ln coefficients (n_equation, 8) at every place of the data."""
     rows, first = [], 0
     for group in problem.groups:
         group_eight = eight[first : first + group.speed.size]

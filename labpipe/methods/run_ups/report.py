@@ -36,7 +36,6 @@ from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.records.identification import Identification
 from labpipe.report.document import Block, Paragraph, Section, Table
 
-# Short names of columns.
 SHORT = {
     "start": "original",
     "amplitudes": "(a) amplitudes",
@@ -55,7 +54,6 @@ ADVICE_WORDS = (
     "A round shaft under any unbalance moves its journal along the same vector: a second unbalance run adds "
     "no rank; a run under a shaker, whose force does not turn with the shaft, does."
 )
-# Rows of the table of coefficients: as many speeds.
 MOST_SPEEDS = 7
 
 
@@ -120,7 +118,6 @@ def _heading(column: RunUpMethod | MetamodelResult) -> str:
 
 
 def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
-    """Runs with such a speed, by measurement or by a method; one run per load for a threshold."""
     selected: list[MeasuredRun] = []
     for run in result.runs:
         predictions = [method.prediction(run.name) for method in result.methods]
@@ -255,7 +252,6 @@ def _p_text(p_value: float | None) -> str:
 
 
 def _rank_blocks(result: RunUpResult) -> list[Block]:
-    """Rank by kind of data, and undetermined combinations of the measured runs."""
     if not result.ranks:
         return []
     place = f"{result.rank_load:.3g} N and {RPM * result.rank_speed:.0f} rpm"

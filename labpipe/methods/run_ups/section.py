@@ -79,7 +79,6 @@ def _tabled(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
 
 
 def _stated(settings: RunSettings, run: RunUp) -> RunUp:
-    """The run with load, unbalance and threshold of the pipeline instead of the table's."""
     threshold = settings.threshold
     return replace(
         run,
@@ -240,7 +239,6 @@ def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]
 def _of_method(
     rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
-    """Rank, condition, chi-square, share at bounds, verdict of a method."""
     predictors = _predictors(result)
     if address.method not in predictors:
         raise _fault(

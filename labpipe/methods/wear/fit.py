@@ -167,7 +167,6 @@ class _Solved:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the scaled parameters, (n, n): by the noise and by the cells of the oil films."""
         return self.noise_covariance + self.film_covariance
 
     @property
@@ -252,10 +251,6 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
 
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
-    """Search on the tables, refine on the films.
-
-    An unknown noise is estimated from the residual and the search repeated.
-    """
     misfit = MISFITS[wear.objective](worn_model(wear, measured.frequency), measured)
     n_response = misfit.residual(start_mesh(wear, misfit)[0]).size - misfit.n_prior
     if n_response <= len(misfit.model.names) - misfit.n_prior:
@@ -293,9 +288,6 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
 
 
 def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
-    """The minima, those of nearly the same chi-square refined on the films, the lowest first with its
-    misfit.
-    """
     near = [
         candidate
         for candidate in candidates[:MOST_RIVALS]
@@ -355,7 +347,6 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
 
 
 def _intervals(solved: _Solved) -> dict[str, Interval]:
-    """Profile intervals of depth and angle, widened by the error of the films' mesh."""
     model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
     noise, film = (
         np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance)
@@ -396,7 +387,6 @@ def _parameter(
 
 
 def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list[Finding]:
-    """Findings on the estimate; collinear nuisance parameters are left out, their prior determines them."""
     names = [solved.misfit.model.names[number] for number in _sensitive_parameters(solved)]
     findings = [
         *estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
@@ -412,7 +402,6 @@ def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list
 
 
 def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
-    """Indices of parameters off their bounds with non-zero sensitivity."""
     misfit, best = solved.misfit, solved.best
     lengths = np.linalg.norm(misfit.jacobian(best.parameters), axis=0)
     at = bounds_reached(misfit, best)
@@ -438,10 +427,6 @@ def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region,
 
 
 def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
-    """Measured and fitted receptance in the fit's frame, all terms, between the lines too.
-
-    Of a tuning also the model before it.
-    """
     receptance = measured.measured
     variance = None
     if receptance.covariance is not None:
@@ -469,6 +454,5 @@ def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
 
 
 def _untuned(model: WornModel) -> ComplexArray:
-    """The response at the prior means, on the films themselves."""
     mean = np.array(model.prior.mean) / model.scale
     return model.refined(mean, with_slopes=False).response(mean)[0]

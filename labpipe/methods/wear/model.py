@@ -185,7 +185,6 @@ def _centred(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
 def _reach(
     settings: WearSettings, prior: Gaussian, rig: RotorRig
 ) -> tuple[Ranges, dict[str, tuple[float, float]]]:
-    """The tables' ranges and the bounds of all parameters, SI units."""
     box = {DEPTH: (0.0, settings.depth_limit), ANGLE: (-settings.angle_limit, settings.angle_limit)}
     for name, mean, std in zip(prior.names, prior.mean, prior.std, strict=True):
         low, high = box.get(name, (-np.inf, np.inf))
@@ -288,7 +287,6 @@ def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray
 
 
 def _with_angle(response: FrequencyResponse, of_forces: bool, number: int, step: float) -> FrequencyResponse:
-    """The response with a sensor or force turned by *step* [rad]."""
     ports = response.inputs if of_forces else response.outputs
     port = ports[number]
     turned = (*ports[:number], replace(port, angle=(port.angle or 0.0) + step), *ports[number + 1 :])

@@ -145,7 +145,6 @@ def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
 
 
 def _is_same(first: FloatArray, second: FloatArray) -> bool:
-    """True if depth and angle agree; below SHALLOW the angle is ignored."""
     apart = np.abs(first - second)[:2]
     return bool(apart[0] < SAME and (np.max(apart) < SAME or max(first[0], second[0]) < SHALLOW))
 
@@ -210,7 +209,6 @@ def profile_interval(
 def _end(
     misfit: Misfit, best: Minimum, number: int, side: int, std_error: float, limit: float
 ) -> tuple[float, bool]:
-    """One end of the interval, and True if it is the bound."""
     here = float(best.parameters[number])
     bound = float((misfit.model.low if side < 0 else misfit.model.high)[number])
     room = abs(bound - here)
@@ -316,7 +314,6 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
 
 
 def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
-    """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
     return np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[:2, :2]
 

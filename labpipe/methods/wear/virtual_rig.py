@@ -137,7 +137,6 @@ def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
 
 
 def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Recording:
-    """Force f along one axis, displacements y and z [SI], turning from y to z; with independent noise."""
     assert virtual.rig is not None
     n, axis, h = virtual.n_sample, name[-1], _response(virtual, virtual.wear(name))
     spectrum, at_lines = np.zeros(n // 2 + 1, np.complex128), np.zeros((n // 2 + 1, 2), np.complex128)
