@@ -46,10 +46,7 @@ TO_LOAD_FRAME = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True)
 class ScaledCoefficients:
-    """Stiffness K c / W and damping C c Omega / W [-], (..., 2, 2) in the order xx xy.
-
-    Yx yy, and their derivatives by ln S.
-    """
+    """Stiffness K c / W and damping C c Omega / W [-], (..., 2, 2), and their derivatives by ln S."""
 
     stiffness: FloatArray
     damping: FloatArray

@@ -83,7 +83,7 @@ class PeriodSums:
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
-    An average counts by the energy of its force. 1], its covariance that of H.
+    An average counts by the energy of its force. The mean is [H; 1], its covariance that of H.
     """
 
     def __init__(self) -> None:

@@ -273,10 +273,7 @@ def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
 
 
 def rotor_figure(rig: Mapping[str, Any]) -> Figure:
-    """A rotor from its entries (elements, discs, sleeves, bearings.
-
-    SI units), lengths in mm, nodes numbered from 1.
-    """
+    """A rotor from its entries in SI units, lengths in mm, nodes numbered from 1."""
     caption = (
         f"{rig['name']}: the rotor, its nodes numbered from the left. Diameters are drawn larger than "
         "lengths."

@@ -1,7 +1,4 @@
-"""Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al.
-
-2017), each with its uncertainty.
-"""
+"""Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017)."""
 
 from __future__ import annotations
 
