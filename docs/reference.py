@@ -34,6 +34,7 @@ KINDS = {
     "file": "file",
     "roots": "list of complex numbers, `-50 +- 300j` for a pair",
     "phasors": "`SIZE at ANGLE` by name",
+    "texts": "texts by name",
     "section": "section, below",
     "sections": "sections by name, below",
     "entries": "list of sections, below",

@@ -5,6 +5,7 @@ Where they follow the level of the force, they are stated at the middle one.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,6 +36,9 @@ LEAST_SCALE = 0.03
 LEVEL = "level of the force"
 # Neighbouring lines that share the scatter of the aligned residuals, and the least share they divide by.
 NEIGHBOURS, LEAST_REST = 15, 0.02
+# Parameters of a numbered mode; half-power widths, and share of a frequency, within which two are the same.
+MODE = re.compile(r"(f_n|zeta|eta|m|k|c)_(\d+)$")
+NEAR_WIDTHS, NEAR = 4.0, 0.01
 # The fits of a response by settings, whose residual is judged or not.
 Fitting = Callable[[FrequencyResponse, FitSettings, bool], tuple[Fit, ...]]
 
@@ -70,7 +74,7 @@ class _Test:
 
     def named(self, name: str) -> str:
         """One of them, as a sentence begins with it."""
-        return name if self.response.repeats_are == "hits" else f"recording '{name}'"
+        return f"recording '{name}'" if self.response.repeats_are == "recordings" else name
 
     def levels(self, names: Sequence[str]) -> FloatArray | None:
         """Of the force, (n,) [its unit]; None where they are not known."""
@@ -99,13 +103,43 @@ def over_repeats(
             failed.append(note("repeat-left-out", f"{test.named(name)} is left out: {error.what}"))
             continue
         if len(fits) == len(pooled):
-            repeats[name] = fits
+            repeats[name] = tuple(map(_numbered_as, pooled, fits))
     if len(repeats) < 2:
         return tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
     return tuple(
         _over(fit, {name: fits[place] for name, fits in repeats.items()}, failed, test)
         for place, fit in enumerate(pooled)
     )
+
+
+def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
+    """The *fit* with every mode under the number of the mode of *pooled* that is nearest in frequency.
+
+    A repeat may not show all of them. Modes far from all lose their parameters.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    values = {parameter.name: parameter.value for parameter in pooled.parameters}
+    ours, theirs = (
+        {found[2]: p.value for p in of.parameters if (found := MODE.match(p.name)) and found[1] == "f_n"}
+        for of in (pooled, fit)
+    )
+    if ours.keys() == theirs.keys() and len(ours) < 2:
+        return fit
+    distance = np.abs(np.log(np.array(list(theirs.values()))[:, None] / np.array(list(ours.values()))))
+    numbers = {}
+    for place, other in zip(*linear_sum_assignment(distance), strict=True):
+        number = list(ours)[other]
+        if distance[place, other] < max(NEAR_WIDTHS * 2 * abs(values.get(f"zeta_{number}", 0.0)), NEAR):
+            numbers[list(theirs)[place]] = number
+    parameters = []
+    for parameter in fit.parameters:
+        found = MODE.match(parameter.name)
+        if found is None or found[2] not in theirs:
+            parameters.append(parameter)
+        elif found[2] in numbers:
+            parameters.append(replace(parameter, name=f"{found[1]}_{numbers[found[2]]}"))
+    return replace(fit, parameters=tuple(parameters))
 
 
 @dataclass(frozen=True)
@@ -151,9 +185,16 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
     means, stated = {}, []
     for parameter in pooled.parameters:
         name = parameter.name
-        if name in columns:
-            of = columns[name].chosen(used)
-            means[name] = repeat_mean(of.values, of.variances, _scale(name, of, ratios), covariate)
+        # Of what some repeats do not show, the others are the repeats.
+        shown = [
+            place
+            for place, of in enumerate(by_name)
+            if used[place] and (name in columns or _usable(of.get(name)))
+        ]
+        if name in columns or 2 * len(shown) > len(good) > 1:
+            of = _Values.of([by_name[place][name] for place in shown])
+            along = None if covariate is None else covariate[[sum(used[:place]) for place in shown]]
+            means[name] = repeat_mean(of.values, of.variances, _scale(name, of, ratios), along)
             summary = Repeats(
                 len(test.response.repeat_names),
                 of.values.size,

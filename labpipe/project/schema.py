@@ -256,4 +256,5 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "series": {"type": "object"},
         "roots": _TEXTS_OR_NUMBERS,
         "phasors": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
+        "texts": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
     }[setting.kind]

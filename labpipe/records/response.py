@@ -275,9 +275,9 @@ class FrequencyResponse:
     blocks           of random data, whose ends leave leakage in the FRF, or None errors           systematic
     errors that no single port carries: of the numbers in sums of channels and of the members of these
     repeats          (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where each
-    has all of it, or of every hit of one recording, or None; named by repeat_names
+    has all of it, or of every hit or sweep, or None; named by repeat_names
     repeat_levels    (n_repeat,) [unit of the force] r.m.s. force of each recording, peak of each hit, or
-    None; *repeats_are*: "recordings" or "hits"
+    None; *repeats_are*: "recordings", "hits" or "sweeps"
     """
 
     frequency: FloatArray

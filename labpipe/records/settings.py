@@ -273,6 +273,13 @@ def to_series(value: Any, setting: Setting) -> tuple[tuple[str, tuple[float, ...
     return tuple((name, to_values(entry, setting)) for name, entry in _pairs(value))
 
 
+def to_texts(value: Any, setting: Setting) -> tuple[tuple[str, str], ...]:  # noqa: ARG001
+    """{d1: 3 y} -> (("d1", "3 y"),)."""
+    if not isinstance(value, Mapping) and not _is_pairs(value):
+        raise UnitError(f"'{_shown(value)}' is not a mapping of names to texts", "write {NAME: TEXT}")
+    return tuple((str(name), _text(str(text), "a text")) for name, text in _pairs(value))
+
+
 def to_phasors(value: Any, setting: Setting) -> tuple[tuple[str, complex], ...]:
     """{disc 1: 50 g.mm at 60 deg} -> (("disc 1", 2.5e-5 + 4.3e-5j),); the angle is zero unless given."""
     if not isinstance(value, Mapping) and not _is_pairs(value):
@@ -362,6 +369,7 @@ CONVERTERS: dict[str, Callable[[Any, Setting], Any]] = {
     "coefficients": to_coefficients,
     "groups": to_groups,
     "series": to_series,
+    "texts": to_texts,
     "phasors": to_phasors,
     "section": to_section,
     "sections": to_sections,

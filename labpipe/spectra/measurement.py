@@ -183,6 +183,7 @@ def _measured(
     )
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor
+    repeats_are = "sweeps" if settings.excitation == "sweep" else "hits"
     return FrequencyResponse(
         frequency=parts.frequency,
         matrix=matrix,
@@ -203,9 +204,9 @@ def _measured(
         line_gains=None if parts.line_gains is None else parts.line_gains * _phase(sensor_factor)[:, None],
         blocks=parts.blocks,
         repeats=None if parts.hits is None else np.moveaxis(parts.hits, 1, 0) * sensor_factor,
-        repeat_names=tuple(f"hit {number}" for number in parts.hit_numbers),
+        repeat_names=tuple(f"{repeats_are[:-1]} {number}" for number in parts.hit_numbers),
         repeat_levels=np.array(parts.hit_peaks) if parts.hit_peaks else None,
-        repeats_are="hits",
+        repeats_are=repeats_are,
         errors=sum_errors(
             cleaned, settings, layout, (parts.frequency, matrix), EXCITATIONS[settings.excitation]
         ),

@@ -33,6 +33,9 @@ LARGEST_SPREAD = 1.0
 # Degrees of freedom of the noise up to which it is averaged over neighbouring lines: with fewer, the weights
 # of a fit scatter.
 ENOUGH_DOF = 48.0
+# A response is at rest where it moves, over half a period of the lowest frequency swept, by no more than this
+# share of its r.m.s. and this many times the noise.
+AT_REST, NOISE_ALONE = 0.02, 1.5
 # Share of the force's usual level around a line below which nothing is measured there, and lines that make
 # the usual level.
 LEAST_SHARE, AROUND = 0.1, 101
@@ -105,8 +108,11 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     spectra = spectra.select(
         lines_left(spectra.frequency, settings) & _driven(spectra.blocks[:, :, :n_input])
     )
-    spectra, leakage = _without_leakage(spectra, n_input)
-    parts = _parts(spectra, layout)
+    leakage: tuple[Finding, ...] = ()
+    # The noise of one sweep is what the local fit leaves, beside its leakage.
+    if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
+        spectra, leakage = _without_leakage(spectra, n_input)
+    parts = _with_repeats(_parts(spectra, layout), spectra, n_input)
     rates = rate_findings(spectra.frequency, parts.matrix, sweeps, rate, n_sample, leaking=spectra.leaking)
     return replace(parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *rates))
 
@@ -147,6 +153,39 @@ def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
     return np.asarray(fft.rfft(blocks, axis=1)[:, 1 : (n_sample + 1) // 2])
 
 
+def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sample: int) -> bool:
+    """Whether every response moves no more than noise at the beginning and the end of every block, so that
+    there is no leakage.
+    """
+    noise = np.sqrt(np.einsum("loo->lo", local.noise).real.mean(axis=0) / n_sample)
+    for number, run in enumerate(swept):
+        present = [(at, column) for at, column in enumerate(layout.output_columns[number]) if column >= 0]
+        half_period = int(np.ceil(0.5 / min(sweep.low for sweep in run.sweeps)))
+        for start, stop in run.cuts:
+            block = run.samples[start : min(stop, start + n_sample), [column for _, column in present]]
+            block = block - block.mean(axis=0)
+            level = np.sqrt(np.mean(block**2, axis=0))
+            limit = np.minimum(AT_REST * level, NOISE_ALONE * noise[[at for at, _ in present]])
+            ends = (block[:half_period], block[-half_period:])
+            if any(np.any(np.sqrt(np.mean(end**2, axis=0)) > limit) for end in ends):
+                return False
+    return True
+
+
+def _with_repeats(parts: Parts, spectra: _Spectra, n_input: int) -> Parts:
+    """The parts with the FRFs of every sweep alone, where there are two or more of one force."""
+    n_sweep = spectra.blocks.shape[0]
+    if n_input > 1 or n_sweep < 2:
+        return parts
+    forces = spectra.blocks[:, :, :1]
+    return replace(
+        parts,
+        hits=np.swapaxes(spectra.blocks[:, :, 1:] / forces, 0, 1)[..., None],
+        hit_numbers=tuple(range(1, n_sweep + 1)),
+        hit_peaks=tuple(np.sqrt(np.mean(np.abs(forces[:, :, 0]) ** 2, axis=1)).tolist()),
+    )
+
+
 def _common_band(sweeps: Sequence[FoundSweep], rate: float) -> tuple[float, float]:
     """Frequencies [Hz] that every sweep passes; DataError without any."""
     low, high = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
@@ -164,7 +203,9 @@ def _in_band(
     """
     n_block, n_line, _ = blocks.shape
     # One line more than for polynomials alone makes up for the pole.
-    half_width = settings.half_width or 1 + usual_half_width(n_block, n_input, settings.degree)
+    # As wide as for one sweep of every force: each has leakage of its own.
+    usual = 1 + usual_half_width(min(n_block, n_input), n_input, settings.degree)
+    half_width = settings.half_width or usual
     if noise_freedom(n_block, n_input, settings.degree, half_width) < LEAST_DOF:
         least = 1 + usual_half_width(n_block, n_input, settings.degree)
         raise DataError(

@@ -1,5 +1,5 @@
 """The documentation: every command of every page runs and prints what is shown, its YAML and Python are
-valid, the pages fetch nothing.
+valid.
 
 Runs whose report no page shows are made without one, the study of minutes with few repeats; commands marked
 `parse` in the page (a cluster's address, half a minute of work that tests/cli runs) are held against the
@@ -9,8 +9,6 @@ options of their command only.
 from __future__ import annotations
 
 import importlib
-import importlib.util
-import os
 import re
 import sys
 from pathlib import Path
@@ -44,15 +42,6 @@ SHELL = {
     "labpipe check -j 0 pipelines/*.yaml": ".ci/run",
 }
 
-# Opens the search and puts words into its field.
-TYPE = """(() => {
-  document.querySelector("#__search").checked || document.querySelector("label[for=__search]").click();
-  const field = document.querySelector("[data-md-component=search-query]");
-  field.focus();
-  field.value = "%s";
-  field.dispatchEvent(new Event("keyup", { bubbles: true }));
-})()"""
-
 
 def module(name: str) -> ModuleType:
     """A module of docs, which is no package."""
@@ -67,9 +56,10 @@ console = module("console")
 WITH_COMMANDS = [page for page in PAGES if list(console.commands(page.read_text(encoding="utf-8")))]
 
 
-# Pages whose commands take two seconds and more: films, run-ups, a loop's theory, plans, whole projects.
+# Pages whose commands take a second and more: films, run-ups, a loop's theory, plans, whole projects.
 SLOW = {"bearing", "journal-bearing", "unbalance", "control-loop", "compare", "virtual-rig", "run-up-method"}
 SLOW |= {"section", "budget", "plan", "many", "campaign", "closed-loop", "ball-bearing", "magnetic-bearing"}
+SLOW |= {"reader", "estimator", "modal", "rotor", "white-noise", "index", "sweep"}
 
 
 @pytest.mark.parametrize(
@@ -122,10 +112,12 @@ def test_shell_commands_are_known(page: Path) -> None:
 def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> None:
     """Keys of a pipeline.
 
-    A block with channels is a whole rig file, one with a plan or planes a whole plan or balance file: read.
+    A block with channels is a whole rig file, one with elements a rotor file, one with a plan or planes a
+    plan or balance file: read.
     """
     from labpipe.methods.balancing.balance_file import load_balance
     from labpipe.methods.planning.plan_file import load_plan
+    from labpipe.methods.rotor_system.system_file import load_system
     from labpipe.project.pipeline_file import section_names
     from labpipe.project.rig_file import load_rig
 
@@ -136,6 +128,9 @@ def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> No
         elif "planes" in yaml.safe_load(block):
             (tmp_path / "balance.yaml").write_text(block, encoding="utf-8")
             assert load_balance(tmp_path / "balance.yaml").runs
+        elif "elements" in yaml.safe_load(block):
+            (tmp_path / "rotor.yaml").write_text(block, encoding="utf-8")
+            assert load_system(tmp_path / "rotor.yaml").rig.bearings
         elif "plan" in yaml.safe_load(block):
             if not (tmp_path / "configs").exists():
                 (tmp_path / "configs").symlink_to(DOCS.parent / "configs")
@@ -205,72 +200,3 @@ def test_the_reference_has_words_for_every_form_of_a_setting() -> None:
     assert set(reference.BELOW) == {
         kind for kind, words in reference.KINDS.items() if words.endswith("below")
     }
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built site, its figures left out: those need minutes."""
-    pytest.importorskip("mkdocs")
-    folder = tmp_path_factory.mktemp("docs")
-    build = module("build")
-    build.write_pages(
-        folder / "pages", lambda name, words, up: f"<figure><figcaption>{words}</figcaption></figure>"
-    )
-    assert build.build_site(folder / "pages", folder / "site") == 0
-    return folder / "site"
-
-
-def test_all_pages_are_built_and_linked(site: Path) -> None:
-    """mkdocs --strict ends with an error at a link or heading that is not there, and at a page that no menu
-    names.
-    """
-    built = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")} - {"404"}
-    written = {path.relative_to(DOCS / "pages").with_suffix("").as_posix() for path in PAGES}
-    packages = {path.parent.name for path in (DOCS.parent / "labpipe").glob("*/__init__.py")}
-    python = {f"reference/python/{name}" for name in packages | {"index", "scripts", "labpipe"}}
-    papers = {page.removesuffix(".md") for page in module("build").PAPERS}
-    assert built == written | python | papers | {
-        f"reference/{name}" for name in module("reference").reference_pages()
-    }
-
-
-def test_the_search_of_a_page_opened_as_a_file_finds_and_fetches_nothing(site: Path) -> None:
-    """Typed into a headless browser: a page and the entry of a function, found in the index that lies beside
-    the pages.
-    """
-    spec = importlib.util.spec_from_file_location(
-        "labpipe_browser", Path(__file__).parents[1] / "browser/browser.py"
-    )
-    assert spec is not None and spec.loader is not None
-    driver = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(driver)
-    path = driver.binary()
-    if path is None or os.name != "posix":
-        pytest.skip("no browser found on the path")
-    browser = driver.Browser(path)
-    try:
-        page = browser.open(site / "index.html")
-        for words, there in {
-            "crest factor": "recordings.html",
-            "adjusted_forces_as_instruments": "spectra.html",
-        }.items():
-            page.run(TYPE % words)
-            found = "[...document.querySelectorAll('.md-search-result__item a')].map((link) => link.href)"
-            page.until(lambda there=there, found=found: any(there in link for link in page.run(found)))
-        asked = {event["request"]["url"] for event in page.said("Network.requestWillBeSent")}
-        assert not [address for address in asked if not address.startswith(("file:", "data:"))]
-        assert not page.said("Runtime.exceptionThrown")
-    finally:
-        browser.close()
-
-
-def test_the_pages_fetch_nothing_from_elsewhere(site: Path) -> None:
-    fetching = re.compile(
-        r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)"
-    )
-    for path in site.rglob("*.html"):
-        assert not fetching.findall(path.read_text(encoding="utf-8")), path
-    for path in site.rglob("*.css"):
-        assert not re.findall(
-            r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", path.read_text(encoding="utf-8")
-        ), path

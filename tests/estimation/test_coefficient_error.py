@@ -175,7 +175,7 @@ def drift(_: np.ndarray, __: np.random.Generator) -> np.ndarray:
     ("fault", "known"),
     [
         (other_modes, True),
-        (gain_curve, False),
+        pytest.param(gain_curve, False, marks=pytest.mark.long),
         *(pytest.param(one, True, marks=pytest.mark.long) for one in (gain_curve, drift)),
     ],
 )

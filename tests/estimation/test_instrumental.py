@@ -42,10 +42,10 @@ def test_ls_and_iv_equal_their_literal_twins(three_dof_response, seed: int) -> N
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("known", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("known", [True, False])
 def test_sandwich_errors_are_the_scatter(three_dof_response, known: bool) -> None:
     fits = []
-    for seed in range(150):
+    for seed in range(60):
         response = three_dof_response(2 * PER_CENT, np.random.default_rng(seed))
         fits.append(
             identify(
@@ -58,8 +58,8 @@ def test_sandwich_errors_are_the_scatter(three_dof_response, known: bool) -> Non
         ratios.append(
             np.sqrt(np.mean([fit.parameter(name).std_error ** 2 for fit in fits])) / np.std(values, ddof=1)
         )
-    # Six standard deviations of 150 values are known to 5.8 % each.
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
+    # Six standard deviations of 60 values are known to 9.1 % each, their mean to less.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
 
 
 def test_ls_of_the_same_data_is_overconfident(three_dof_response) -> None:
@@ -88,7 +88,7 @@ def test_ls_of_the_same_data_is_overconfident(three_dof_response) -> None:
 def test_break_downs_are_no_result(three_dof_response) -> None:
     """At 6 % noise iv runs away in more than a third of the runs; ml never does."""
     broken = 0
-    for seed in range(30):
+    for seed in range(12):
         response = three_dof_response(6 * PER_CENT, np.random.default_rng(seed))
         (by_iv,), (by_ml,) = (identify(response, replace(KNOWN, estimator=name)) for name in ("iv", "ml"))
         assert by_ml.converged and by_ml.gof.chi2_p > 1e-4
@@ -103,7 +103,7 @@ def test_break_downs_are_no_result(three_dof_response) -> None:
             assert any("broke down" in note for note in by_iv.notes)
         else:
             assert not far
-    assert broken >= 10
+    assert broken >= 4
 
 
 @pytest.mark.parametrize("estimator", ["ls", "iv"])
@@ -113,7 +113,7 @@ def test_lines_may_weigh_by_their_noise(sdof_response, estimator: str) -> None:
 
     def squares(weight: str) -> float:
         errors = []
-        for seed in range(40):
+        for seed in range(15):
             rng = np.random.default_rng(seed)
             plain = sdof_response()
             noise = std * (rng.normal(size=21) + 1j * rng.normal(size=21)) / np.sqrt(2)

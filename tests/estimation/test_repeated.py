@@ -15,6 +15,7 @@ from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
@@ -135,6 +136,41 @@ def test_pool_fits_all_of_them_together() -> None:
     response = repeated(6, 4)
     pooled, alone = fitted(response, repeats="pool"), fitted(replace(response, repeats=None, repeat_names=()))
     assert pooled.parameter("f_n") == alone.parameter("f_n") and pooled.parameter("f_n").repeats is None
+
+
+def test_modes_of_a_repeat_that_shows_fewer_keep_their_numbers() -> None:
+    """Two modes, closed form; one sweep of five does not see the first, and has another between them."""
+    lines = np.linspace(60.0, 140.0, 401)
+    rng = np.random.default_rng(8)
+
+    def of(f_n: float, amount: float) -> np.ndarray:
+        w, w_n = 2 * np.pi * lines, 2 * np.pi * f_n
+        return amount / (w_n**2 - w**2 + 2j * 0.01 * w_n * w)
+
+    matrices = []
+    for amount in (1.0, 1.0, 0.0, 1.0, 1.0):
+        h = of(80.0 * np.exp(MOVED * rng.normal()), amount) + of(120.0 * np.exp(MOVED * rng.normal()), 1.5)
+        h = h + of(100.0, 1.0 - amount)
+        noise = NOISE * np.sqrt(np.mean(np.abs(h) ** 2)) * rng.normal(size=(2, h.size))
+        matrices.append((h + noise[0] + 1j * noise[1])[:, None, None])
+    response = FrequencyResponse(
+        lines,
+        np.mean(matrices, axis=0),
+        (Port("y", "y", "2"),),
+        (Port("f", "f", "1"),),
+        covariance=uncorrelated(np.var(matrices, axis=0, ddof=1) / 5),
+        covariance_dof=4.0,
+        averages=5,
+        repeats=np.array(matrices),
+        repeat_names=tuple(f"sweep {number}" for number in range(1, 6)),
+        repeats_are="sweeps",
+    )
+    (fit,) = identify(response, FitSettings("modal", model_settings=ModalSettings()))
+    for truth, used in ((80.0, 4), (120.0, 5)):
+        modes = [parameter for parameter in fit.parameters if parameter.name.startswith("f_n_")]
+        parameter = min(modes, key=lambda mode: abs(mode.value - truth))
+        assert parameter.ci95[0] < truth < parameter.ci95[1] and np.ptp(parameter.ci95) < 1.0
+        assert parameter.repeats.used == used
 
 
 def test_repeats_are_written_and_read(tmp_path: Path) -> None:

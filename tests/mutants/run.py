@@ -1,12 +1,14 @@
 """The tests, tested: one change of the code at a time, which a test must notice.
 
-python -m tests.mutants.run [--count N] [--seed S] [--modules labpipe/stages/judging.py ...]
+python -m tests.mutants.run [--count N] [--seed S] [--modules labpipe/project/rules.py ...]
 
 A mutant is made in a copy of the checkout; the tests that are named after its module run on it first, then
-those that import it, then those of its package, up to the first that fails, in a process that has the
-libraries from its parent: a few seconds each. With --whole the short suite follows where all of them pass.
-Prints every mutant with its outcome; a survivor is a missing test, or a change without effect. The same seed
-makes the same mutants of the same code; --skip goes on where a run was interrupted.
+those of its folder that import it, those of its folder, and others that import it, up to the first that
+fails, in a process that has the libraries from its parent: a few seconds each. With --whole the short suite
+follows where all of them pass; with --quick it is counted too how many of those that are noticed the
+selection of `python -m tests.quick` notices. Prints every mutant with its outcome; a survivor is a missing
+test, or a change without effect. The same seed makes the same mutants of the same code; --skip goes on where
+a run was interrupted.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import compileall
 import importlib
 import os
 import random
+import re
 import select
 import shutil
 import signal
@@ -29,20 +32,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.quick import selected
+
 ROOT = Path(__file__).parent.parent.parent
-PACKAGES = (
-    "artefacts",
-    "stages",
-    "signals",
-    "spectra",
-    "identify",
-    "decay",
-    "modal",
-    "dynamic_stiffness",
-    "bearings",
-    "rotors",
-    "campaign",
-)
 # For the tests of a mutant, and for one of them alone: longer, it hangs.
 SECONDS, ONE_TEST_SECONDS = 300.0, 60.0
 SURVIVES, HANGS, LATE = "survives", "hangs", "not within its time"
@@ -52,12 +44,6 @@ HEAVY = (
     "scipy.interpolate", "pandas",
     "pyarrow.parquet", "pyarrow.csv", "h5py", "yaml", "click", "matplotlib.figure", "nptdms", "fpdf",
 )  # fmt: skip
-# Tests beside those of a module's own package.
-ALSO = {
-    "artefacts": ("tests/project/test_verify.py", "tests/project/test_freshness.py"),
-    "stages": ("tests/project/test_run.py", "tests/cli/test_commands.py"),
-    "signals": ("tests/unit/stages", "tests/hostile/test_broken_inputs.py"),
-}
 _COMPARED = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
@@ -135,21 +121,20 @@ def mutant(source: str, rng: random.Random) -> tuple[str, str] | None:
 
 
 def tests_of(module: str) -> Iterator[list[str]]:
-    """The tests that look at a module, the closest first: files named after it, those that import it, others
-    of its package, ALSO.
+    """The files of tests that look at a module, the closest first: of its folder those named after it, those
+    that import it, all of them; then others that import it.
     """
-    package, stem = Path(module).parent.name, Path(module).stem
-    folder = f"tests/unit/{package}/"
+    relative, dotted = Path(module).relative_to("labpipe"), module.removesuffix(".py").replace("/", ".")
+    folder = f"tests/{relative.parent.as_posix()}/".replace("/./", "/")
     every = {path.relative_to(ROOT).as_posix(): path for path in sorted((ROOT / "tests").rglob("test_*.py"))}
-    users = [name for name, path in every.items() if f"labpipe.{package}.{stem}" in path.read_text("utf-8")]
+    own = [name for name in every if Path(name).parent == Path(folder)]
+    users = [name for name, path in every.items() if re.search(rf"{dotted}\b", path.read_text("utf-8"))]
     stages = (
-        [name for name in every if Path(name).stem == f"test_{stem}"],
-        [name for name in every if Path(name).stem.startswith(f"test_{stem}")],
-        [name for name in users if name.startswith(folder)],
-        [name for name in users if name.startswith("tests/unit/")],
+        [name for name in own if Path(name).stem == f"test_{relative.stem}"],
+        [name for name in own if Path(name).stem.startswith(f"test_{relative.stem}")],
+        [name for name in own if name in users],
+        own,
         users,
-        [name for name in every if name.startswith(folder)],
-        [name for name in every if name.startswith(ALSO.get(package, ()))],
     )
     done: set[str] = set()
     for stage in stages:
@@ -259,13 +244,13 @@ def main() -> int:
         help="for each mutant: tests that take longer are told apart",
     )
     parser.add_argument("--whole", action="store_true")
+    parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
     modules = arguments.modules or [
-        path.relative_to(ROOT).as_posix()
-        for package in PACKAGES
-        for path in sorted((ROOT / "labpipe" / package).glob("*.py"))
+        path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "labpipe").rglob("*.py"))
     ]
     outcomes: Counter[str] = Counter()
+    by_quick = 0
     with tempfile.TemporaryDirectory() as name:
         copy = copied(Path(name))
         for number, (module, source, place) in enumerate(
@@ -278,16 +263,24 @@ def main() -> int:
             path.write_text(source, "utf-8")
             began = time.monotonic()
             outcome = outcome_of(copy, module, arguments.seconds, arguments.whole)
+            first = ""
+            if arguments.quick and outcome not in (SURVIVES, LATE):
+                first = noticed(copy, selected(), arguments.seconds)
+                by_quick += bool(first)
             path.write_text(original, "utf-8")
             os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
             outcomes[outcome] += 1
-            print(f"{number} {module}:{place}\n    {outcome} ({time.monotonic() - began:.0f} s)", flush=True)
+            took = f"({time.monotonic() - began:.0f} s)"
+            quick = f"; of the selection {first or 'none'}" if arguments.quick else ""
+            print(f"{number} {module}:{place}\n    {outcome}{quick} {took}", flush=True)
         uncertain = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS, LATE}), 20 * SECONDS)
     missed = outcomes[SURVIVES] + outcomes[LATE]
     print(
         f"{outcomes.total() - missed} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since "
         "they hang"
     )
+    if arguments.quick:
+        print(f"{by_quick} of {outcomes.total() - missed} are noticed by the selection")
     print(f"{outcomes[SURVIVES]} survive; {outcomes[LATE]} were not noticed within their time")
     if uncertain:
         print(f"{uncertain} fails on the code as it is: what it noticed does not count")

@@ -22,6 +22,7 @@ from typing import Any
 
 import pytest
 
+from labpipe.cli.main import run_command
 from labpipe.errors import DataError
 from labpipe.project.archive import contents as archived
 from labpipe.project.archive import write_archive
@@ -48,9 +49,17 @@ def lab(finished: Path, tmp_path: Path) -> Path:
     return shutil.copytree(finished, tmp_path / "lab")
 
 
+@pytest.fixture(scope="module")
+def whole(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The bytes of the laboratory's archive."""
+    path = tmp_path_factory.mktemp("whole") / "a.zip"
+    assert run_command(["archive", str(finished / "out"), "-o", str(path)]) == 0
+    return path.read_bytes()
+
+
 @pytest.fixture
-def packed(lab: Path, labpipe: Command) -> Path:
-    assert labpipe("archive", lab / "out", "-o", lab / "a.zip").code == 0
+def packed(lab: Path, whole: bytes) -> Path:
+    (lab / "a.zip").write_bytes(whole)
     return lab / "a.zip"
 
 

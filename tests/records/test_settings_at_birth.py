@@ -69,6 +69,7 @@ def example(declared: Setting) -> Any:
         "groups": [["a", "b"]],
         "roots": ["-100", "-50 +- 300j"],
         "phasors": {"disc": f"{value} at 90 deg"},
+        "texts": {"disc": "3 y"},
     }.get(declared.kind)
 
 

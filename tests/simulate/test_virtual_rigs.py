@@ -79,6 +79,7 @@ OTHERS = {
     "virtual-decay-rig": "virtual-decay.yaml",
     "virtual-floating-rig": "virtual-floating.yaml",
     "virtual-levitated-rig": "virtual-levitated.yaml",
+    "virtual-rotor-rig": "virtual-rotor.yaml",
 }
 FILES = {kind: file for kind, (file, *_) in STUDIED.items()} | OTHERS
 

@@ -14,7 +14,7 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
-RATE, N, REPEATS = 128.0, 1920, 150
+RATE, N, REPEATS = 128.0, 1920, 80
 CHANNELS = (
     Channel("fx", "force", "input", "x", 0.0),
     Channel("fy", "force", "input", "y", np.pi / 2),

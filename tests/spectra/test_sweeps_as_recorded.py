@@ -78,7 +78,10 @@ def test_all_of_the_excited_range_is_one_sweep(name: str) -> None:
     assert (len(complete), len(sweeps)) == (whole, whole + cut)
 
 
-@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize(
+    "name",
+    ["linear", "falling tenfold", "repeated without a pause", "of unequal lengths", "begun within one"],
+)
 def test_the_frf_is_that_of_the_plate_within_its_covariance(name: str) -> None:
     """Closed form of the plate: |H - A|^2 over the variance is 1 in the mean, and an FRF reaches over all
     seven modes but that swept at an end without a pause.
@@ -95,3 +98,18 @@ def test_the_frf_is_that_of_the_plate_within_its_covariance(name: str) -> None:
     assert f"{whole} sweep(s)" in described
     is_cut = "left out, since the record cuts it" in described
     assert is_cut == bool(cut)
+
+
+def test_sweeps_from_rest_to_rest_are_repeats_and_lose_no_lines() -> None:
+    """Three recordings of a sweep that is over 4 to 6 s before their end, against the closed form."""
+    recordings = [
+        Recording(CHANNELS, recorded([LINEAR, REST[: int(rest * RATE)]]), RATE, f"plate {rest}")
+        for rest in (4.0, 5.0, 6.0)
+    ]
+    response = measure(recordings, FrfSettings("sweep", band=(15.0, 495.0)))
+    assert response.repeat_names == ("sweep 1", "sweep 2", "sweep 3") and response.repeats_are == "sweeps"
+    assert not [finding for finding in response.findings if finding.code == "sweep-leakage"]
+    assert np.max(np.diff(response.frequency)) < 1.5 * np.min(np.diff(response.frequency))
+    for repeat in response.repeats:
+        error = np.abs(repeat[:, 0, 0] - accelerance(response.frequency))
+        assert np.median(error / np.abs(accelerance(response.frequency))) < 0.05

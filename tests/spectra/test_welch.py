@@ -68,7 +68,7 @@ def test_effective_averages_predict_the_scatter_of_a_spectrum(window: str, overl
     rng = np.random.default_rng(5)
     n, step = 32, round(32 * (1 - overlap))
     powers = []
-    for _ in range(1500):
+    for _ in range(600):
         average = WelchAverage(window_values(window, n), step, 1)
         average.add(rng.normal(size=(320, 1)))
         spectra = average.spectra(1.0)

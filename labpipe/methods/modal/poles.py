@@ -206,12 +206,18 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
     return Diagram(poles, group, modes, share)
 
 
+# Share by which named frequencies differ that are two modes, whichever pole is the nearest.
+APART = 0.01
+
+
 def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: int) -> Poles:
     """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower
-    order where that has none.
+    order where that has none. Frequencies that are APART have poles of their own.
 
     FitError where no order has a pole.
     """
+    from scipy.optimize import linear_sum_assignment
+
     of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
     poles = next((poles for poles in of_orders if poles.values.size), None)
     if poles is None:
@@ -219,7 +225,11 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
             f"no order up to {order} has a pole: no mode stands out of the noise of this band",
             hint="choose another band",
         )
-    index = [int(np.argmin(np.abs(np.abs(poles.values) - frequency))) for frequency in frequencies]
+    distance = np.abs(np.abs(poles.values) - frequencies[:, None])
+    index = np.argmin(distance, axis=1)
+    apart = frequencies.size <= poles.values.size and np.all(np.diff(np.log(np.sort(frequencies))) > APART)
+    if apart and np.unique(index).size < index.size:
+        index = linear_sum_assignment(distance)[1]
     return Poles(poles.values[index], poles.participation[index], poles.orders[index])
 
 

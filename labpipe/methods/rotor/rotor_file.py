@@ -98,11 +98,15 @@ class DiscSettings(Settings):
 
 @dataclass(frozen=True)
 class SleeveSettings(Settings):
-    """One entry of ``sleeves:``: a ring that adds mass and inertia along an element, no stiffness."""
+    """One entry of ``sleeves:``: a ring that adds mass and inertia along an element, and stiffness as far as
+    it is said.
+    """
 
     element: int = setting("integer", "number of the element it surrounds, from 1")
     outer_diameter: float = quantity("outer diameter", "m")
     material: str = _material()
+    stiffening: float = quantity("factor on the stiffness of the element", "1", 1.0)
+    name: str = setting("text", "sleeves of one name have one unknown stiffening", default="")
 
 
 @dataclass(frozen=True)
@@ -172,6 +176,12 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
             "here one in journal bearings is needed",
         )
         return None
+    for key in ("pedestals", "estimate"):
+        if key in entries:
+            faults.add(
+                entries[key], key, "is of the tests of one rotor together", "name the file under rotor_system"
+            )
+            return None
     plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
     settings = read_settings(RotorSettings, plain, "", faults)
     materials = read_materials(entries.get("materials"), faults)
@@ -268,7 +278,8 @@ def build_rotor(
         tried(partial(part.disc, material(entry, part)), entry, "", faults) for entry, part in lists["discs"]
     ]
     sleeves = [
-        Sleeve(part.element, part.outer_diameter, material(entry, part)) for entry, part in lists["sleeves"]
+        Sleeve(part.element, part.outer_diameter, material(entry, part), part.stiffening)
+        for entry, part in lists["sleeves"]
     ]
     if len(faults) > before or damping is None:
         return None

@@ -124,13 +124,17 @@ class Disc:
 
 @dataclass(frozen=True)
 class Sleeve:
-    """A ring over the whole length of shaft element *element* (from 1) that adds mass and inertia but no
-    stiffness.
+    """A ring over the whole length of shaft element *element* (from 1) that adds mass and inertia, and makes
+    the element *stiffening* times as stiff.
     """
 
     element: int
     outer_diameter: float
     material: Material = STEEL
+    stiffening: float = 1.0
+
+    def __post_init__(self) -> None:
+        _refuse_unless_positive("sleeve", self, ("stiffening",))
 
     def tube(self, shaft: ShaftElement) -> ShaftElement:
         """The ring as a tube around its shaft element."""
@@ -318,7 +322,8 @@ def free_rotor(rotor: Rotor) -> RotorMatrices:
     mass, stiffness, gyroscopic = (np.zeros((4 * rotor.n_node, 4 * rotor.n_node)) for _ in range(3))
     for number, element in enumerate(rotor.elements):
         _add(number, (mass, gyroscopic), inertia_matrices(element))
-        _add(number, (stiffness,), (in_both_planes(plane_stiffness(element)),))
+        factor = np.prod([sleeve.stiffening for sleeve in rotor.sleeves if sleeve.element == number + 1])
+        _add(number, (stiffness,), (factor * in_both_planes(plane_stiffness(element)),))
     damping = rotor.alpha * mass + rotor.beta * stiffness
     for sleeve in rotor.sleeves:
         element = rotor.elements[sleeve.element - 1]

@@ -62,12 +62,19 @@ def read_run(
     *probes*: those of tables.
     """
     try:
-        read = _recorded(settings, output, folder) if settings.recording else _tabled(settings, probes)
+        read = run_as_measured(settings, output, folder, probes)
         rig.excited(read.run)
         return read
     except LabpipeError as error:
         error.where = error.where or f"run_ups, run '{settings.name}'"
         raise
+
+
+def run_as_measured(
+    settings: RunSettings, output: OutputFolder, folder: Path, probes: ProbeUncertainties = NO_UNCERTAINTIES
+) -> ReadRun:
+    """The run of an entry, a table or a recording, on whatever rotor."""
+    return _recorded(settings, output, folder) if settings.recording else _tabled(settings, probes)
 
 
 def _tabled(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:

@@ -33,6 +33,7 @@ ENTRIES = {
     "damping_factor: 1e-4 s, loads: {z: 427 N}",
     "roller-bearing": "kind: roller-bearing, elements: 14, stiffness_constant: 8e8, pitch_radius: 32 mm, "
     "damping_factor: 1e-4 s",
+    "linear-bearing": "kind: linear-bearing, k_yy: 8 MN/m, k_zz: 12 MN/m, k_yz: 1 MN/m, c: 5 kN.s/m",
     "magnetic-bearing": "kind: magnetic-bearing, mass: 4 kg, negative_stiffness: 20 kN/m, "
     "loop: {proportional: 6 V/V, derivative: 0.004 s, force_per_current: 40 N/A}",
 }

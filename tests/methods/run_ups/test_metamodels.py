@@ -63,7 +63,7 @@ def needs(kind: str) -> None:
         pytest.importorskip("sklearn")
 
 
-@pytest.fixture(params=[*METAMODELS, "physical"])
+@pytest.fixture(scope="module", params=[*METAMODELS, "physical"])
 def any_model(request: pytest.FixtureRequest) -> Metamodel:
     """One of every kind."""
     if request.param == "physical":

@@ -1,0 +1,408 @@
+"""What is known of a rotor and how well, and the model that follows: which unknown acts on what, and the
+small errors that are everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.bearings.kinds import Bearing, OperatingPoint
+from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
+from labpipe.methods.rotor.rig import BearingPlace, RotorRig
+from labpipe.methods.rotor.shaft import (
+    PLANE_Y,
+    PLANE_Z,
+    SIGNS_Z,
+    Material,
+    free_rotor,
+    in_both_planes,
+    inertia_matrices,
+    plane_stiffness,
+)
+from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
+
+# Apparent mass at a bearing that an unknown of 1 stands for [kg].
+APPARENT = 5.0
+# The name under which predictions ask for what acts at speed.
+RUNNING = "at speed"
+DIRECTIONS = ("y", "z")
+COEFFICIENTS = ("yy", "yz", "zy", "zz")
+
+
+@dataclass(frozen=True)
+class SmallErrors:
+    """Declared standard deviations of what no drawing knows, by what they act on; 0 turns one off.
+
+    elements: ln stiffness of every element. inertia: ln J_t and J_p of every disc. bearings: ln of every
+    bearing coefficient, running against standing. apparent_mass: at every bearing and direction, in 5 kg.
+    phase: of every probe [rad]. They are in the model, so that predictions carry them.
+    """
+
+    elements: float = 0.01
+    inertia: float = 0.05
+    bearings: float = 0.1
+    apparent_mass: float = 0.03
+    phase: float = 0.01
+
+
+@dataclass(frozen=True)
+class Pedestal:
+    """What carries a bearing: *mass* [kg], *stiffness* [N/m] and *damping* [N s/m] to ground in y and z.
+
+    error, mass_error: standard uncertainties of ln stiffness and ln mass.
+    """
+
+    bearing: str
+    mass: float
+    stiffness: float
+    damping: float = 0.0
+    error: float = 0.0
+    mass_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class LinearBearing:
+    """Constant *stiffness* [N/m] and *damping* [N s/m], (2, 2) in y and z; standard uncertainties of their
+    logarithms, 0 where one is known. *common*: c_yy and c_zz are one number.
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    stiffness_error: FloatArray
+    damping_error: FloatArray
+    common: bool = False
+
+
+@dataclass(frozen=True)
+class RotorSystem:
+    """A rotor and what is known of it. *rig*: shaft, discs, bearings, speed.
+
+    young: standard uncertainty of ln E by material. masses: of ln m of every disc. sleeves: by name, their
+    elements (from 1), ln of the factor on their stiffness, and its standard uncertainty. internal: damping
+    that turns with the shaft, C = internal K [s], and the uncertainty of its logarithm. unbalances: (node,
+    mean, standard uncertainty of each part) [kg m]. linear: bearings of constant coefficients by name.
+    """
+
+    rig: RotorRig
+    young: Mapping[Material, float] = field(default_factory=dict)
+    masses: tuple[float, ...] = ()
+    sleeves: Mapping[str, tuple[tuple[int, ...], float, float]] = field(default_factory=dict)
+    pedestals: tuple[Pedestal, ...] = ()
+    internal: tuple[float, float] = (0.0, 0.0)
+    unbalances: tuple[tuple[int, complex, float], ...] = ()
+    linear: Mapping[str, LinearBearing] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Built:
+    """A model with what tests need: planes (dof of y, numbers of the real and imaginary part) of the
+    unbalances by node, and gains and phases of the probes by run-up.
+    """
+
+    model: SystemModel
+    planes: Mapping[int, tuple[int, int, int]]
+    gains: Mapping[str, tuple[int, ...]]
+    phases: Mapping[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The sensors of a test: their *labels*, standard uncertainty of each *gain*, whether the rotor turns
+    meanwhile, and whether their *phase* counts, as of the vectors of a run-up.
+    """
+
+    labels: tuple[str, ...]
+    gain: float = 0.0
+    turning: bool = False
+    phase: bool = False
+
+
+# Named alternatives to a model that does not fit: pedestals that the file does not have, bearings that all
+# change together between rest and speed.
+PEDESTALS, TOGETHER = "pedestals", "bearings changed together"
+# Standard uncertainties of the logarithms of their numbers; a pedestal is about so many times as stiff as its
+# bearing, and has this share of the rotor's mass.
+PEDESTAL_STIFFNESS, PEDESTAL_MASS, ALTOGETHER = 1.0, 0.7, 0.3
+STIFFER, HEAVY = 5.0, 0.25
+
+
+def build(
+    system: RotorSystem, small: SmallErrors, sensors: Mapping[str, Sensors], alternative: str = ""
+) -> Built:
+    """The model of a system for tests with *sensors*, or a named *alternative* to it."""
+    if alternative == PEDESTALS:
+        system = replace(
+            system, pedestals=tuple(map(partial(_unknown_pedestal, system), system.rig.bearings))
+        )
+    turning = frozenset([name for name, each in sensors.items() if each.turning] + [RUNNING])
+    return _Builder(system, small, turning, alternative == TOGETHER).built(sensors)
+
+
+def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
+    """A pedestal of which nothing is known but its order of magnitude."""
+    linear = system.linear.get(place.name)
+    if linear is not None:
+        bearing = float(np.mean(np.abs(np.diag(linear.stiffness))))
+    else:
+        at = _coefficients_at(place.bearing, system.rig.static_loads()[place.name], system.rig.omega)
+        bearing = float(np.mean(np.abs(np.diag(at["stiffness"]))))
+    translation = free_rotor(system.rig.rotor).mass[0::4, 0::4]
+    mass = HEAVY * float(translation.sum())
+    stiffness = STIFFER * bearing
+    damping = 0.04 * float(np.sqrt(stiffness * mass))
+    return Pedestal(place.name, mass, stiffness, damping, PEDESTAL_STIFFNESS, PEDESTAL_MASS)
+
+
+class _Builder:
+    def __init__(
+        self, system: RotorSystem, small: SmallErrors, running: frozenset[str], together: bool
+    ) -> None:
+        self.system, self.small, self.running = system, small, running
+        self.unknowns: list[Unknown] = []
+        self.terms: list[Term] = []
+        self.together = {
+            letter: self.unknown(f"all bearings {letter} running", ALTOGETHER, tests=running)
+            for letter in ("k", "c")
+            if together
+        }
+
+    def unknown(self, name: str, error: float, mean: float = 0.0, **entries: object) -> tuple[int, ...]:
+        """The number of a new unknown; none where its *error* is zero."""
+        if error <= 0:
+            return ()
+        self.unknowns.append(Unknown(name, error, mean, **entries))  # type: ignore[arg-type]
+        return (len(self.unknowns) - 1,)
+
+    def add(
+        self,
+        matrix: str,
+        dofs: Sequence[int],
+        block: FloatArray | Curve,
+        factors: tuple[int, ...] = (),
+        **entries: object,
+    ) -> None:
+        self.terms.append(Term(matrix, tuple(dofs), block, factors, **entries))  # type: ignore[arg-type]
+
+    def built(self, sensors: Mapping[str, Sensors]) -> Built:
+        rig = self.system.rig
+        self._shaft()
+        self._discs()
+        for place in rig.bearings:
+            self._bearing(place)
+        planes = {}
+        for node, mean, error in self.system.unbalances:
+            parts = [
+                self.unknown(f"unbalance {node} {axis}", error, part, unit="kg.m")
+                for axis, part in (("re", mean.real), ("im", mean.imag))
+            ]
+            if all(parts):
+                planes[node] = (rig.rotor.dofs(node)[0], parts[0][0], parts[1][0])
+        gains, phases = {}, {}
+        for test, each in sensors.items():
+            only, phase = frozenset([test]), self.small.phase if each.phase else 0.0
+            gains[test], phases[test] = (
+                tuple(
+                    n
+                    for label in each.labels
+                    for n in self.unknown(f"{what} {test} {label}", size, tests=only, **entries)  # type: ignore[arg-type]
+                )
+                for what, size, entries in (
+                    ("gain", each.gain, {}),
+                    ("phase", phase, {"unit": "rad", "group": "phase"}),
+                )
+            )
+        n_shaft = 4 * rig.rotor.n_node
+        n_dof = n_shaft + 2 * len(self.system.pedestals)
+        model = SystemModel(tuple(self.unknowns), tuple(self.terms), n_dof, n_shaft)
+        return Built(model, planes, gains, phases)
+
+    def _shaft(self) -> None:
+        rotor = self.system.rig.rotor
+        materials = list(dict.fromkeys(element.material for element in rotor.elements))
+        young = {
+            material: self.unknown(
+                "young" if len(materials) == 1 else f"young {number}",
+                self.system.young.get(material, 0.0),
+                nominal=material.elastic_modulus,
+                nominal_unit="Pa",
+            )
+            for number, material in enumerate(materials, 1)
+        }
+        factors: dict[int, tuple[tuple[int, ...], float]] = {}
+        for name, (elements, mean, error) in self.system.sleeves.items():
+            numbers = self.unknown(f"sleeve {name}", error, mean)
+            factors |= {element: (numbers, 1.0 if numbers else float(np.exp(mean))) for element in elements}
+        beta, error = self.system.internal
+        internal = self.unknown("internal damping", error if beta else 0.0, nominal=beta, nominal_unit="s")
+        for number, element in enumerate(rotor.elements, 1):
+            dofs = range(4 * number - 4, 4 * number + 4)
+            mass, gyroscopic = inertia_matrices(element)
+            self.add("mass", dofs, mass)
+            self.add("gyroscopic", dofs, gyroscopic)
+            sleeve, constant = factors.get(number, ((), 1.0))
+            own = self.unknown(f"element {number}", self.small.elements, group="elements")
+            acting = (*young[element.material], *sleeve, *own)
+            plane = constant * plane_stiffness(element)
+            self.add("stiffness", dofs, in_both_planes(plane), acting)
+            if rotor.alpha or rotor.beta:
+                self.add("damping", dofs, rotor.alpha * mass)
+                self.add("damping", dofs, rotor.beta * in_both_planes(plane), acting)
+            if beta:
+                turning = np.zeros((8, 8))
+                turning[np.ix_(PLANE_Y, PLANE_Z)] = plane * SIGNS_Z
+                turning[np.ix_(PLANE_Z, PLANE_Y)] = -(plane * SIGNS_Z).T
+                self.add("damping", dofs, beta * in_both_planes(plane), (*acting, *internal))
+                self.add("circulatory", dofs, beta * turning, (*acting, *internal))
+        for ring in rotor.sleeves:
+            element = rotor.elements[ring.element - 1]
+            mass, gyroscopic = inertia_matrices(element, ring.tube(element))
+            dofs = range(4 * ring.element - 4, 4 * ring.element + 4)
+            self.add("mass", dofs, mass)
+            self.add("gyroscopic", dofs, gyroscopic)
+
+    def _discs(self) -> None:
+        rotor = self.system.rig.rotor
+        errors = self.system.masses or (0.0,) * len(rotor.discs)
+        for number, (disc, error) in enumerate(zip(rotor.discs, errors, strict=True), 1):
+            y, z, about_y, about_z = range(4 * disc.node - 4, 4 * disc.node)
+            mass = self.unknown(f"mass of disc {number}", error, nominal=disc.mass, nominal_unit="kg")
+            transverse, polar = (
+                (*mass, *self.unknown(f"{name} of disc {number}", size, group="inertia"))
+                for name, size in (
+                    ("J_t", self.small.inertia if disc.transverse_inertia else 0.0),
+                    ("J_p", self.small.inertia if disc.polar_inertia else 0.0),
+                )
+            )
+            self.add("mass", (y, z), disc.mass * np.eye(2), mass)
+            self.add("mass", (about_y, about_z), disc.transverse_inertia * np.eye(2), transverse)
+            turning = disc.polar_inertia * np.array([[0.0, 1.0], [-1.0, 0.0]])
+            self.add("gyroscopic", (about_y, about_z), turning, polar)
+
+    def _bearing(self, place: BearingPlace) -> None:
+        rig = self.system.rig
+        node = rig.rotor.dofs(place.node)
+        linear = self.system.linear.get(place.name)
+        pedestals = [pedestal for pedestal in self.system.pedestals if pedestal.bearing == place.name]
+        if pedestals:
+            first = 4 * rig.rotor.n_node + 2 * self.system.pedestals.index(pedestals[0])
+            dofs, spread = (*node, first, first + 1), np.kron(np.array([[1, -1], [-1, 1]]), np.ones((2, 2)))
+        else:
+            dofs, spread = tuple(node), np.ones((2, 2))
+        if linear is not None:
+            self._coefficients(place.name, linear, dofs, spread)
+        else:
+            self._theory(place, dofs, spread)
+        for pedestal in pedestals:
+            self._pedestal(pedestal, dofs[2:])
+        for direction, dof in zip(DIRECTIONS, node, strict=True):
+            name = f"apparent mass {place.name} {direction}"
+            apparent = self.unknown(name, self.small.apparent_mass, unit="1", group="apparent_mass")
+            for number in apparent:
+                self.add("mass", (dof,), np.array([[APPARENT]]), amount=number, support=True)
+
+    def _coefficients(
+        self, name: str, bearing: LinearBearing, dofs: tuple[int, ...], spread: FloatArray
+    ) -> None:
+        """A term for each coefficient: its own factor, and that of running against standing."""
+        matrices = (
+            ("stiffness", "k", "N/m", bearing.stiffness, bearing.stiffness_error),
+            ("damping", "c", "N.s/m", bearing.damping, bearing.damping_error),
+        )
+        for matrix, letter, unit, values, errors in matrices:
+            common: tuple[int, ...] = ()
+            for place, label in enumerate(COEFFICIENTS):
+                row, column = divmod(place, 2)
+                value, error = float(values[row, column]), float(errors[row, column])
+                if not value:
+                    continue
+                if letter == "c" and bearing.common and place and common:
+                    factors = common
+                else:
+                    shown = letter if letter == "c" and bearing.common else f"{letter}_{label}"
+                    factors = self._with_running(name, shown, error, value, unit)
+                    common = factors
+                one = np.zeros((2, 2))
+                one[row, column] = value
+                block = spread * np.tile(one, (len(dofs) // 2,) * 2)
+                self.add(matrix, dofs, block, factors, support=True)
+
+    def _with_running(self, name: str, shown: str, error: float, value: float, unit: str) -> tuple[int, ...]:
+        own = self.unknown(f"{name} {shown}", error, nominal=value, nominal_unit=unit)
+        running = self.unknown(
+            f"{name} {shown} running", self.small.bearings, tests=self.running, group="bearings"
+        )
+        return (*own, *running, *self.together.get(shown[0], ()))
+
+    def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
+        """The coefficients of a bearing model over the speed, with its uncertain inputs x (standardised) as
+        c(x) = c(0) + x (c(1) - c(-1)) / 2 + x^2 (c(1) - 2 c(0) + c(-1)) / 2.
+        """
+        rig = self.system.rig
+        load = rig.static_loads()[place.name]
+        inputs = [
+            (one, self.unknown(f"{place.name} {one.uncertainty.source}", 1.0, unit="u"))
+            for one in place.uncertainties
+        ]
+        for matrix, letter in (("stiffness", "k"), ("damping", "c")):
+            running = self.unknown(
+                f"{place.name} {letter} running", self.small.bearings, tests=self.running, group="bearings"
+            )
+            running = (*running, *self.together.get(letter, ()))
+            curve = partial(_block, load, matrix, spread, len(dofs) // 2)
+            self.add(matrix, dofs, curve(((place.bearing, 1.0),)), running, support=True)
+            for one, (number,) in inputs:
+                slope = ((one.above, 0.5), (one.below, -0.5))
+                bend = ((one.above, 0.5), (place.bearing, -1.0), (one.below, 0.5))
+                self.add(matrix, dofs, curve(slope), running, amount=number, support=True)
+                self.add(matrix, dofs, curve(bend), running, amount=number, power=2, support=True)
+
+    def _pedestal(self, pedestal: Pedestal, dofs: tuple[int, ...]) -> None:
+        stiffness = self.unknown(
+            f"pedestal {pedestal.bearing} k", pedestal.error, nominal=pedestal.stiffness, nominal_unit="N/m"
+        )
+        mass = self.unknown(
+            f"pedestal {pedestal.bearing} m", pedestal.mass_error, nominal=pedestal.mass, nominal_unit="kg"
+        )
+        self.add("stiffness", dofs, pedestal.stiffness * np.eye(2), stiffness, support=True)
+        self.add("mass", dofs, pedestal.mass * np.eye(2), mass, support=True)
+        self.add("damping", dofs, pedestal.damping * np.eye(2), support=True)
+
+
+def _coefficients_at(bearing: Bearing, load: tuple[float, float], speed: float) -> dict[str, FloatArray]:
+    """Stiffness [N/m] and damping [N s/m], (2, 2), of a bearing at a static load [N] and speed [rad/s], its
+    motion once per revolution.
+    """
+    if isinstance(bearing, JournalBearing):
+        film = journal_equilibrium(bearing, load, speed)
+        return {"stiffness": film.stiffness, "damping": film.damping}
+    coefficients = bearing.at(OperatingPoint(load, speed, speed))
+    return {"stiffness": coefficients.stiffness, "damping": coefficients.damping}
+
+
+def _block(
+    load: tuple[float, float],
+    matrix: str,
+    spread: FloatArray,
+    repeats: int,
+    weights: Sequence[tuple[Bearing, float]],
+) -> Curve:
+    """The weighted sum of the coefficients of bearings over the spin speed, (..., k, k)."""
+    known: dict[float, FloatArray] = {}
+
+    def at(spin: FloatArray) -> FloatArray:
+        for speed in np.ravel(spin):
+            if float(speed) not in known:
+                known[float(speed)] = np.sum(
+                    [w * _coefficients_at(bearing, load, float(speed))[matrix] for bearing, w in weights],
+                    axis=0,
+                )
+        each = np.array([known[float(speed)] for speed in np.ravel(spin)])
+        blocks = spread * np.tile(each, (1, repeats, repeats))
+        return np.asarray(blocks.reshape(*np.shape(spin), *spread.shape))
+
+    return at

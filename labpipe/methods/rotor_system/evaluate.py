@@ -1,0 +1,553 @@
+"""From the section rotor_system to its result: the tests as evidence, the posterior or a named alternative,
+predictions, weights, what to measure next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
+from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built, RotorSystem, Sensors, build
+from labpipe.methods.rotor_system.evidence import (
+    Deflections,
+    Evidence,
+    FreeModes,
+    Responses,
+    RunUpVectors,
+    run_up_whitener,
+)
+from labpipe.methods.rotor_system.model import Unknown
+from labpipe.methods.rotor_system.posterior import WIDENED, Posterior, Pull, fit_system, is_normal, pulls
+from labpipe.methods.rotor_system.predictions import (
+    Campbell,
+    CriticalSpeed,
+    at_speed,
+    campbell,
+    critical_speeds,
+    onset,
+)
+from labpipe.methods.rotor_system.records import (
+    BalanceResult,
+    CampbellResult,
+    CriticalResult,
+    RotorSystemResult,
+    SmallErrorResult,
+    TestResult,
+    UnknownResult,
+    WeightResult,
+)
+from labpipe.methods.rotor_system.settings import (
+    MODES,
+    RESPONSE,
+    RUN_UP,
+    RotorSystemSettings,
+    SystemTest,
+    place_of,
+)
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.section import run_as_measured
+from labpipe.project.work import Work
+from labpipe.quantities import UnitError
+from labpipe.records.finding import Finding, note
+from labpipe.records.fit_details import Modes
+from labpipe.records.response import FrequencyResponse
+from labpipe.registry import nearest
+
+# Derivatives in time by the form of an FRF.
+DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
+# Speeds of a Campbell diagram.
+SPEEDS = 41
+# Share of the critical speed up to which one more run-up would go.
+NEARER = 0.95
+LEAST_DECREMENT = 0.1
+# Runs looked at beside the weights themselves, and the draws behind them.
+LOOKED = 60
+
+
+def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemResult:
+    """The result of the section; LabpipeError names it and the test."""
+    system = settings.system
+    assert system is not None
+    try:
+        runs = {
+            test.name: run_as_measured(test.run, work.output, work.pipeline.folder).run
+            for test in settings.tests
+            if test.run is not None
+        }
+        sensors = {test.name: _sensors(test, work, runs) for test in settings.tests}
+        work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
+        built, posterior = _fitted(settings, system, sensors, work, runs)
+        return _result(settings, system, built, posterior)
+    except LabpipeError as error:
+        error.where = error.where or f"{work.pipeline.path}: rotor_system"
+        raise
+
+
+def _fitted(
+    settings: RotorSystemSettings,
+    system: RotorSystem,
+    sensors: Mapping[str, Sensors],
+    work: Work,
+    runs: Mapping[str, RunUp],
+) -> tuple[Built, Posterior]:
+    """The posterior; where a test misfits or small errors are large, that of the most probable alternative.
+
+    Intervals of predictions are half as wide again then: sizes are poorly known.
+    """
+
+    def fitted(alternative: str) -> tuple[Built, Posterior]:
+        built = build(system, settings.small_errors.sizes, sensors, alternative)
+        tests = [_evidence(test, built, system, work, runs) for test in settings.tests]
+        return built, replace(fit_system(built.model, tests), alternative=alternative)
+
+    best = fitted("")
+    if not (best[1].misfits or best[1].enlarged):
+        return best
+    alternatives = [PEDESTALS] if not system.pedestals else []
+    alternatives += [TOGETHER] if any(each.turning for each in sensors.values()) else []
+    for alternative in alternatives:
+        try:
+            other = fitted(alternative)
+        except FitError:
+            continue
+        if other[1].ln_evidence > best[1].ln_evidence:
+            best = other
+    return best[0], replace(best[1], widened=WIDENED)
+
+
+def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
+    if test.kind == RESPONSE:
+        response = _response(test, work)
+        return Sensors(tuple(port.label for port in response.outputs), test.gain, test.speed > 0)
+    if test.kind == RUN_UP:
+        run = runs[test.name]
+        labels = tuple(f"{plane} {axis}" for plane in run.planes for axis in ("x", "y"))
+        return Sensors(labels, test.gain, True, True)
+    return Sensors(())
+
+
+def _response(test: SystemTest, work: Work) -> FrequencyResponse:
+    found = next((response for response in work.responses if response.name == test.test), None)
+    if found is None:
+        names = [response.name for response in work.responses]
+        raise ConfigError(f"test '{test.name}': no FRF '{test.test}'", hint=nearest(test.test, names))
+    return found
+
+
+def _evidence(
+    test: SystemTest, built: Built, system: RotorSystem, work: Work, runs: Mapping[str, RunUp]
+) -> Evidence:
+    if test.kind == MODES:
+        return _modes(test, work)
+    if test.kind == RESPONSE:
+        return _responses(test, _response(test, work), built, system)
+    if test.kind == RUN_UP:
+        return _vectors(test, runs[test.name], built, system)
+    places = test.read_deflections
+    outputs = list(dict.fromkeys(output for output, _, _ in places))
+    inputs = list(dict.fromkeys(force for _, force, _ in places))
+    measured, error = (np.full((len(outputs), len(inputs)), np.nan) for _ in range(2))
+    for output, force, number in places:
+        at = outputs.index(output), inputs.index(force)
+        measured[at], error[at] = number.value, number.std_error
+    mass = test.mass
+    return Deflections(
+        test.name,
+        tuple(_dof(system, place) for place in outputs),
+        tuple(_dof(system, place) for place in inputs),
+        measured,
+        error,
+        float("nan") if mass is None else float(np.log(mass.value)),
+        1.0 if mass is None else mass.std_error / mass.value,
+    )
+
+
+def _dof(system: RotorSystem, place: tuple[int, str]) -> int:
+    """Number of the dof at a place; ConfigError for a node that the rotor does not have."""
+    node, direction = place
+    return system.rig.rotor.dofs(node)["yz".index(direction)]
+
+
+def _modes(test: SystemTest, work: Work) -> FreeModes:
+    """Modes as they stand in the section, or of a modal fit."""
+    if test.fit:
+        fit = next((fit for fit in work.fits if fit.name == test.fit), None)
+        if fit is None or (modes := fit.detail(Modes)) is None:
+            names = [fit.name for fit in work.fits if fit.detail(Modes) is not None]
+            what = f"test '{test.name}': there is no modal fit '{test.fit}'"
+            raise ConfigError(what, hint=nearest(test.fit, names))
+        errors = {parameter.name: parameter.full_error for parameter in fit.parameters}
+        n = modes.frequency.size
+        frequency, damping = np.array(modes.frequency), np.array(modes.damping_ratio)
+        f_error = np.array([errors.get(f"f_{m}") or np.nan for m in range(1, n + 1)], float)
+        d_error = np.array([errors.get(f"zeta_{m}") or np.nan for m in range(1, n + 1)], float)
+        if not np.all(np.isfinite(f_error)):
+            raise DataError(f"test '{test.name}': a mode of fit '{test.fit}' has no interval")
+    else:
+        frequency = np.array([number.value for number in test.read_frequencies])
+        f_error = np.array([number.std_error for number in test.read_frequencies])
+        damping = np.array([number.value for number in test.read_damping] or [np.nan] * frequency.size)
+        d_error = np.array([number.std_error for number in test.read_damping] or [np.nan] * frequency.size)
+    numbers = np.array(test.numbers or range(1, frequency.size + 1), dtype=int)
+    if numbers.size != frequency.size:
+        raise ConfigError(f"test '{test.name}': {numbers.size} numbers for {frequency.size} modes")
+    return FreeModes(test.name, numbers, frequency, f_error / frequency, damping, d_error / damping)
+
+
+def _responses(test: SystemTest, response: FrequencyResponse, built: Built, system: RotorSystem) -> Responses:
+    if response.form not in DERIVATIVES:
+        raise DataError(
+            f"test '{test.name}': its FRF is a {response.form}", hint="a response to a force is needed"
+        )
+    variance = response.variance
+    if variance is None:
+        raise DataError(f"test '{test.name}': the noise of its FRF is not known")
+    places = test.read_places
+    outputs, inputs = (
+        tuple(_dof(system, _placed(test, places, port.dof, port.label)) for port in ports)
+        for ports in (response.outputs, response.inputs)
+    )
+    low, high = test.band or (0.0, np.inf)
+    kept = (response.frequency >= max(low, 1e-9)) & (response.frequency <= high)
+    if not kept.any():
+        raise DataError(f"test '{test.name}': no line lies in its band")
+    return Responses(
+        test.name,
+        2 * np.pi * response.frequency[kept],
+        outputs,
+        inputs,
+        response.matrix[kept],
+        np.sqrt(np.maximum(variance[kept] / 2, 1e-300)),
+        derivative=DERIVATIVES[response.form],
+        spin=2 * np.pi * test.speed,
+        supported=not test.free,
+        gains=built.gains[test.name],
+    )
+
+
+def _placed(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str) -> tuple[int, str]:
+    """Where a dof or plane is: as `places` says, else as its name does ("3y", "node 3")."""
+    for name in names:
+        if name in places:
+            return places[name]
+    directed = test.kind == RESPONSE
+    for name in names:
+        with suppress(UnitError):
+            return place_of(name if directed else name.removeprefix("node"), directed)
+    example = "3 y" if directed else "3"
+    raise ConfigError(
+        f"test '{test.name}': where on the rotor is '{names[0]}'?", hint=f"places: {{{names[0]}: {example}}}"
+    )
+
+
+def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) -> RunUpVectors:
+    places = test.read_places
+    outputs: list[int] = []
+    measured: list[ComplexArray] = []
+    noise: list[FloatArray] = []
+    error = np.sqrt((run.amplitude_error**2 + (np.abs(run.response) * run.phase_error) ** 2) / 2)
+    for number, plane in enumerate(run.planes):
+        y, z = system.rig.rotor.dofs(_placed(test, places, plane)[0])
+        # x along the load is -z, and y a quarter turn further with the spin is y.
+        along_load = ((z, -1.0), (y, 1.0)) if test.axes == "load" else ((y, 1.0), (z, 1.0))
+        for axis, (dof, sign) in enumerate(along_load):
+            outputs.append(dof)
+            measured.append(sign * run.response[:, number, axis])
+            noise.append(error[:, number, axis])
+    if run.shaker is not None:
+        raise DataError(f"test '{test.name}': a shaker excites this run", hint="give it as an FRF")
+    turned = -1j if test.axes == "load" else 1.0
+    added = tuple(
+        (system.rig.rotor.dofs(_placed(test, places, plane)[0])[0], turned * amount)
+        for plane, amount in run.unbalance.items()
+        if amount
+    )
+    for dof, _ in added:
+        if dof not in [first for first, _, _ in built.planes.values()]:
+            raise ConfigError(
+                f"test '{test.name}': an unbalance was added at node {dof // 4 + 1}, "
+                "where the rotor file has none"
+            )
+    return RunUpVectors(
+        test.name,
+        run.speed,
+        tuple(outputs),
+        np.stack(measured, axis=1),
+        run_up_whitener(np.array(noise), test.slow_roll),
+        planes=tuple(built.planes.values()),
+        added=added,
+        gains=built.gains[test.name],
+        phases=built.phases[test.name],
+    )
+
+
+def _result(
+    settings: RotorSystemSettings, system: RotorSystem, built: Built, posterior: Posterior
+) -> RotorSystemResult:
+    rig = system.rig
+    low, high = settings.band
+    operating = rig.speed if rig.speed > 0 else high
+    speeds = np.union1d(np.linspace(low, high, SPEEDS), [operating])
+    diagram = campbell(posterior, speeds)
+    least, error = diagram.least_decrement(operating)
+    pulled = pulls(posterior)
+    kinds = {test.name: test.kind for test in settings.tests}
+    criticals: list[CriticalSpeed] = []
+    if built.planes:
+        nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
+        outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
+        criticals = critical_speeds(
+            posterior, built, (low, high), operating, outputs, settings.draws, settings.seed
+        )
+    return RotorSystemResult(
+        rig.name,
+        operating,
+        unknowns=tuple(_unknowns(posterior)),
+        tests=tuple(
+            TestResult(
+                pull.test,
+                kinds[pull.test],
+                *posterior.chi2[pull.test],
+                float(stats.chi2.sf(*posterior.chi2[pull.test])),
+                pull.unknown,
+                pull.z,
+            )
+            for pull in pulled
+        ),
+        small_errors=tuple(
+            SmallErrorResult(group, next(u.error for u in built.model.unknowns if u.group == group), size)
+            for group, size in posterior.sizes.items()
+        ),
+        campbell=_campbell_rows(diagram),
+        decrement=(least, error, float(stats.norm.sf((LEAST_DECREMENT - least) / error)) if error else 1.0),
+        criticals=tuple(_critical(each) for each in criticals),
+        onset=onset(posterior, max(low, 0.05 * operating)),
+        balance=_balance(settings, built, posterior),
+        next_tests=_next_tests(posterior, operating, criticals),
+        ln_evidence=posterior.ln_evidence,
+        alternative=posterior.alternative,
+        widened=posterior.widened,
+        findings=tuple(_findings(posterior, pulled)),
+    )
+
+
+def _unknowns(posterior: Posterior) -> Iterator[UnknownResult]:
+    shares = posterior.shares
+    for number, unknown in enumerate(posterior.model.unknowns):
+        value, error = float(posterior.values[number]), float(posterior.standard_errors[number])
+        yield UnknownResult(
+            unknown.name,
+            *_people(unknown, value, error),
+            *_people(unknown, unknown.mean, unknown.error),
+            unknown.unit or unknown.nominal_unit,
+            unknown.group,
+            bool(shares[number] < 0.7),
+        )
+
+
+def _people(unknown: Unknown, value: float, error: float) -> tuple[float, float]:
+    """Value and standard error of an unknown in its unit."""
+    if unknown.unit:
+        return value, error
+    amount = unknown.nominal * float(np.exp(value))
+    return amount, abs(amount) * error
+
+
+def _campbell_rows(diagram: Campbell) -> CampbellResult:
+    def rows(matrix: FloatArray) -> tuple[tuple[float | None, ...], ...]:
+        return tuple(tuple(None if np.isnan(x) else float(x) for x in row) for row in matrix)
+
+    return CampbellResult(
+        tuple(diagram.speed.tolist()),
+        rows(diagram.frequency),
+        rows(diagram.frequency_error),
+        rows(diagram.log_decrement),
+        rows(diagram.log_decrement_error),
+        rows(diagram.whirl),
+    )
+
+
+def _critical(each: CriticalSpeed) -> CriticalResult:
+    return CriticalResult(
+        f"{each.dof // 4 + 1} {'yz'[each.dof % 4]}",
+        each.speed,
+        each.speed_interval,
+        each.amplification,
+        each.amplification_interval,
+        each.amplitude,
+        each.amplitude_interval,
+        each.margin,
+        each.met,
+        each.missing,
+    )
+
+
+def _findings(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[Finding]:
+    for name, tail in posterior.misfits.items():
+        chi2, n = posterior.chi2[name]
+        yield Finding(
+            "model-mismatch",
+            f"test '{name}': chi-square {chi2:.0f} of {n} data (probability {tail:.1g}); no rotor of this "
+            "file gives it together with the other tests",
+        )
+    if posterior.alternative:
+        yield Finding(
+            "alternative",
+            f"the rotor of the file is less probable than one with {posterior.alternative}; the numbers are "
+            "of that one",
+        )
+    for group, ratio in posterior.enlarged.items():
+        yield Finding(
+            "enlarged-errors",
+            f"small errors of {group.replace('_', ' ')} are {ratio:.1f} times as large as declared; "
+            "intervals of predictions are widened by half",
+        )
+    for pull in pulled:
+        if abs(pull.z) > 3:
+            yield Finding(
+                "tests-disagree",
+                f"test '{pull.test}' pulls {pull.unknown} by {abs(pull.z):.1f} standard errors from what the "
+                "other tests say",
+            )
+    for name, z in posterior.contradicted:
+        yield Finding(
+            "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
+        )
+    if not is_normal(posterior):
+        yield Finding(
+            "first-order",
+            "draws of the posterior fit the tests worse than its middle by more than their number explains: "
+            "intervals are rough",
+        )
+    untold = [
+        unknown.name
+        for unknown, share in zip(posterior.model.unknowns, posterior.shares, strict=True)
+        if share >= 0.7 and not unknown.group and not unknown.name.startswith(("gain", "phase"))
+    ]
+    if untold:
+        yield note("not-told-by-tests", f"no test tells {', '.join(untold)}")
+
+
+def _next_tests(
+    posterior: Posterior, operating: float, criticals: Sequence[CriticalSpeed]
+) -> dict[str, float]:
+    """Standard error of the logarithm of the least decrement at the operating speed, as it is and with one
+    more test of each kind: u' = sqrt(g^T (F + F_c)^-1 g).
+    """
+    model = posterior.model
+    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating)
+    decrement = -2 * np.pi * roots.values.real / roots.values.imag
+    mode = int(np.argmin(decrement))
+    if decrement[mode] <= 0:
+        return {}
+    root, slope = (
+        roots.values[mode],
+        np.where(at_speed(model, np.ones(len(model.unknowns))) > 0, roots.slopes[mode], 0),
+    )
+    gradient = slope.real / root.real - slope.imag / root.imag
+    information = np.linalg.inv(posterior.covariance)
+    candidates: dict[str, Evidence] = {f"{test.name} once more": test for test in posterior.tests}
+    for test in posterior.tests:
+        above = (
+            [each.speed for each in criticals if 2 * np.pi * each.speed > test.speed[-1]]
+            if isinstance(test, RunUpVectors)
+            else []
+        )
+        if isinstance(test, RunUpVectors) and above:
+            top = NEARER * 2 * np.pi * min(above)
+            if top > 1.02 * test.speed[-1]:
+                speed = np.linspace(test.speed[0], top, test.speed.size)
+                noise = np.median(1 / np.linalg.norm(test.whitener, axis=2), axis=1)[:, None] * np.ones(
+                    speed.size
+                )
+                candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = replace(
+                    test,
+                    speed=speed,
+                    measured=np.zeros((speed.size, len(test.outputs)), complex),
+                    whitener=run_up_whitener(noise, 0.0),
+                )
+    found = {"as it is": float(posterior.gradient_error(gradient))}
+    for name, test in candidates.items():
+        _, jacobian = test.residual(model, posterior.values)
+        covariance = np.linalg.inv(information + jacobian.T @ jacobian)
+        found[name] = float(np.sqrt(gradient @ covariance @ gradient))
+    return found
+
+
+def _balance(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
+    """Weights in the planes of the unbalances, what they leave, and what one more run would change."""
+    runs = [test for test in posterior.tests if isinstance(test, RunUpVectors)]
+    if not settings.balance_speeds or not runs:
+        return None
+    speed = 2 * np.pi * np.array(settings.balance_speeds)
+    test = replace(
+        runs[0], speed=speed, added=(), measured=np.zeros((speed.size, len(runs[0].outputs)), complex)
+    )
+    draws = posterior.values + posterior.widened * (
+        posterior.draws(settings.draws, settings.seed) - posterior.values
+    )
+    each = [influence(built, test, values) for values in draws]
+    weights = best_weights(each)
+    left = np.array([np.sqrt(np.mean(np.abs(h @ (u + weights)) ** 2)) for h, u in each])
+    before = float(np.sqrt(np.mean([np.mean(np.abs(h @ u) ** 2) for h, u in each])))
+    low, high = np.percentile(left, (2.5, 97.5))
+    return BalanceResult(
+        settings.balance_speeds,
+        tuple(
+            WeightResult(node, float(abs(w)), float(np.angle(w) % (2 * np.pi)))
+            for node, w in zip(built.planes, weights, strict=True)
+        ),
+        before,
+        float(np.sqrt(np.mean(left**2))),
+        (float(low), float(high)),
+        _next_weights(built, posterior, test, weights),
+    )
+
+
+def influence(built: Built, test: RunUpVectors, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """H (n_reading, n_plane) [m/(kg m)] and u (n_plane,) [kg m] at *values* (n_unknown,), for the speeds and
+    probes of a test.
+    """
+    _, _, influence = test.readings(built.model, values)
+    u = np.array([values[real] + 1j * values[imaginary] for _, real, imaginary in built.planes.values()])
+    return influence.reshape(-1, u.size), u
+
+
+def best_weights(each: Sequence[tuple[ComplexArray, ComplexArray]]) -> ComplexArray:
+    """Weights (n_plane,) [kg m] that make the mean of |H (u + w)|^2 over draws (H (n_reading, n_plane)
+    [m/(kg m)], u (n_plane,) [kg m]) least: w = -(sum H^H H)^-1 sum H^H H u. Equation (system-balance).
+    """
+    square = sum(h.conj().T @ h for h, _ in each)
+    return np.asarray(-np.linalg.solve(square, sum(h.conj().T @ h @ u for h, u in each)))
+
+
+def _next_weights(
+    built: Built, posterior: Posterior, test: RunUpVectors, weights: ComplexArray
+) -> dict[str, float]:
+    """What one more run first, with a weight in one plane or the weights themselves, is expected to leave:
+    the posterior narrows, its middle stays.
+    """
+    information = np.linalg.inv(posterior.covariance)
+    trial = float(np.max(np.abs(weights)))
+    sets = {f"a weight at node {node}": {node: trial + 0j} for node in built.planes}
+    sets["the weights themselves"] = dict(zip(built.planes, weights, strict=True))
+    noise = np.median(1 / np.linalg.norm(test.whitener, axis=2))
+    found = {}
+    for name, added in sets.items():
+        run = replace(
+            test,
+            added=tuple((built.planes[node][0], amount) for node, amount in added.items()),
+            whitener=run_up_whitener(np.full((len(test.outputs), test.speed.size), noise), 0.0),
+        )
+        _, jacobian = run.residual(built.model, posterior.values)
+        narrowed = replace(posterior, covariance=np.linalg.inv(information + jacobian.T @ jacobian))
+        each = [influence(built, test, values) for values in narrowed.draws(LOOKED)]
+        chosen = best_weights(each)
+        found[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
+    return found

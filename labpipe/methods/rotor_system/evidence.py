@@ -1,0 +1,269 @@
+"""What the tests of a rotor measured, as residuals of a model with their derivatives: free-free modes,
+frequency responses, run-ups, deflections and weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy import linalg
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
+from labpipe.methods.rotor_system.model import SystemModel
+
+Residual = tuple[FloatArray, FloatArray]
+# Lines of a response that the first steps look at, about.
+FEW_LINES = 48
+
+
+class Evidence(Protocol):
+    """A test: its *name*, and the weighted residual (n,) [-] of a model with its Jacobian (n, n_unknown)."""
+
+    @property
+    def name(self) -> str: ...
+
+    def residual(self, model: SystemModel, values: FloatArray) -> Residual:
+        """Residual (n,) [1] at *values* (n_unknown,), and its Jacobian (n, n_unknown) [1 over the unknown's
+        unit].
+        """
+        ...
+
+    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Evidence:
+        """The test at *values* (n_unknown,) [SI units] with this *share* of every amplitude, measured or of
+        the model, added to its noise: for the first steps from a poor start.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class FreeModes:
+    """Bending modes of the free rotor at rest, numbered from 1: ln *frequency* (n_mode,) [Hz] with their
+    standard *frequency_error*, and the same of their damping ratios, NaN where one is not known.
+    """
+
+    name: str
+    numbers: IntArray
+    frequency: FloatArray
+    frequency_error: FloatArray
+    damping: FloatArray
+    damping_error: FloatArray
+
+    def predicted(self, model: SystemModel, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """ln f and ln zeta (2 n_mode,) [1] of the plane y, and their derivatives (2 n_mode, n_unknown).
+
+        f = |lambda| / 2 pi and zeta = -Re lambda / |lambda| of the rotor without what carries it.
+        """
+        shaft = np.arange(model.n_shaft)
+        plane = np.sort(np.concatenate([shaft[0::4], shaft[3::4]]))
+        roots = model.roots(values, 0.0, int(self.numbers.max()), dofs=plane, supported=False)
+        found, slopes = roots.values[self.numbers - 1], roots.slopes[self.numbers - 1]
+        size = np.abs(found)
+        if np.any(found.real >= 0):
+            raise FitError("a free mode has no damping", hint="name the shaft's damping as unknown")
+        of_size = (found.conj()[:, None] * slopes).real / size[:, None] ** 2
+        of_damping = slopes.real / found.real[:, None] - of_size
+        return (
+            np.concatenate([np.log(size / (2 * np.pi)), np.log(-found.real / size)]),
+            np.concatenate([of_size, of_damping]),
+        )
+
+    def residual(self, model: SystemModel, values: FloatArray) -> Residual:
+        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        ln, slopes = self.predicted(model, values)
+        measured = np.log(np.concatenate([self.frequency, self.damping]))
+        error = np.concatenate([self.frequency_error, self.damping_error])
+        known = np.isfinite(measured)
+        return ((measured - ln) / error)[known], (-slopes / error[:, None])[known]
+
+    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> FreeModes:  # noqa: ARG002
+        """At *values* (n_unknown,) [SI units], see Evidence."""
+        return self
+
+
+def as_real(values: ComplexArray) -> FloatArray:
+    """Real parts, then imaginary parts, of (n, ...) values [any unit]: (2 n, ...)."""
+    return np.concatenate([values.real, values.imag])
+
+
+@dataclass(frozen=True)
+class Responses:
+    """A frequency response: *measured* (n_line, n_output, n_input) at *omega* (n_line,) [rad/s] and a *spin*
+    speed [rad/s], dofs of *outputs* and *inputs*, with its standard *error* of each component, real and
+    imaginary alike (n_line, n_output, n_input), NaN where a path was not measured.
+
+    derivative: 0 of displacements, 1 of velocities, 2 of accelerations. supported: on its bearings, or free.
+    gains: numbers of the unknowns of the outputs' gains.
+    """
+
+    name: str
+    omega: FloatArray
+    outputs: tuple[int, ...]
+    inputs: tuple[int, ...]
+    measured: ComplexArray
+    error: FloatArray
+    _: KW_ONLY
+    derivative: int = 0
+    spin: float = 0.0
+    supported: bool = True
+    gains: tuple[int, ...] = ()
+
+    def predicted(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """H (n_line, n_output, n_input) [unit of the FRF] and its derivatives (n_unknown, ...)."""
+        forces = np.eye(model.n_dof)[:, list(self.inputs)]
+        spin = np.full(self.omega.size, self.spin)
+        acting = np.where(model.acting(self.name), values, 0.0)
+        motion, slopes, _ = model.response(acting, spin, self.omega, forces, self.outputs, self.supported)
+        gains = np.exp([acting[number] for number in self.gains] or [0.0] * len(self.outputs))
+        factor = (1j * self.omega[:, None, None]) ** self.derivative * gains[:, None]
+        modelled, slopes = motion * factor, slopes * factor
+        for output, number in enumerate(self.gains):
+            slopes[number, :, output] += modelled[:, output]
+        return modelled, slopes
+
+    def residual(self, model: SystemModel, values: FloatArray) -> Residual:
+        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        modelled, slopes = self.predicted(model, values)
+        known = np.isfinite(self.error)
+        weight = 1 / self.error[known]
+        residual = as_real((self.measured - modelled)[known] * weight)
+        jacobian = as_real((-slopes[:, known] * weight).T)
+        return residual, jacobian * model.acting(self.name)
+
+    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Responses:
+        """At *values* (n_unknown,) [SI units], see Evidence."""
+        # Some lines are enough to come near.
+        few = slice(None, None, max(1, self.omega.size // FEW_LINES))
+        thinned = replace(self, omega=self.omega[few], measured=self.measured[few], error=self.error[few])
+        modelled, _ = thinned.predicted(model, values)
+        size = np.maximum(np.abs(thinned.measured), np.abs(modelled))
+        return replace(thinned, error=np.hypot(thinned.error, share * size))
+
+
+@dataclass(frozen=True)
+class RunUpVectors:
+    """1x vectors of a run-up: *measured* (n_speed, n_probe) [m] at *speed* (n_speed,) [rad/s], probes at dofs
+    *outputs*, known *added* unbalance by dof of its plane's y [kg m].
+
+    planes: (dof of y, numbers of the unknown real and imaginary unbalance). gains, phases: numbers of the
+    unknowns of every probe. whitener (n_probe, n_speed, n_speed): of one real component of each probe, slow
+    roll that was subtracted in it.
+    """
+
+    name: str
+    speed: FloatArray
+    outputs: tuple[int, ...]
+    measured: ComplexArray
+    whitener: FloatArray
+    _: KW_ONLY
+    planes: tuple[tuple[int, int, int], ...]
+    added: tuple[tuple[int, complex], ...] = ()
+    gains: tuple[int, ...] = ()
+    phases: tuple[int, ...] = ()
+
+    def readings(
+        self, model: SystemModel, values: FloatArray
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Vectors (n_speed, n_probe) [m], derivatives (n_unknown, n_speed, n_probe), and influence
+        (n_speed, n_probe, n_plane) [m/(kg m)].
+
+        z = e^(g + j p) S D^-1 Omega^2 (e_y - j e_z) u. Equation (system-run-up).
+        """
+        acting = np.where(model.acting(self.name), values, 0.0)
+        firsts = [first for first, _, _ in self.planes]
+        turning = np.zeros((model.n_dof, len(firsts)), np.complex128)
+        turning[firsts, np.arange(len(firsts))] = 1
+        turning[[first + 1 for first in firsts], np.arange(len(firsts))] = -1j
+        forces = self.speed[:, None, None] ** 2 * turning
+        unbalance = np.array([acting[real] + 1j * acting[imaginary] for _, real, imaginary in self.planes])
+        unbalance = unbalance + np.array(
+            [sum(u for dof, u in self.added if dof == first) for first in firsts]
+        )
+        motion, slopes, left = model.response(
+            acting, self.speed, self.speed, forces @ unbalance[:, None], self.outputs
+        )
+        probes = np.exp(
+            np.array([acting[number] for number in self.gains] or [0.0] * len(self.outputs))
+            + 1j * np.array([acting[number] for number in self.phases] or [0.0] * len(self.outputs))
+        )
+        influence = (left @ forces) * probes[:, None]
+        vectors = motion[:, :, 0] * probes
+        derivatives = slopes[..., 0] * probes
+        for plane, (_, real, imaginary) in enumerate(self.planes):
+            derivatives[real] += influence[:, :, plane]
+            derivatives[imaginary] += 1j * influence[:, :, plane]
+        for numbers, turn in ((self.gains, 1.0), (self.phases, 1j)):
+            for probe, number in enumerate(numbers):
+                derivatives[number, :, probe] += turn * vectors[:, probe]
+        return vectors, derivatives * model.acting(self.name)[:, None, None], influence
+
+    def residual(self, model: SystemModel, values: FloatArray) -> Residual:
+        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        vectors, slopes, _ = self.readings(model, values)
+        misfit = self.measured - vectors
+        white = np.einsum("pij,jp->ip", self.whitener, misfit).ravel()
+        moved = np.einsum("pij,ujp->uip", self.whitener, -slopes).reshape(len(slopes), -1)
+        return as_real(white), as_real(moved.T)
+
+    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> RunUpVectors:
+        """At *values* (n_unknown,) [SI units], see Evidence."""
+        vectors, _, _ = self.readings(model, values)
+        noise = 1 / np.linalg.norm(self.whitener, axis=2)
+        error = np.hypot(noise, share * np.maximum(np.abs(self.measured), np.abs(vectors)).T)
+        return replace(self, whitener=np.eye(self.speed.size) / error[:, :, None])
+
+
+def run_up_whitener(noise: FloatArray, slow_roll: float) -> FloatArray:
+    """Inverse Cholesky factors (n_probe, n_speed, n_speed) [1/m] of diag(noise^2) + slow_roll^2 1 1^T:
+    standard deviations of a real component, *noise* (n_probe, n_speed) [m], and of the *slow_roll* [m] that
+    was left in it, alike at all speeds.
+    """
+    n = noise.shape[1]
+    factors = [np.linalg.cholesky(np.diag(each**2) + slow_roll**2 * np.ones((n, n))) for each in noise]
+    return np.stack([linalg.solve_triangular(factor, np.eye(n), lower=True) for factor in factors])
+
+
+@dataclass(frozen=True)
+class Deflections:
+    """Static flexibility *measured* (n_output, n_input) [m/N] between dofs, with its standard *error*, and
+    where it was weighed ln *mass* [kg] of the rotor with its error; NaN where nothing was measured.
+    """
+
+    name: str
+    outputs: tuple[int, ...]
+    inputs: tuple[int, ...]
+    measured: FloatArray
+    error: FloatArray
+    mass: float = float("nan")
+    mass_error: float = 1.0
+
+    def residual(self, model: SystemModel, values: FloatArray) -> Residual:
+        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        acting = np.where(model.acting(self.name), values, 0.0)
+        parts: list[Residual] = []
+        if self.measured.size:
+            forces = np.eye(model.n_dof)[:, list(self.inputs)]
+            motion, slopes, _ = model.response(acting, np.zeros(1), np.zeros(1), forces, self.outputs)
+            known = np.isfinite(self.measured)
+            error = self.error[known]
+            parts.append(
+                ((self.measured - motion[0].real)[known] / error, -(slopes[:, 0].real[:, known] / error).T)
+            )
+        if np.isfinite(self.mass):
+            rigid = np.zeros((1, model.n_dof))
+            rigid[0, 0 : model.n_shaft : 4] = 1
+            whole = model.matrices(acting, 0.0, supported=False).mass
+            mass = float((rigid @ whole @ rigid.T)[0, 0])
+            moved = model.slopes(acting, 0.0, rigid, rigid.T, 1.0, supported=False)[:, 0, 0].real / mass
+            parts.append(
+                (np.array([(self.mass - np.log(mass)) / self.mass_error]), -moved[None] / self.mass_error)
+            )
+        residual = np.concatenate([part for part, _ in parts])
+        jacobian = np.concatenate([part for _, part in parts])
+        return residual, jacobian * model.acting(self.name)
+
+    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Deflections:  # noqa: ARG002
+        """At *values* (n_unknown,) [SI units], see Evidence."""
+        return self

@@ -1,0 +1,325 @@
+"""One posterior from all tests of a rotor: start, descent, sizes of the small errors, priors that give way,
+conflicts between tests, and what no test tells.
+
+Source: METHODS of this page and its references (Kennedy and O'Hagan 2001, MacKay 1992, Hausman 1978, Chen and
+Oliver 2012).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.descent import minimise, sum_of_squares
+from labpipe.methods.rotor_system.evidence import Deflections, Evidence, FreeModes, Responses
+from labpipe.methods.rotor_system.model import SystemModel
+
+# Shares of an amplitude that count as noise in the first steps, one after the other.
+SLACK = (1.0, 0.3, 0.1)
+# The size of a group of small errors stays between the declared one and this many times it.
+MOST_SIZE = 6.0
+# Rounds of estimating sizes, and the change that ends them.
+ROUNDS, SETTLED = 8, 0.03
+# A prior further off than this many of its standard uncertainties gives way, as Student's t does with so many
+# degrees of freedom.
+GIVES_WAY, STUDENT = 2.0, 4.0
+# Distance in standard errors at which a descent ends, and its most steps.
+NEAR, MOST_STEPS = 1e-2, 40
+# Steps with noise that is enlarged by a share of the amplitudes, before the share is taken anew.
+STEPS = 4
+# Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
+# alternative; intervals are then widened, since sizes are poorly known.
+MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Residuals of the tests and of the priors N(*means*, *errors*^2) of the *free* unknowns."""
+
+    model: SystemModel
+    tests: tuple[Evidence, ...]
+    means: FloatArray
+    errors: FloatArray
+    free: BoolArray
+    base: FloatArray
+
+    @property
+    def size(self) -> float:
+        return 1.0
+
+    def whole(self, parameters: FloatArray) -> FloatArray:
+        values = self.base.copy()
+        values[self.free] = parameters
+        return values
+
+    @cached_property
+    def _last(self) -> dict[bytes, tuple[FloatArray, FloatArray]]:
+        return {}
+
+    def _both(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        key = parameters.tobytes()
+        if key not in self._last:
+            values = self.whole(parameters)
+            parts = [test.residual(self.model, values) for test in self.tests]
+            parts.append(((values - self.means) / self.errors, np.diag(1 / self.errors)))
+            self._last.clear()
+            self._last[key] = (
+                np.concatenate([residual for residual, _ in parts]),
+                np.concatenate([jacobian for _, jacobian in parts])[:, self.free],
+            )
+        return self._last[key]
+
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        return self._both(parameters)[0]
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        return self._both(parameters)[1]
+
+    def chi2(self, parameters: FloatArray) -> float:
+        return sum_of_squares(self.residual, parameters)
+
+
+@dataclass(frozen=True)
+class Pull:
+    """What a *test* does to the unknowns that the others tell: the one it moves most, by how many standard
+    errors of that move, and chi-square of the whole move with its degrees of freedom.
+    """
+
+    test: str
+    unknown: str
+    z: float
+    chi2: float
+    dof: int
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """N(*values* (n_unknown,), *covariance* (n_unknown, n_unknown)) [unit of each] of the unknowns of a
+    *model* from *tests*; *errors*: standard uncertainties
+    of the priors as they were used, *sizes* of the small errors by group. chi2: (chi-square, data) by test.
+
+    ln_evidence: of the data. widened: factor on intervals.
+    """
+
+    model: SystemModel
+    tests: tuple[Evidence, ...]
+    values: FloatArray
+    covariance: FloatArray
+    errors: FloatArray
+    sizes: Mapping[str, float]
+    chi2: Mapping[str, tuple[float, int]]
+    ln_evidence: float
+    widened: float = 1.0
+    alternative: str = ""
+
+    @property
+    def standard_errors(self) -> FloatArray:
+        """(n_unknown,) [unit of each]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def shares(self) -> FloatArray:
+        """Share (n_unknown,) [1] of the prior's standard uncertainty that is left; above .7 no test tells."""
+        return self.standard_errors / self.model.errors
+
+    @property
+    def enlarged(self) -> dict[str, float]:
+        """Groups whose size passed 1.5 times the declared one, with the ratio, the largest first."""
+        ratios = {
+            group: size / next(u.error for u in self.model.unknowns if u.group == group)
+            for group, size in self.sizes.items()
+        }
+        return dict(sorted(((g, r) for g, r in ratios.items() if r > ENLARGED), key=lambda pair: -pair[1]))
+
+    @property
+    def misfits(self) -> dict[str, float]:
+        """Tests whose chi-square has a probability below .001, with it."""
+        tails = {name: float(stats.chi2.sf(chi2, n)) for name, (chi2, n) in self.chi2.items()}
+        return {name: tail for name, tail in tails.items() if tail < MISFIT}
+
+    @property
+    def contradicted(self) -> list[tuple[str, float]]:
+        """Unknowns with a declared prior that is more than 3 of its standard uncertainties off."""
+        z = (self.values - self.model.means) / self.model.errors
+        return [
+            (unknown.name, float(each))
+            for unknown, each in zip(self.model.unknowns, z, strict=True)
+            if abs(each) > 3 and not unknown.group
+        ]
+
+    def gradient_error(self, gradient: FloatArray) -> FloatArray:
+        """Standard errors (...,) [unit of the prediction] of predictions with *gradient* (..., n_unknown)."""
+        variance = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def draws(self, n_draw: int, seed: int = 0) -> FloatArray:
+        """Draws (n_draw, n_unknown) [unit of each]."""
+        scale = self.standard_errors
+        sizes, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        root = scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
+        rng = np.random.default_rng(seed)
+        return np.asarray(self.values + rng.standard_normal((n_draw, self.values.size)) @ root.T)
+
+
+def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes: bool = True) -> Posterior:
+    """The posterior of all *tests*; FitError where no minimum is found.
+
+    Standing tests first, then run-ups with noise that is enlarged at first: from prior means one start
+    suffices in matched cases. Sizes of groups by EM: tau^2 = (sum m^2 + tr V + 2 tau_0^2) / (n + 2), between
+    the declared size and six times it. Equation (system-sizes).
+    """
+    errors = model.errors.copy()
+    values = _started(model, tests, errors)
+    sizes: dict[str, float] = {}
+    for unknown in model.unknowns:
+        if unknown.group:
+            sizes.setdefault(unknown.group, unknown.error)
+    groups = {g: np.array([u.group == g for u in model.unknowns]) for g in sizes}
+    declared = dict(sizes)
+    for _ in range(ROUNDS if estimate_sizes else 1):
+        values = _descended(model, tests, errors, values)
+        posterior = _posterior(model, tests, errors, values, sizes)
+        before = errors.copy()
+        if estimate_sizes:
+            spread = np.diag(posterior.covariance)
+            for group, members in groups.items():
+                amount = float(np.sum((values - model.means)[members] ** 2 + spread[members]))
+                size = np.sqrt((amount + 2 * declared[group] ** 2) / (members.sum() + 2))
+                sizes[group] = float(np.clip(size, declared[group], MOST_SIZE * declared[group]))
+                errors[members] = sizes[group]
+        own = np.array([not unknown.group for unknown in model.unknowns])
+        off = values - model.means
+        far = own & (np.abs(off) > GIVES_WAY * model.errors)
+        errors[own] = model.errors[own]
+        errors[far] = np.sqrt((STUDENT * model.errors[far] ** 2 + off[far] ** 2) / (STUDENT + 1))
+        if np.all(np.abs(errors / before - 1) < SETTLED):
+            break
+    values = _descended(model, tests, errors, values)
+    return _posterior(model, tests, errors, values, sizes)
+
+
+def _started(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) -> FloatArray:
+    """Values near the minimum: modes and deflections, then responses, then all, noise enlarged less and
+    less.
+    """
+    values = model.means.copy()
+    early = [test for test in tests if isinstance(test, FreeModes | Deflections)]
+    standing = [test for test in tests if isinstance(test, FreeModes | Deflections | Responses)]
+    unbalance = np.array([unknown.unit == "kg.m" for unknown in model.unknowns])
+    if early:
+        values = _descended(model, early, errors, values)
+    if len(early) < len(standing):
+        values = _tempered(model, standing, errors, values)
+    if len(standing) < len(tests):
+        # The unbalance alone first, in which the vectors are linear.
+        loosened = [test.loosened(model, values, SLACK[0]) for test in tests]
+        values = _descended(model, loosened, errors, values, unbalance, STEPS)
+        values = _tempered(model, tests, errors, values)
+    return values
+
+
+def _tempered(
+    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray
+) -> FloatArray:
+    for share in SLACK:
+        loosened = [test.loosened(model, values, share) for test in tests]
+        values = _descended(model, loosened, errors, values, most_steps=STEPS)
+    return values
+
+
+def _descended(
+    model: SystemModel,
+    tests: Sequence[Evidence],
+    errors: FloatArray,
+    start: FloatArray,
+    free: BoolArray | None = None,
+    most_steps: int = MOST_STEPS,
+) -> FloatArray:
+    chosen = np.ones(start.size, dtype=bool) if free is None else free
+    problem = _Problem(model, tuple(tests), model.means, errors, chosen, start)
+    minimum = minimise(problem, start[chosen], NEAR, most_steps)
+    if not minimum.converged and most_steps == MOST_STEPS:
+        raise FitError(
+            "the tests of the rotor lead to no minimum",
+            hint="check nodes, directions and units of the tests, or declare more uncertainty",
+        )
+    return problem.whole(minimum.values)
+
+
+def _posterior(
+    model: SystemModel,
+    tests: Sequence[Evidence],
+    errors: FloatArray,
+    values: FloatArray,
+    sizes: Mapping[str, float],
+) -> Posterior:
+    information = np.diag(errors**-2.0)
+    chi2: dict[str, tuple[float, int]] = {}
+    cost = float(np.sum(((values - model.means) / errors) ** 2))
+    for test in tests:
+        residual, jacobian = test.residual(model, values)
+        information = information + jacobian.T @ jacobian
+        chi2[test.name] = (float(residual @ residual), residual.size)
+        cost += chi2[test.name][0]
+    scale = np.sqrt(np.diag(information))
+    scaled = information / np.outer(scale, scale)
+    covariance = np.linalg.inv(scaled) / np.outer(scale, scale)
+    determinant = float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.sum(np.log(scale)))
+    ln_evidence = -cost / 2 - float(np.sum(np.log(errors))) - determinant / 2
+    return Posterior(
+        model, tuple(tests), values, (covariance + covariance.T) / 2, errors, dict(sizes), chi2, ln_evidence
+    )
+
+
+def pulls(posterior: Posterior) -> list[Pull]:
+    """What each test does to what the others say: theta_-t - theta = (F - F_t)^-1 J_t^T r_t, J_t of the
+    residual r_t, is N(0, V_-t - V) where all is well (Hausman 1978). Equation (system-pull).
+    """
+    model, found = posterior.model, []
+    information = np.linalg.inv(posterior.covariance)
+    for test in posterior.tests:
+        residual, jacobian = test.residual(model, posterior.values)
+        without = np.linalg.inv(information - jacobian.T @ jacobian)
+        shift = without @ jacobian.T @ residual
+        change = without - posterior.covariance
+        spread = np.sqrt(np.maximum(np.diag(change), 1e-30))
+        # Rounding makes anything of unknowns that the test does not move; small errors are named by group.
+        own = np.array([not unknown.group for unknown in model.unknowns])
+        z = np.where(own & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
+        worst = int(np.argmax(np.abs(z)))
+        scale = np.sqrt(np.diag(without))
+        parts, vectors = np.linalg.eigh(change / np.outer(scale, scale))
+        kept = parts > 0.01
+        chi2 = float(np.sum((vectors[:, kept].T @ (shift / scale)) ** 2 / parts[kept]))
+        found.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), chi2, int(kept.sum())))
+    return found
+
+
+# Draws by which the normal posterior is held against the tests.
+LOOKED = 20
+
+
+def is_normal(posterior: Posterior) -> bool:
+    """Whether draws of the posterior fit the tests and priors as a normal one does: their median cost exceeds
+    that of the middle by the number of unknowns, within three standard deviations of chi-square.
+    """
+    model = posterior.model
+    problem = _Problem(
+        model,
+        posterior.tests,
+        model.means,
+        posterior.errors,
+        np.ones(posterior.values.size, dtype=bool),
+        posterior.values,
+    )
+    n = posterior.values.size
+    excess = np.array([problem.chi2(draw) for draw in posterior.draws(LOOKED)]) - problem.chi2(
+        posterior.values
+    )
+    return bool(np.median(excess) < n + 3 * np.sqrt(2 * n))

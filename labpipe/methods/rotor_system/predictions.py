@@ -1,0 +1,284 @@
+"""What follows from the posterior of a rotor, with intervals: Campbell diagram, critical speeds,
+amplification, stability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, optimize, stats
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.methods.rotor.response import Modes
+from labpipe.methods.rotor.theory import Critical, followed, peaks
+from labpipe.methods.rotor_system.build import RUNNING, Built
+from labpipe.methods.rotor_system.model import Curve, SystemModel
+from labpipe.methods.rotor_system.posterior import Posterior
+
+# Modes that are followed over the speed.
+MOST_MODES = 8
+# Draws of the posterior for critical speeds; modes of the basis in which they are computed.
+DRAWS, BASIS = 200, 24
+# Speeds about a critical one: every .33 % over 15 % to either side.
+AROUND, STEP = 0.15, 0.0033
+# Steps in which the onset of instability is looked for, and how often.
+GROWTH, MOST_STEPS = 1.25, 30
+# Draws from which percentiles are steadier than the spread of logarithms, since peaks may split.
+ENOUGH = 100
+NORMAL = float(stats.norm.ppf(0.975))
+
+
+def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
+    """Values (n_unknown,) [unit of each] as they act on the turning rotor: those of single tests are zero."""
+    return np.where(model.acting(RUNNING), values, 0.0)
+
+
+@dataclass(frozen=True)
+class Campbell:
+    """Modes over *speed* (n_speed,) [Hz], followed: frequency [Hz], log_decrement and whirl [1], (n_speed,
+    n_mode), with the standard errors of the first two; NaN where a mode is gone.
+    """
+
+    speed: FloatArray
+    frequency: FloatArray
+    frequency_error: FloatArray
+    log_decrement: FloatArray
+    log_decrement_error: FloatArray
+    whirl: FloatArray
+
+    def least_decrement(self, speed: float) -> tuple[float, float]:
+        """The least logarithmic decrement at the grid speed nearest to *speed* [Hz], and its standard
+        error.
+        """
+        at = int(np.argmin(np.abs(self.speed - speed)))
+        mode = int(np.nanargmin(self.log_decrement[at]))
+        return float(self.log_decrement[at, mode]), float(self.log_decrement_error[at, mode])
+
+
+def campbell(posterior: Posterior, speeds: FloatArray) -> Campbell:
+    """The Campbell diagram over ascending *speeds* (n_speed,) [Hz] with its standard errors, by first order:
+    f = Im lambda / 2 pi, delta = -2 pi Re lambda / Im lambda.
+    """
+    model = posterior.model
+    values = at_speed(model, posterior.values)
+    acting = model.acting(RUNNING)
+    each, roots = [], []
+    for speed in speeds:
+        found = model.roots(values, 2 * np.pi * float(speed), 2 * MOST_MODES)
+        shaft = found.shapes[: model.n_shaft].reshape(-1, 4, found.values.size)
+        each.append(Modes(2 * np.pi * float(speed), found.values, shaft[:, :2].transpose(2, 0, 1)))
+        roots.append(found)
+    order = followed(each)
+    frequency, f_error, decrement, d_error, whirl = (np.full(order.shape, np.nan) for _ in range(5))
+    for number, (found, modes) in enumerate(zip(roots, each, strict=True)):
+        there = order[number] >= 0
+        chosen = order[number, there]
+        root, slopes = found.values[chosen], np.where(acting, found.slopes[chosen], 0.0)
+        frequency[number, there] = root.imag / (2 * np.pi)
+        f_error[number, there] = posterior.gradient_error(slopes.imag) / (2 * np.pi)
+        delta = -2 * np.pi * root.real / root.imag
+        decrement[number, there] = delta
+        moved = -2 * np.pi * slopes.real / root.imag[:, None] - (delta / root.imag)[:, None] * slopes.imag
+        d_error[number, there] = posterior.gradient_error(moved)
+        whirl[number, there] = modes.whirl[chosen]
+    w = posterior.widened
+    return Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
+
+
+def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
+    """Speed [Hz] at which an eigenvalue's real part becomes positive, from *lowest* [Hz] upwards, and the
+    standard error of its logarithm; None where none does within some 800 times that.
+
+    d ln N / d theta = -Re lambda' / (d Re lambda / d ln N). Equation (system-onset).
+    """
+    model, values = posterior.model, at_speed(posterior.model, posterior.values)
+
+    def growth(speed: float) -> float:
+        found = model.roots(values, 2 * np.pi * speed, slopes=False).values
+        return float(np.max(found.real)) if found.size else -1.0
+
+    low = lowest
+    for _ in range(MOST_STEPS):
+        high = GROWTH * low
+        if growth(high) > 0:
+            break
+        low = high
+    else:
+        return None
+    if growth(low) > 0:
+        return lowest, 0.0
+    speed = float(optimize.brentq(growth, low, high, rtol=1e-9))
+    found = model.roots(values, 2 * np.pi * speed)
+    mode = int(np.argmax(found.values.real))
+    step = 1e-4
+    rise = (growth(speed * (1 + step)) - growth(speed * (1 - step))) / (2 * step)
+    slope = np.where(model.acting(RUNNING), found.slopes[mode].real, 0.0) / rise
+    return speed, posterior.widened * float(posterior.gradient_error(slope))
+
+
+class _Reduced:
+    """Unbalance response in a fixed basis of the lowest modes of (K, M) and the static shapes of bearing and
+    unbalance dofs.
+    """
+
+    def __init__(self, model: SystemModel, values: FloatArray, forced: Sequence[int]) -> None:
+        whole = model.matrices(values, 0.0)
+        _, vectors = linalg.eigh(
+            whole.stiffness, whole.mass, subset_by_index=[0, min(BASIS, model.n_dof) - 1]
+        )
+        carried = sorted({dof for term in model.terms if term.support for dof in term.dofs} | set(forced))
+        static = np.linalg.solve(whole.stiffness, np.eye(model.n_dof)[:, carried])
+        basis, size, _ = linalg.svd(
+            np.column_stack([vectors, static]) / np.linalg.norm(np.column_stack([vectors, static]), axis=0),
+            full_matrices=False,
+        )
+        self.basis = basis[:, size > 1e-8 * size[0]]
+        terms = tuple(
+            replace(
+                term,
+                dofs=tuple(range(self.basis.shape[1])),
+                block=self._projected(term.block, list(term.dofs)),
+            )
+            for term in model.terms
+        )
+        self.model = SystemModel(model.unknowns, terms, self.basis.shape[1], 0)
+
+    def _projected(self, block: FloatArray | Curve, dofs: list[int]) -> FloatArray | Curve:
+        rows = self.basis[dofs]
+        if callable(block):
+            curve: Curve = block
+            return lambda spin: rows.T @ curve(spin) @ rows
+        return rows.T @ block @ rows
+
+    def amplitudes(
+        self, values: FloatArray, speed: FloatArray, forces: ComplexArray, outputs: Sequence[int]
+    ) -> FloatArray:
+        """|z| (n_speed, n_output) [m] at *speed* (n_speed,) [rad/s]; *forces* (n_dof,) [kg m]."""
+        stiffness = self.model.dynamic(values, speed, speed)
+        turned = self.basis.T @ forces * speed[:, None] ** 2
+        motion = np.linalg.solve(stiffness, turned[:, :, None])[:, :, 0]
+        return np.asarray(np.abs(motion @ self.basis[list(outputs)].T))
+
+
+@dataclass(frozen=True)
+class CriticalSpeed:
+    """A peak of the unbalance response at a dof: values and 95 % intervals of speed [Hz], amplification
+    factor and amplitude [m] by draws of the posterior.
+
+    missing: share of draws without a peak or a half-power point, *met* of those with the separation margin of
+    API 684 from the operating speed, None where AF is below 2.5 in all of them. margin: (there is, asked for)
+    [%].
+    """
+
+    dof: int
+    speed: float
+    speed_interval: tuple[float, float]
+    amplification: float | None
+    amplification_interval: tuple[float, float] | None
+    amplitude: float
+    amplitude_interval: tuple[float, float]
+    missing: float
+    met: float | None
+    margin: tuple[float, float] | None
+
+
+def unbalance_forces(built: Built, values: FloatArray) -> ComplexArray:
+    """u (e_y - j e_z) of all planes, (n_dof,) [kg m]."""
+    forces = np.zeros(built.model.n_dof, np.complex128)
+    for first, real, imaginary in built.planes.values():
+        u = values[real] + 1j * values[imaginary]
+        forces[first] += u
+        forces[first + 1] += -1j * u
+    return forces
+
+
+def critical_speeds(
+    posterior: Posterior,
+    built: Built,
+    band: tuple[float, float],
+    operating: float,
+    outputs: Sequence[int],
+    n_draw: int = DRAWS,
+    seed: int = 1,
+) -> list[CriticalSpeed]:
+    """Critical speeds in a *band* [Hz] as the unbalance response at *outputs* shows them, with intervals from
+    draws in a reduced basis; each once, where its peak is highest.
+    """
+    model = posterior.model
+    values = at_speed(model, posterior.values)
+    forced = [dof for first, _, _ in built.planes.values() for dof in (first, first + 1)]
+    reduced = _Reduced(model, values, forced)
+    coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
+    amplitude = reduced.amplitudes(
+        values, 2 * np.pi * coarse, unbalance_forces(built, posterior.values), outputs
+    )
+    all_peaks = [
+        (peak, dof) for column, dof in enumerate(outputs) for peak in peaks(coarse, amplitude[:, column])
+    ]
+    distinct: list[tuple[Critical, int]] = []
+    for peak, dof in sorted(all_peaks, key=lambda pair: -pair[0].amplitude):
+        if all(abs(np.log(peak.speed / other.speed)) > 0.03 for other, _ in distinct):
+            distinct.append((peak, dof))
+    draws = posterior.values + posterior.widened * (posterior.draws(n_draw, seed) - posterior.values)
+    speeds = np.log([peak.speed for peak, _ in distinct])
+    # A peak of a draw is the same one where it is nearer to it than to any other.
+    rooms = [min([*(abs(at - other) / 2 for other in speeds if other != at), AROUND]) for at in speeds]
+    found = [
+        _critical(reduced, built, peak, dof, draws, operating, room)
+        for (peak, dof), room in zip(distinct, rooms, strict=True)
+    ]
+    return sorted(found, key=lambda critical: critical.speed)
+
+
+def _critical(
+    reduced: _Reduced,
+    built: Built,
+    peak: Critical,
+    dof: int,
+    draws: FloatArray,
+    operating: float,
+    apart: float,
+) -> CriticalSpeed:
+    grid = peak.speed * np.exp(np.arange(-AROUND, AROUND + STEP, STEP))
+    # A flat peak needs more room for its half-power points.
+    if peak.low is not None and peak.high is not None:
+        room = 2 * max(np.log(peak.high / peak.speed), np.log(peak.speed / peak.low))
+        grid = peak.speed * np.exp(np.linspace(-1, 1, grid.size) * max(AROUND, room))
+    rows = []
+    for values in draws:
+        acting = at_speed(reduced.model, values)
+        amplitude = reduced.amplitudes(acting, 2 * np.pi * grid, unbalance_forces(built, values), [dof])[:, 0]
+        near = [each for each in peaks(grid, amplitude) if abs(np.log(each.speed / peak.speed)) < apart]
+        rows.append(min(near, key=lambda each: abs(np.log(each.speed / peak.speed))) if near else None)
+    there = [row for row in rows if row is not None]
+    whole = [row for row in there if row.amplification is not None]
+    factors = np.array([row.amplification for row in whole], dtype=float)
+    margins = [row.margin(operating) for row in whole] if operating else []
+    asked = [margin for margin in margins if margin is not None and margin[1] > 0]
+    return CriticalSpeed(
+        dof,
+        peak.speed,
+        _interval(peak.speed, np.array([row.speed for row in there])),
+        peak.amplification,
+        None if peak.amplification is None or factors.size < 2 else _interval(peak.amplification, factors),
+        peak.amplitude,
+        _interval(peak.amplitude, np.array([row.amplitude for row in there])),
+        1 - len(whole) / len(rows),
+        float(np.mean([m is None or m[0] >= m[1] for m in margins])) if asked else None,
+        peak.margin(operating) if operating else None,
+    )
+
+
+def _interval(value: float, draws: FloatArray) -> tuple[float, float]:
+    """95 % interval of a positive quantity by its draws: from the spread of their logarithms where they are
+    few.
+    """
+    if draws.size < 2:
+        return value, value
+    if draws.size < ENOUGH:
+        spread = NORMAL * float(np.std(np.log(draws)))
+        return value * float(np.exp(-spread)), value * float(np.exp(spread))
+    low, high = np.percentile(draws, (2.5, 97.5))
+    return float(low), float(high)

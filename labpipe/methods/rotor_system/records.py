@@ -1,0 +1,138 @@
+"""What the tests of one rotor say together: unknowns, tests, small errors, predictions, weights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
+
+from labpipe.records.finding import Finding
+
+Row = tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class UnknownResult:
+    """An unknown: *value* with its standard *error*, and *prior* with *prior_error*, all in *unit*; relative
+    errors of a factor are those of its logarithm. told: the share of the prior's error that is left is below
+    .7.
+    """
+
+    name: str
+    value: float
+    error: float
+    prior: float
+    prior_error: float
+    unit: str
+    group: str = ""
+    told: bool = True
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """A test: chi-square of its *n* data with its probability, and the unknown that it pulls most against all
+    others, by *z* standard errors of that.
+    """
+
+    name: str
+    kind: str
+    chi2: float
+    n: int
+    probability: float
+    pulled: str
+    z: float
+
+
+@dataclass(frozen=True)
+class SmallErrorResult:
+    """A group of small errors: its *declared* standard deviation, and the one that the tests ask for."""
+
+    name: str
+    declared: float
+    found: float
+
+
+@dataclass(frozen=True)
+class CampbellResult:
+    """Modes over *speed* [Hz]: rows by speed, columns by mode, null where a mode is gone; standard errors of
+    frequency [Hz] and logarithmic decrement.
+    """
+
+    speed: tuple[float, ...]
+    frequency: tuple[Row, ...]
+    frequency_error: tuple[Row, ...]
+    log_decrement: tuple[Row, ...]
+    log_decrement_error: tuple[Row, ...]
+    whirl: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class CriticalResult:
+    """A critical speed where the unbalance response at *place* shows it: speed [Hz], amplification factor and
+    amplitude [m] with their 95 % intervals. margin: separation from the operating speed that there is, and
+    that API 684 asks for [%]; met: probability that it is kept. missing: share of draws without the peak or
+    its half-power points.
+    """
+
+    place: str
+    speed: float
+    speed_interval: tuple[float, float]
+    amplification: float | None
+    amplification_interval: tuple[float, float] | None
+    amplitude: float
+    amplitude_interval: tuple[float, float]
+    margin: tuple[float, float] | None
+    met: float | None
+    missing: float
+
+
+@dataclass(frozen=True)
+class WeightResult:
+    """A weight in the plane at a *node*: size [kg m] and angle [rad] from the mark, in the direction of
+    spin.
+    """
+
+    node: int
+    size: float
+    angle: float
+
+
+@dataclass(frozen=True)
+class BalanceResult:
+    """Weights without a trial run; rms of the readings *before* and *after* them [m] with the 95 % interval
+    of the latter; *next_runs*: what is expected to be left [m] if that run is made first.
+    """
+
+    speeds: tuple[float, ...]
+    weights: tuple[WeightResult, ...]
+    before: float
+    after: float
+    interval: tuple[float, float]
+    next_runs: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RotorSystemResult:
+    """The posterior of a rotor in numbers that people read. operating: speed of the rotor file [Hz].
+
+    decrement: the least logarithmic decrement there, its standard error, and the probability that it is above
+    .1. onset: speed [Hz] of instability and standard error of its logarithm. alternative: what the model was
+    replaced by; widened: factor on intervals of predictions. next_tests: standard error of ln decrement
+    there, if that test is made once more.
+    """
+
+    rotor: str
+    operating: float
+    _: KW_ONLY
+    unknowns: tuple[UnknownResult, ...]
+    tests: tuple[TestResult, ...]
+    small_errors: tuple[SmallErrorResult, ...]
+    campbell: CampbellResult
+    decrement: tuple[float, float, float]
+    criticals: tuple[CriticalResult, ...] = ()
+    onset: tuple[float, float] | None = None
+    balance: BalanceResult | None = None
+    next_tests: Mapping[str, float] = field(default_factory=dict)
+    ln_evidence: float = 0.0
+    alternative: str = ""
+    widened: float = 1.0
+    findings: tuple[Finding, ...] = ()

@@ -1,0 +1,297 @@
+"""The section rotor_system: its rules, lists, lines and report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from labpipe.display import amount_text, number, plain_text, with_error
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor_system.evaluate import LEAST_DECREMENT, run_rotor_system
+from labpipe.methods.rotor_system.records import CriticalResult, RotorSystemResult, Row, UnknownResult
+from labpipe.methods.rotor_system.settings import RotorSystemSettings
+from labpipe.project.judging import CompareNumber
+from labpipe.project.rules import Rule
+from labpipe.records.finding import NORMAL, WARNING, Finding, Parameter, of_level
+from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
+from labpipe.records.sections import PipelineSection
+from labpipe.registry import nearest
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stacked, upright
+from labpipe.report.document import Block, Figure, Paragraph, Section, Table
+
+NAME = "rotor_system"
+RPM = 60.0
+UM = 1e6
+
+
+def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, str]]:
+    """What rules and lists address: value, standard error, unit by name."""
+    amounts: dict[str, tuple[float, float | None, str]] = {
+        unknown.name.replace(" ", "_"): (unknown.value, unknown.error, unknown.unit)
+        for unknown in result.unknowns
+        if not unknown.group
+    }
+    amounts["least_decrement"] = (result.decrement[0], result.decrement[1], "1")
+    amounts["decrement_probability"] = (result.decrement[2], None, "1")
+    if result.onset is not None:
+        speed, error = result.onset
+        amounts["onset"] = (speed, speed * error, "Hz")
+    for place, critical in enumerate(result.criticals, 1):
+        amounts[f"critical_speed_{place}"] = (critical.speed, _error(critical.speed_interval), "Hz")
+        if critical.amplification is not None and critical.amplification_interval is not None:
+            error = _error(critical.amplification_interval)
+            amounts[f"amplification_{place}"] = (critical.amplification, error, "1")
+        if critical.met is not None:
+            amounts[f"margin_probability_{place}"] = (critical.met, None, "1")
+    if result.balance is not None:
+        amounts["vibration_left"] = (result.balance.after, _error(result.balance.interval), "m")
+    return amounts
+
+
+def _error(interval: tuple[float, float]) -> float:
+    return (interval[1] - interval[0]) / (2 * NORMAL)
+
+
+def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber) -> RuleOutcome:
+    """The outcome of a rule such as "rotor_system.least_decrement >= 0.1"; ConfigError at its place for what
+    the result does not have.
+    """
+    if rule.item == "warnings":
+        codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
+        wanted = rule.bound.removeprefix("not ").strip()
+        passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
+        return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+    amounts = _amounts(result)
+    if rule.item not in amounts:
+        what = f"{rule.section}.{rule.address}: the rotor has no '{rule.item}'"
+        raise ConfigError(what, where=rule.place, hint=nearest(rule.item, [*amounts, "warnings"]))
+    value, error, unit = amounts[rule.item]
+    return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, unit, error))
+
+
+def findings(result: RotorSystemResult) -> Iterator[tuple[str, Finding]]:
+    """All of them, under the rotor's name."""
+    return ((result.rotor, finding) for finding in result.findings)
+
+
+def listed(result: RotorSystemResult) -> Iterator[ListedParameter]:
+    """Unknowns and predictions."""
+    codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
+    for name, (value, error, unit) in _amounts(result).items():
+        parameter = Parameter(name, value, unit, derived=True, std_error=error)
+        yield ListedParameter(fit=NAME, parameter=parameter, model="rotor-system", warnings=codes)
+
+
+def lines(result: RotorSystemResult) -> Iterator[str]:
+    """What the tests say together, in lines."""
+    yield f"{result.rotor}: {len(result.tests)} tests together"
+    for unknown in result.unknowns:
+        if not unknown.group and not unknown.name.startswith(("gain", "phase")):
+            mark = "" if unknown.told else "   (no test tells)"
+            yield f"  {unknown.name:<28} {amount_text(unknown.value, unknown.error, unknown.unit)}{mark}"
+    yield from sentences(result)
+
+
+def sentences(result: RotorSystemResult) -> Iterator[str]:
+    """Critical speeds, stability, weights and what to measure next."""
+    operating = RPM * result.operating
+    for critical in result.criticals:
+        yield _critical_sentence(critical, operating)
+    least, error, probability = result.decrement
+    yield (
+        f"least log decrement at {operating:.0f} rpm: {with_error(least, error)}, above {LEAST_DECREMENT:g} "
+        f"with a probability of {100 * probability:.0f} %"
+    )
+    if result.onset is None:
+        yield "no instability within the speeds looked at"
+    else:
+        speed, spread = result.onset
+        yield f"unstable from {RPM * speed:.0f} rpm on (standard error {100 * spread:.1f} %)"
+    if result.balance is not None:
+        balance = result.balance
+        for weight in balance.weights:
+            yield (
+                f"weight at node {weight.node}: {UM * weight.size:.4g} g mm at "
+                f"{np.degrees(weight.angle):.1f} deg"
+            )
+        low, high = (UM * end for end in balance.interval)
+        yield (
+            f"vibration (rms of the probes): {UM * balance.before:.3g} um as it is, {UM * balance.after:.3g} "
+            f"um expected with the weights (95 %: {low:.3g} to {high:.3g} um)"
+        )
+        best = min(balance.next_runs, key=lambda name: balance.next_runs[name])
+        yield f"one more run with {best} first: {UM * balance.next_runs[best]:.3g} um expected"
+    others = {name: error for name, error in result.next_tests.items() if name != "as it is"}
+    if others:
+        best = min(others, key=lambda name: others[name])
+        yield (
+            f"next: {best}; the standard error of the least decrement falls from "
+            f"{100 * result.next_tests['as it is']:.2g} to {100 * others[best]:.2g} %"
+        )
+
+
+def _critical_sentence(critical: CriticalResult, operating: float) -> str:
+    low, high = (RPM * end for end in critical.speed_interval)
+    text = (
+        f"critical speed {RPM * critical.speed:.0f} rpm (95 %: {low:.0f} to {high:.0f}) at {critical.place}"
+    )
+    if critical.amplification is None or critical.amplification_interval is None:
+        return f"{text}; no amplification factor within the speeds"
+    ends = "{:.3g} to {:.3g}".format(*critical.amplification_interval)
+    text += f", amplification {critical.amplification:.3g} (95 %: {ends})"
+    if critical.missing > 0.05:
+        text += f"; in {100 * critical.missing:.0f} % of the draws there is none"
+    if critical.margin is None or critical.met is None:
+        return f"{text}; no margin is asked for"
+    there, asked = critical.margin
+    return (
+        f"{text}; margin to {operating:.0f} rpm {there:.1f} %, {asked:.1f} % asked for: kept with a "
+        f"probability of {100 * critical.met:.0f} %"
+    )
+
+
+def sections(result: RotorSystemResult, _identification: Identification) -> tuple[Section, ...]:
+    """The section of the report."""
+    blocks: list[Block] = [Paragraph(line) for line in sentences(result)]
+    blocks += [
+        unknown_table(result),
+        test_table(result),
+        small_error_table(result),
+        campbell_figure(result),
+        unknown_figure(result),
+    ]
+    return (Section(f"Rotor: {result.rotor}", tuple(blocks)),)
+
+
+def unknown_table(result: RotorSystemResult) -> Table:
+    """Unknowns beside what was declared of them."""
+    rows = tuple(
+        (
+            unknown.name,
+            amount_text(unknown.value, unknown.error, unknown.unit),
+            amount_text(unknown.prior, unknown.prior_error, unknown.unit),
+            number(unknown.error / unknown.prior_error, 2),
+            "" if unknown.told else "no test tells",
+        )
+        for unknown in result.unknowns
+        if not unknown.group
+    )
+    header = ("unknown", "all tests", "declared", "error left", "")
+    return Table(
+        header, rows, "Unknowns with standard uncertainties, and the share of the declared one", (3,)
+    )
+
+
+def test_table(result: RotorSystemResult) -> Table:
+    """Tests, how well the common rotor fits them, and what each pulls."""
+    rows = tuple(
+        (
+            test.name,
+            test.kind,
+            f"{test.chi2:.1f} of {test.n}",
+            number(test.probability, 2),
+            test.pulled,
+            f"{test.z:+.1f}",
+        )
+        for test in result.tests
+    )
+    header = ("test", "kind", "chi-square", "probability", "pulls", "standard errors")
+    return Table(header, rows, "Tests: a pull beyond 3 contradicts the others", (3, 5))
+
+
+def small_error_table(result: RotorSystemResult) -> Table:
+    """Sizes of the small errors that are everywhere."""
+    rows = tuple(
+        (each.name.replace("_", " "), number(each.declared, 3), number(each.found, 3))
+        for each in result.small_errors
+    )
+    return Table(("small errors of", "declared", "found"), rows, "Standard deviations", (1, 2))
+
+
+def _column(rows: tuple[Row, ...], mode: int) -> np.ndarray:
+    return np.array([np.nan if row[mode] is None else row[mode] for row in rows], dtype=float)
+
+
+def campbell_figure(result: RotorSystemResult) -> Figure:
+    """Natural frequencies and logarithmic decrements over speed with their 95 % bands."""
+    diagram = result.campbell
+    speed = RPM * np.array(diagram.speed)
+    top = 2.5 * diagram.speed[-1]
+    panels = []
+    shown = [
+        mode
+        for mode in range(len(diagram.frequency[0]))
+        if np.nanmin(np.append(_column(diagram.frequency, mode), np.inf)) < top
+    ]
+    for label, values, errors in (
+        ("natural frequency", diagram.frequency, diagram.frequency_error),
+        ("log decrement", diagram.log_decrement, diagram.log_decrement_error),
+    ):
+        series: list[Series] = []
+        for mode in shown:
+            middle, error = _column(values, mode), NORMAL * _column(errors, mode)
+            series.append(
+                curve(f"mode {mode + 1}", speed, middle, mode % 6, band=(middle - error, middle + error))
+            )
+        if label == "natural frequency":
+            series.append(curve("1x", speed, np.array(diagram.speed), -1, "--"))
+            axis = Axis(label, "Hz", low=0.0, high=top)
+            if result.criticals:
+                at = [critical.speed for critical in result.criticals]
+                series.append(dots("critical speeds", [RPM * x for x in at], at, 6, marker="o"))
+        else:
+            series.append(level(LEAST_DECREMENT, -1, "--"))
+            axis = Axis(label)
+        panels.append(Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating))))
+    caption = (
+        "Natural frequencies, modes followed through crossings, and logarithmic decrements with 95 % bands; "
+        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed."
+    )
+    return Figure(
+        stacked(panels, 5.6), caption, "Natural frequencies and log decrements over speed, with bands"
+    )
+
+
+def unknown_figure(result: RotorSystemResult) -> Figure:
+    """How far each unknown has moved from what was declared, in units of that uncertainty."""
+    own = [unknown for unknown in result.unknowns if not unknown.group]
+    place = np.arange(len(own), dtype=float)
+    moved, error = np.array([_moved(unknown) for unknown in own]).T
+    bars = (moved - NORMAL * error, moved + NORMAL * error)
+    series = (curve("all tests", place, moved, 0, "", marker="o", bars=bars), level(0.0))
+    ticks = tuple((float(n), unknown.name) for n, unknown in enumerate(own))
+    panel = Panel(
+        Axis("", ticks=ticks, low=-0.7, high=len(own) - 0.3), Axis("moved by, in declared errors"), series
+    )
+    caption = "How far the tests move the unknowns, in declared standard uncertainties; bars: 95 %."
+    return Figure(stacked([panel], 3.4), caption, "Unknowns relative to their declared values")
+
+
+def _moved(unknown: UnknownResult) -> tuple[float, float]:
+    return (unknown.value - unknown.prior) / unknown.prior_error, unknown.error / unknown.prior_error
+
+
+def cover(result: RotorSystemResult) -> dict[str, str]:
+    """The least decrement and the first critical speed."""
+    facts = {"least log decrement": with_error(result.decrement[0], result.decrement[1])}
+    if result.criticals:
+        first = result.criticals[0]
+        facts["first critical speed"] = plain_text(first.speed, "Hz", 4)
+    return facts
+
+
+ROTOR_SYSTEM = PipelineSection(
+    words="One rotor from all its tests: unknowns, critical speeds, stability, balance weights.",
+    settings=RotorSystemSettings,
+    standalone=True,
+    run=run_rotor_system,
+    record=RotorSystemResult,
+    entry=NAME,
+    outcome=outcome,
+    findings=findings,
+    parameters=listed,
+    report=sections,
+    cover=cover,
+    terminal=lines,
+)

@@ -1,0 +1,252 @@
+"""The section rotor_system: the rotor file, the tests of that rotor, and what is asked of them together."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
+from labpipe.methods.rotor_system.system_file import check_unknown
+from labpipe.methods.run_ups.settings import RunSettings
+from labpipe.quantities import UnitError
+from labpipe.records.settings import Settings, setting
+from labpipe.records.uncertain import Uncertain, parse_uncertain
+
+MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
+# Keys of a test by its kind, beside name and kind.
+KEYS = {
+    MODES: ("fit", "frequencies", "damping", "numbers"),
+    RESPONSE: ("test", "places", "speed", "free", "gain", "band"),
+    RUN_UP: ("run", "places", "axes", "slow_roll", "gain"),
+    STATIC: ("deflections", "mass"),
+}
+AXES = ("load", "horizontal")
+_PLACE = re.compile(r"^\s*(?P<node>\d+)\s*(?P<direction>[yz])?\s*$")
+
+
+def place_of(text: str, directed: bool = True) -> tuple[int, str]:
+    """Node and direction of `3 y`; of `3` alone where it is not *directed*. UnitError for anything else."""
+    match = _PLACE.match(text)
+    if match is None or bool(match["direction"]) != directed:
+        raise UnitError(
+            f"'{text}' is no place on the rotor", "write 3 y" if directed else "write 3, the node"
+        )
+    return int(match["node"]), match["direction"] or ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SystemTest(Settings):
+    """One entry of ``tests:``."""
+
+    name: str = setting("text", "name of the test")
+    kind: str = setting(
+        "choice",
+        "what was measured: modes of the free rotor, an FRF, a run-up, deflections",
+        choices=tuple(KEYS),
+    )
+    fit: str = setting(
+        "text", "modes: a modal fit of this pipeline, of the rotor on soft strings", default=""
+    )
+    frequencies: tuple[str, ...] = setting(
+        "names",
+        "modes: in place of a fit, from the lowest: [111.3 Hz +- 0.1 Hz, 239.6 Hz +- .2 Hz]",
+        default=(),
+    )
+    damping: tuple[str, ...] = setting("names", "modes: their damping ratios: [1.5 % +- 5 %]", default=())
+    numbers: tuple[float, ...] = setting(
+        "values", "modes: which bending modes these are; default: 1, 2, 3 ...", unit="1", default=()
+    )
+    test: str = setting("text", "response: the test of this pipeline with the FRF", default="")
+    places: tuple[tuple[str, str], ...] = setting(
+        "texts",
+        "where dofs (response: {d1: 3 y}) or planes (run-up: {disc 1: 5}) are on the rotor",
+        default=(),
+    )
+    speed: float = setting("value", "response: speed of the rotor meanwhile", unit="Hz", default=0.0)
+    free: bool = setting(
+        "flag", "response: of the rotor on soft strings, without its bearings", default=False
+    )
+    band: tuple[float, float] | None = setting(
+        "band", "response: lines that count; default: all", unit="Hz", default=None
+    )
+    run: RunSettings | None = setting(
+        "section", "run-up: its table or recording, as in run_ups", section=RunSettings, default=None
+    )
+    axes: str = setting(
+        "choice",
+        "run-up: x of the run is along the load and y a quarter turn further with the spin, or x is y of the "
+        "rotor file and y is its z",
+        choices=AXES,
+        default=AXES[0],
+    )
+    slow_roll: float = setting(
+        "value",
+        "run-up: standard deviation of the slow roll left in a component, alike at all speeds",
+        unit="m",
+        default=0.0,
+    )
+    gain: float = setting("value", "standard uncertainty of each sensor's gain", unit="1", default=0.0)
+    deflections: tuple[tuple[str, str], ...] = setting(
+        "texts", "static: at a place per force at another: {5 z / 10 z: 0.34 um/N +- 1.5 %}", default=()
+    )
+    mass: Uncertain | None = setting("uncertain", "static: the rotor weighed", unit="kg", default=None)
+
+    def __post_init__(self) -> None:
+        for name in self.written:
+            if name not in ("name", "kind", *KEYS[self.kind]):
+                kinds = " or ".join(kind for kind, keys in KEYS.items() if name in keys)
+                raise ConfigError(f"'{name}' is of kind {kinds}", hint=f"kind: {kinds}", field=name)
+        needed = {
+            MODES: bool(self.fit) != bool(self.frequencies),
+            RESPONSE: bool(self.test),
+            RUN_UP: self.run is not None,
+            STATIC: bool(self.deflections) or self.mass is not None,
+        }
+        if not needed[self.kind]:
+            words = {MODES: "one of fit and frequencies", STATIC: "deflections or mass"}
+            raise ConfigError(
+                f"{words.get(self.kind, KEYS[self.kind][0])}: is missing", field=KEYS[self.kind][0]
+            )
+        self._check_texts()
+
+    def _check_texts(self) -> None:
+        """ConfigError with the field of a text that cannot be read."""
+        for field in ("places", "deflections", "frequencies", "damping"):
+            try:
+                getattr(self, f"read_{field}")
+            except UnitError as error:
+                raise ConfigError(error.what, hint=error.hint, field=field) from None
+        if self.damping and len(self.damping) != len(self.frequencies):
+            raise ConfigError("'damping' has as many values as 'frequencies'", field="damping")
+
+    @property
+    def read_places(self) -> dict[str, tuple[int, str]]:
+        return {name: place_of(text, self.kind == RESPONSE) for name, text in self.places}
+
+    @property
+    def read_deflections(self) -> list[tuple[tuple[int, str], tuple[int, str], Uncertain]]:
+        """(place, place of the force, deflection per force [m/N])."""
+        read = []
+        for path, text in self.deflections:
+            output, mark, force = path.partition("/")
+            if not mark:
+                raise UnitError(f"'{path}' is no pair of places", "write 5 z / 10 z")
+            number = parse_uncertain(text, "m/N")
+            if number.std_error <= 0:
+                raise UnitError(f"'{text}' needs its uncertainty", f"write {text} +- 2 %")
+            read.append((place_of(output), place_of(force), number))
+        return read
+
+    @property
+    def read_frequencies(self) -> list[Uncertain]:
+        return [self._positive(text, "Hz") for text in self.frequencies]
+
+    @property
+    def read_damping(self) -> list[Uncertain]:
+        return [self._positive(text, "1") for text in self.damping]
+
+    @staticmethod
+    def _positive(text: str, unit: str) -> Uncertain:
+        number = parse_uncertain(text, unit)
+        if number.std_error <= 0 or number.value <= 0:
+            raise UnitError(f"'{text}' needs an uncertainty, and is above zero", "write 111.3 Hz +- 0.1 Hz")
+        return number
+
+
+@dataclass(frozen=True)
+class SmallErrorSettings(Settings):
+    """Standard deviations of errors that no drawing knows and that are everywhere; 0 turns one off."""
+
+    elements: float = setting("value", "stiffness of every element", unit="1", default=SmallErrors.elements)
+    inertia: float = setting(
+        "value", "moments of inertia of every disc", unit="1", default=SmallErrors.inertia
+    )
+    bearings: float = setting(
+        "value", "every bearing coefficient, running against standing", unit="1", default=SmallErrors.bearings
+    )
+    apparent_mass: float = setting(
+        "value", "apparent mass at every bearing, in 5 kg", unit="1", default=SmallErrors.apparent_mass
+    )
+    phase: float = setting("value", "phase of every probe", unit="rad", default=SmallErrors.phase)
+
+    @property
+    def sizes(self) -> SmallErrors:
+        return SmallErrors(self.elements, self.inertia, self.bearings, self.apparent_mass, self.phase)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorSystemSettings(Settings):
+    """The ``rotor_system:`` section; *system*: contents of `rotor`."""
+
+    rotor: str = setting(
+        "file",
+        "rotor file whose numbers carry uncertainties, relative to the pipeline file",
+        file_kind="rotor-system",
+        into="system",
+    )
+    tests: tuple[SystemTest, ...] = setting(
+        "entries", "the tests of this rotor", section=SystemTest, default=(), needed=True
+    )
+    speeds: tuple[float, float] | None = setting(
+        "band",
+        "speeds of the predictions; default: 5 % to 150 % of the file's speed",
+        unit="Hz",
+        default=None,
+    )
+    small_errors: SmallErrorSettings = setting(
+        "section",
+        "errors that are everywhere, with their declared sizes",
+        section=SmallErrorSettings,
+        default=SmallErrorSettings(),
+    )
+    balance_speeds: tuple[float, ...] = setting(
+        "values",
+        "speeds at which weights in the planes of the unbalances are to calm the rotor",
+        unit="Hz",
+        default=(),
+    )
+    draws: int = setting("integer", "draws of the posterior for critical speeds and weights", default=200)
+    seed: int = setting("integer", "of these draws", default=1)
+    system: RotorSystem | None = None
+
+    def __post_init__(self) -> None:
+        if not self.tests:
+            raise ConfigError(
+                "a list of tests is needed", hint="- {name: hammer, kind: modes, ...}", field="tests"
+            )
+        names = [test.name for test in self.tests]
+        for name in names:
+            if names.count(name) > 1:
+                raise ConfigError(f"a second test named '{name}'", hint="names must differ", field="tests")
+        if self.draws < 20:
+            raise ConfigError("at least 20 draws are needed", field="draws")
+        if self.system is not None:
+            check_unknown(self.system)
+            self._check_places(self.system)
+
+    def _check_places(self, system: RotorSystem) -> None:
+        n_node = system.rig.rotor.n_node
+        for test in self.tests:
+            nodes = [node for node, _ in test.read_places.values()]
+            nodes += [node for pair in test.read_deflections for node, _ in pair[:2]]
+            for node in nodes:
+                if not 1 <= node <= n_node:
+                    what = f"test '{test.name}': node {node}, the rotor has nodes 1 to {n_node}"
+                    raise ConfigError(what, field="tests")
+        if (self.balance_speeds or any(test.kind == RUN_UP for test in self.tests)) and not any(
+            error for _, _, error in system.unbalances
+        ):
+            hint = "write unbalances: [{node: 5, size: 0 g.mm +- 200 g.mm}] in the rotor file"
+            raise ConfigError("a run-up needs an unknown unbalance", hint=hint, field="rotor")
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Speeds of the predictions [Hz]."""
+        assert self.system is not None
+        if self.speeds is not None:
+            return self.speeds
+        speed = self.system.rig.speed
+        if speed <= 0:
+            raise ConfigError("'speeds' is needed, since the file's speed is zero", field="speeds")
+        return 0.05 * speed, 1.5 * speed

@@ -1,0 +1,271 @@
+"""Reading what is known of a rotor and how well: a rotor file whose numbers carry uncertainties, with
+pedestals, damping that turns with the shaft, and what else is to be estimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
+from labpipe.methods.rotor.rig import BearingPlace, RotorRig
+from labpipe.methods.rotor.rotor_file import read_rotor
+from labpipe.methods.rotor_system.build import COEFFICIENTS, LinearBearing, Pedestal, RotorSystem
+from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.quantities import UnitError
+from labpipe.records.settings import FileKind, Settings, setting
+from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
+from labpipe.registry import nearest
+
+# What `estimate:` frees, with the standard uncertainty that it has then: of the logarithm, of each part of
+# an unbalance [kg m].
+ESTIMATED = {
+    "young": 0.02,
+    "masses": 0.03,
+    "sleeves": 0.3,
+    "stiffness": 0.4,
+    "damping": 0.5,
+    "pedestals": 0.5,
+    "internal": 0.7,
+    "unbalance": 2e-4,
+}
+# Numbers of lists and mappings that may carry an uncertainty: section, key, unit.
+UNCERTAIN = (
+    ("materials", "elastic_modulus", "Pa"),
+    ("discs", "mass", "kg"),
+    ("sleeves", "stiffening", "1"),
+    ("unbalances", "size", "kg.m"),
+)
+
+
+@dataclass(frozen=True)
+class PedestalSettings(Settings):
+    """One entry of ``pedestals:``: what carries a bearing."""
+
+    bearing: str = setting("text", "name of the bearing")
+    mass: float = setting("value", "that moves with the bearing", unit="kg")
+    stiffness: Uncertain = setting("uncertain", "to ground, in y and z", unit="N/m")
+    damping: float = setting("value", "to ground", unit="N.s/m", default=0.0)
+
+
+@dataclass(frozen=True)
+class InternalSettings(Settings):
+    """Entry ``internal`` of ``damping:``."""
+
+    internal: Uncertain = setting(
+        "uncertain", "damping that turns with the shaft, C = internal K: 30 us +- 70 %", unit="s"
+    )
+
+
+def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
+    """The rotor of a file with what is known of it; ConfigErrors with every fault at its place."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults(path.parent)
+    entries = faults.mapping(tree, "")
+    taken = {key: _taken(entries.get(key), key, name, unit, faults) for key, name, unit in UNCERTAIN}
+    pedestals = _pedestals(entries.get("pedestals"), faults)
+    internal = _internal(entries.get("damping"), faults)
+    estimated = _estimated(entries.get("estimate"), faults)
+    plain = {key: node for key, node in entries.items() if key not in ("pedestals", "estimate")}
+    if "damping" in plain and isinstance(plain["damping"].content, dict):
+        rest = {key: node for key, node in plain["damping"].content.items() if key != "internal"}
+        plain["damping"] = Marked(rest, plain["damping"].where, plain["damping"].key_where)
+    rig = read_rotor(Marked(plain, tree.where), path.stem, faults)
+    if rig is not None:
+        for pedestal, node in zip(pedestals, _listed(entries.get("pedestals")), strict=False):
+            if pedestal.bearing not in [place.name for place in rig.bearings]:
+                hint = nearest(pedestal.bearing, [place.name for place in rig.bearings])
+                faults.add(node, "pedestals", f"no bearing '{pedestal.bearing}'", hint)
+    faults.raise_any()
+    assert rig is not None
+    return _system(rig, entries, taken, pedestals, internal, estimated)
+
+
+def _listed(node: Marked | None) -> list[Marked]:
+    return list(node.content) if node is not None and isinstance(node.content, list) else []
+
+
+def _taken(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -> dict[str, Uncertain]:
+    """Numbers with an uncertainty, by the name or number (from 1) of their entry; in the tree their values
+    stand alone after that.
+    """
+    if node is None or not isinstance(node.content, dict | list):
+        return {}
+    each = (
+        node.content.items()
+        if isinstance(node.content, dict)
+        else ((str(n), entry) for n, entry in enumerate(node.content, 1))
+    )
+    taken = {}
+    for label, entry in each:
+        number = entry.content.get(name) if isinstance(entry.content, dict) else None
+        if number is None or not is_uncertain(number.text):
+            continue
+        try:
+            taken[label] = parse_uncertain(number.text, unit)
+        except UnitError as error:
+            faults.add_unit(number, join(key, label, name), error)
+            continue
+        text = f"{taken[label].value!r} {'' if unit == '1' else unit}".strip()
+        entry.content[name] = Marked(text, number.where, number.key_where, text)
+    return taken
+
+
+def _pedestals(node: Marked | None, faults: Faults) -> list[Pedestal]:
+    if node is not None and not isinstance(node.content, list):
+        faults.add(node, "pedestals", "a list is needed", "each entry begins with '- '")
+    found = []
+    for number, entry in enumerate(_listed(node), 1):
+        settings = read_settings(PedestalSettings, entry, f"pedestals.{number}", faults)
+        if settings is not None:
+            stiffness = settings.stiffness
+            found.append(
+                Pedestal(
+                    settings.bearing, settings.mass, stiffness.value, settings.damping, _relative(stiffness)
+                )
+            )
+    return found
+
+
+def _internal(node: Marked | None, faults: Faults) -> tuple[float, float]:
+    if node is None or not isinstance(node.content, dict) or "internal" not in node.content:
+        return 0.0, 0.0
+    entry = Marked({"internal": node.content["internal"]}, node.where, node.key_where)
+    settings = read_settings(InternalSettings, entry, "damping", faults)
+    return (0.0, 0.0) if settings is None else (settings.internal.value, _relative(settings.internal))
+
+
+def _estimated(node: Marked | None, faults: Faults) -> tuple[str, ...]:
+    if node is None:
+        return ()
+    names = [entry.text for entry in node.content] if isinstance(node.content, list) else [node.text]
+    for name in names:
+        if name not in ESTIMATED:
+            faults.add(node, "estimate", f"unknown name '{name}'", nearest(name, ESTIMATED))
+    return tuple(names)
+
+
+def _relative(number: Uncertain) -> float:
+    return number.std_error / abs(number.value) if number.value else 0.0
+
+
+def _system(
+    rig: RotorRig,
+    entries: Mapping[str, Marked],
+    taken: Mapping[str, Mapping[str, Uncertain]],
+    pedestals: list[Pedestal],
+    internal: tuple[float, float],
+    estimated: tuple[str, ...],
+) -> RotorSystem:
+    def free(name: str, error: float) -> float:
+        return error or (ESTIMATED[name] if name in estimated else 0.0)
+
+    materials = {element.material for element in rig.rotor.elements}
+    young = {
+        material: free(
+            "young",
+            next(
+                (_relative(u) for u in taken["materials"].values() if u.value == material.elastic_modulus),
+                0.0,
+            ),
+        )
+        for material in materials
+    }
+    masses = tuple(
+        free("masses", _relative(taken["discs"][str(n)]) if str(n) in taken["discs"] else 0.0)
+        for n in range(1, len(rig.rotor.discs) + 1)
+    )
+    return RotorSystem(
+        rig,
+        young,
+        masses,
+        _sleeves(rig, entries.get("sleeves"), taken["sleeves"], free("sleeves", 0.0)),
+        tuple(replace(pedestal, error=free("pedestals", pedestal.error)) for pedestal in pedestals),
+        (internal[0], free("internal", internal[1])),
+        tuple(
+            (
+                part.node,
+                part.size * complex(np.exp(1j * part.phase)),
+                free(
+                    "unbalance",
+                    taken["unbalances"][str(n)].std_error if str(n) in taken["unbalances"] else 0.0,
+                ),
+            )
+            for n, part in enumerate(rig.unbalances, 1)
+        ),
+        {
+            place.name: _linear(place, free("stiffness", 0.0), free("damping", 0.0))
+            for place in rig.bearings
+            if isinstance(_settings_of(place), LinearBearingSettings)
+        },
+    )
+
+
+def _sleeves(
+    rig: RotorRig, node: Marked | None, taken: Mapping[str, Uncertain], default: float
+) -> dict[str, tuple[tuple[int, ...], float, float]]:
+    """Sleeves by name, their elements, ln of the stiffening and its uncertainty."""
+    found: dict[str, tuple[tuple[int, ...], float, float]] = {}
+    for number, (entry, ring) in enumerate(zip(_listed(node), rig.rotor.sleeves, strict=True), 1):
+        name = entry.content["name"].text if "name" in entry.content else str(number)
+        error = _relative(taken[str(number)]) if str(number) in taken else default
+        elements, _, before = found.get(name, ((), 0.0, 0.0))
+        found[name] = ((*elements, ring.element), float(np.log(ring.stiffening)), max(error, before))
+    return found
+
+
+def _settings_of(place: BearingPlace) -> object:
+    return getattr(place.bearing, "settings", None)
+
+
+def _linear(place: BearingPlace, stiffness_error: float, damping_error: float) -> LinearBearing:
+    """The bearing with the uncertainties of its coefficients, those of `estimate` where it has none."""
+    settings = _settings_of(place)
+    assert isinstance(settings, LinearBearingSettings)
+    own = {
+        one.uncertainty.source.rpartition(": ")[2]: one.uncertainty.std_error for one in place.uncertainties
+    }
+
+    def errors(letter: str, values: FloatArray, default: float) -> FloatArray:
+        names = [f"{letter}_{label}" for label in COEFFICIENTS]
+        if letter == "k" and settings.k_zz is None:
+            names[3] = "k_yy"
+        if letter == "c" and settings.c is not None:
+            names[0] = names[3] = "c"
+        flat = values.ravel()
+        return np.array(
+            [
+                own[name] / abs(value) if name in own and value else (default if value else 0.0)
+                for name, value in zip(names, flat, strict=True)
+            ]
+        ).reshape(2, 2)
+
+    k, c = settings.stiffness, settings.damping
+    return LinearBearing(
+        k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None
+    )
+
+
+def check_unknown(system: RotorSystem) -> None:
+    """ConfigError where nothing of a rotor is unknown."""
+    rig = system.rig
+    errors = [*system.young.values(), *system.masses, system.internal[1]]
+    errors += [error for _, _, error in system.sleeves.values()] + [p.error for p in system.pedestals]
+    errors += [float(np.max([b.stiffness_error, b.damping_error])) for b in system.linear.values()]
+    if not any(errors) and not rig.sources:
+        raise ConfigError(
+            "nothing of the rotor is unknown",
+            hint=f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]",
+            field="rotor",
+        )
+
+
+ROTOR_SYSTEM_FILE = FileKind(load_system)

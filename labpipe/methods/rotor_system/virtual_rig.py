@@ -1,0 +1,198 @@
+"""A virtual rotor with all its tests: shaken on strings and in its bearings, run up.
+
+Its truth is drawn from what the rotor file declares, the small errors that are everywhere too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+from scipy import interpolate
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
+from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.settings import Settings, require_positive, setting
+from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
+
+KIND = "virtual-rotor-rig"
+# The rotor on strings; shaken at rest in y, and in z; run up.
+FREE, SHAKEN, RUN_UP = "free", ("shaken-y", "shaken-z"), "run-up"
+RUNS = (FREE, *SHAKEN, RUN_UP)
+# Shares of a turn in which the tacho's pulse is high, and in which it rises, through half its height [V] at
+# the mark.
+PULSE, RISE, HIGH = 0.2, 0.08, 5.0
+
+
+@dataclass(frozen=True)
+class RotorTestRig(Settings):
+    """A rotor file's rotor, its tests and their noise; *system*: contents of `rotor`."""
+
+    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    rotor: str = setting("file", "rotor file with uncertainties", file_kind="rotor-system", into="system")
+    force: int = setting("integer", "node at which the rotor is shaken")
+    accelerations: tuple[float, ...] = setting("values", "nodes of the accelerometers, y and z", unit="1")
+    probes: tuple[float, ...] = setting("values", "nodes of the probes, y and z", unit="1")
+    speeds: tuple[float, float] = setting("band", "of the run-up", unit="Hz")
+    _: KW_ONLY
+    name: str = setting("text", "name of the rig", default="Virtual rotor with all its tests")
+    truth: int = setting(
+        "integer", "seed of the truth, drawn from what is declared; 0: as declared in the middle", default=1
+    )
+    amplitude: float = setting("value", "force on a line", unit="N", default=1.0)
+    band: tuple[float, float] = setting("band", "lines of the forces", unit="Hz", default=(10.0, 300.0))
+    spacing: float = setting("value", "distance of the lines, one over the period", unit="Hz", default=1.0)
+    periods: int = setting("integer", "periods recorded", default=6)
+    duration: float = setting("value", "of the run-up", unit="s", default=40.0)
+    acceleration_noise: float = setting("value", "standard deviation", unit="m/s^2", default=0.3)
+    force_noise: float = setting("value", "standard deviation", unit="N", default=0.02)
+    probe_noise: float = setting("value", "standard deviation", unit="m", default=1e-6)
+    gain: float = setting("value", "standard deviation of the probes' gains", unit="1", default=0.0)
+    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=2000.0)
+    system: RotorSystem | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "amplitude", "spacing", "duration", "sample_rate")
+        if self.periods < 2:
+            raise ConfigError("at least two periods are needed", field="periods")
+        if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
+            raise ConfigError("the sampling rate is too low for band and speeds", field="sample_rate")
+
+
+@dataclass(frozen=True)
+class _World:
+    """A rig with its true values."""
+
+    rig: RotorTestRig
+    system: RotorSystem
+    built: Built
+    values: FloatArray
+
+    def nodes(self, names: Sequence[float]) -> list[int]:
+        return [dof for node in names for dof in self.system.rig.rotor.dofs(int(node))]
+
+
+def _world(rig: RotorTestRig) -> _World:
+    assert rig.system is not None
+    labels = tuple(f"{int(node)} {axis}" for node in rig.probes for axis in ("x", "y"))
+    built = build(rig.system, SmallErrors(), {RUN_UP: Sensors(labels, rig.gain, True, True)})
+    model = built.model
+    drawn = np.random.default_rng(rig.truth).standard_normal(len(model.unknowns)) if rig.truth else 0.0
+    return _World(rig, rig.system, built, model.means + model.errors * drawn)
+
+
+def true_values(rig: RotorTestRig) -> dict[str, float]:
+    """The unknowns by name: logarithms of factors, and amounts in their units."""
+    world = _world(rig)
+    return {
+        unknown.name: float(value)
+        for unknown, value in zip(world.built.model.unknowns, world.values, strict=True)
+    }
+
+
+def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
+    """A run of the rig: a shaken one is in its steady state, a run-up is quasi-steady."""
+    world = _world(rig)
+    return _run_up(world, rng) if name == RUN_UP else _shaken(world, name, rng)
+
+
+def _shaken(world: _World, name: str, rng: np.random.Generator) -> Recording:
+    """Random-phase multisine at one node in y or z; free on strings, or in the bearings."""
+    rig, model = world.rig, world.built.model
+    low, high = rig.band
+    lines = np.arange(np.ceil(low / rig.spacing), np.floor(high / rig.spacing) + 1)
+    n = round(rig.sample_rate / rig.spacing)
+    force = rig.amplitude * np.exp(2j * np.pi * rng.random(lines.size))
+    outputs = world.nodes(rig.accelerations)
+    driven = world.system.rig.rotor.dofs(rig.force)[name == SHAKEN[1]]
+    values = np.where(model.acting(name), world.values, 0.0)
+    omega = 2 * np.pi * lines * rig.spacing
+    column = np.eye(model.n_dof)[:, [driven]]
+    motion, _, _ = model.response(values, np.zeros(lines.size), omega, column, outputs, name != FREE)
+    acceleration = -(omega[:, None] ** 2) * motion[:, :, 0] * force[:, None]
+    whole = np.zeros((n // 2 + 1, 1 + len(outputs)), np.complex128)
+    whole[lines.astype(int)] = np.column_stack([force, acceleration]) * n / 2
+    period = np.fft.irfft(whole, n, axis=0)
+    samples = np.tile(period, (rig.periods, 1))
+    noise = np.array([rig.force_noise, *[rig.acceleration_noise] * len(outputs)])
+    samples = samples + noise * rng.standard_normal(samples.shape)
+    dof = f"{rig.force}{'z' if name == SHAKEN[1] else 'y'}"
+    channels = [Channel("f", "force", "input", dof)]
+    channels += [
+        Channel(f"a{int(node)}{axis}", "acceleration", "output", f"{int(node)}{axis}")
+        for node in rig.accelerations
+        for axis in "yz"
+    ]
+    return Recording(tuple(channels), samples, rig.sample_rate, name)
+
+
+def _vectors(world: _World, speed: FloatArray) -> ComplexArray:
+    """1x vectors (n_speed, n_probe) [m] at *speed* [rad/s]."""
+    outputs = world.nodes(world.rig.probes)
+    test = RunUpVectors(
+        RUN_UP,
+        speed,
+        tuple(outputs),
+        np.zeros((speed.size, len(outputs)), complex),
+        run_up_whitener(np.ones((len(outputs), 1)), 0.0),
+        planes=tuple(world.built.planes.values()),
+        gains=world.built.gains[RUN_UP],
+        phases=world.built.phases[RUN_UP],
+    )
+    return test.readings(world.built.model, world.values)[0]
+
+
+def _run_up(world: _World, rng: np.random.Generator) -> Recording:
+    """y(t) = Re(z(Omega(t)) exp(j phi(t))), a pulse of the tacho at every whole turn."""
+    rig = world.rig
+    low, high = (2 * np.pi * end for end in rig.speeds)
+    time = np.arange(round(rig.duration * rig.sample_rate)) / rig.sample_rate
+    rate = (high - low) / rig.duration
+    turned = low * time + rate * time**2 / 2
+    speed = low + rate * time
+    grid = np.linspace(low, high, 200)
+    course = interpolate.CubicSpline(grid, _vectors(world, grid))(speed)
+    motion = (course * np.exp(1j * turned)[:, None]).real
+    motion = motion + rig.probe_noise * rng.standard_normal(motion.shape)
+    share = (turned / (2 * np.pi) + 0.5) % 1 - 0.5
+    tacho = HIGH * np.clip(0.5 + np.minimum(share, PULSE - share) / RISE, 0.0, 1.0)
+    channels = [Channel("n", "tacho", "reference", "n")]
+    channels += [
+        Channel(f"p{int(node)}{axis}", "displacement", "output", f"node {int(node)}.{axis}")
+        for node in rig.probes
+        for axis in "xy"
+    ]
+    return Recording(tuple(channels), np.column_stack([tacho, motion]), rig.sample_rate, RUN_UP)
+
+
+def rotor_runs(rig: RotorTestRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:
+    """The named runs."""
+    return tuple(record(rig, name, generator(seed, name)) for name in names)
+
+
+def _simulate(rig: RotorTestRig, seed: int, runs: Sequence[str]) -> Simulation:
+    # As loggers of 16 bits store them: in steps of 50 nm and 10 mm/s^2.
+    steps = {"displacement": 50, "acceleration": 10}
+    files = {
+        run.name: whole_numbers(
+            run,
+            {"tacho": ("mV", 1e3)},
+            {channel.name: steps.get(channel.quantity, 1) for channel in run.channels},
+        )
+        for run in rotor_runs(rig, seed, runs)
+    }
+    return Simulation(files, {"truth": true_values(rig)})
+
+
+ROTOR_RIG = VirtualRigKind(
+    settings=RotorTestRig,
+    runs=lambda _rig: RUNS,
+    simulate=_simulate,
+    parameters=lambda rig, _runs: true_values(rig),
+    noisy=lambda rig, _level: rig,
+    recordings=rotor_runs,
+)

@@ -1,0 +1,131 @@
+"""The model of a rotor with all its unknowns: an independent calculation, and derivatives by differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.methods.rotor.response import modes
+from labpipe.methods.rotor.rig import BearingPlace, RotorRig
+from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Sleeve, Support
+from labpipe.methods.rotor_system.build import LinearBearing, RotorSystem, SmallErrors, build
+from labpipe.methods.rotor_system.evidence import FreeModes
+from tests.methods.rotor_system.two_discs import (
+    STEEL,
+    built,
+    dof,
+    drawn,
+    four_tests,
+    mass_of,
+    run_up,
+    true_values,
+)
+
+# Independent calculation (Timoshenko elements of another program, all at the truth), printed to 7 digits.
+FREE_HZ = (111.3659, 239.5671, 445.4013, 645.0392)
+FREE_ZETA = (0.01565818, 0.03368341, 0.06262394, 0.09069327)
+EIGENVALUES = {
+    0: ((-7.836873, -5.536004, -121.1589, -71.50029), (277.5327, 282.0518, 890.6385, 902.6877)),
+    6000: ((-9.296338, -4.353079, -797.574, -121.8464), (266.5646, 292.6687, 5.366863, 886.4691)),
+}
+RUN_UP = {
+    700.0: (2.934404e-07 - 6.02694e-08j, -6.182264e-08 - 2.816768e-07j, 3.085783e-07 + 6.584629e-08j,
+            4.471647e-08 - 2.662856e-07j),
+    2300.0: (1.024331e-05 - 2.809612e-06j, -2.050874e-06 - 9.001045e-06j, 1.099395e-05 - 1.609389e-06j,
+             -4.470888e-07 - 8.798035e-06j),
+}  # fmt: skip
+STATIC = ((0.5250798, 0.3276954), (0.3276954, 0.3519011))
+LN_MASS = 3.492187
+
+
+def test_free_modes_of_an_independent_calculation() -> None:
+    of = built()
+    test = FreeModes("hammer", np.arange(1, 5), *[np.ones(4)] * 4)
+    ln, _ = test.predicted(of.model, true_values(of))
+    assert np.exp(ln[:4]) == pytest.approx(FREE_HZ, rel=1e-6)
+    assert np.exp(ln[4:]) == pytest.approx(FREE_ZETA, rel=1e-6)
+
+
+@pytest.mark.parametrize("rpm", EIGENVALUES)
+def test_eigenvalues_of_an_independent_calculation(rpm: int) -> None:
+    """With its internal damping, without which the modes at speed are others."""
+    of = built()
+    values = np.where(of.model.acting("at speed"), true_values(of), 0.0)
+    roots = of.model.roots(values, rpm * np.pi / 30, 4).values
+    real, imaginary = EIGENVALUES[rpm]
+    assert roots.real == pytest.approx(real, rel=2e-6) and roots.imag == pytest.approx(imaginary, rel=2e-6)
+
+
+def test_run_up_and_deflections_of_an_independent_calculation() -> None:
+    of = built()
+    vectors, _, _ = run_up(of, np.array(list(RUN_UP))).readings(of.model, true_values(of))
+    for row, reference in zip(vectors, RUN_UP.values(), strict=True):
+        assert np.abs(row - np.array(reference)).max() < 1e-6 * np.abs(row).max()
+    static = four_tests(of, true_values(of), None)[3]
+    assert 1e6 * static.measured == pytest.approx(np.array(STATIC), rel=1e-6)
+    standing = np.where(of.model.acting("static"), true_values(of), 0.0)
+    assert np.log(mass_of(of, standing)) == pytest.approx(LN_MASS, rel=1e-6)
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_derivatives_of_every_test(number: int) -> None:
+    """By central differences, for every unknown."""
+    of = built()
+    values = drawn(of, np.random.default_rng(3))
+    test = four_tests(of, values, np.random.default_rng(4))[number]
+    _, jacobian = test.residual(of.model, values)
+    for unknown, error in enumerate(of.model.errors):
+        step = np.zeros(values.size)
+        step[unknown] = 1e-3 * error
+        ends = [test.residual(of.model, values + sign * step)[0] for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * step[unknown])
+        # What an unknown hardly touches is known to the rounding of the whole.
+        scale = np.abs(jacobian[:, unknown]).max() + 1e-5 * np.abs(jacobian * of.model.errors).max() / error
+        assert np.abs(slope - jacobian[:, unknown]).max() < 2e-4 * scale, of.model.unknowns[unknown].name
+
+
+def test_derivatives_of_eigenvalues() -> None:
+    of = built()
+    values, spin = drawn(of, np.random.default_rng(5)), 600.0
+    roots = of.model.roots(values, spin, 6)
+    for unknown, error in enumerate(of.model.errors):
+        step = np.zeros(values.size)
+        step[unknown] = 1e-4 * error
+        ends = [of.model.roots(values + sign * step, spin, 6, slopes=False).values for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * step[unknown])
+        scale = np.abs(roots.slopes[:, unknown]).max() + 1e-6 * np.abs(roots.values).max() / error
+        assert np.abs(slope - roots.slopes[:, unknown]).max() < 1e-3 * scale, of.model.unknowns[unknown].name
+
+
+def test_the_same_rotor_as_the_plain_model() -> None:
+    """Without internal damping and pedestals, sleeves and cross-coupled bearings included."""
+    shaft = Rotor(
+        tuple(ShaftElement(0.1, 0.04, STEEL) for _ in range(6)), (Disc(4, 12.0, 0.06, 0.11),),
+        (Sleeve(2, 0.06, STEEL, 1.4),),
+    )  # fmt: skip
+    stiffness = np.array([[8e6, 1e6], [-2e6, 1.2e7]])
+    damping = np.array([[9e3, 1e3], [5e2, 7e3]])
+    bearing = LinearBearing(stiffness, damping, np.zeros((2, 2)), np.zeros((2, 2)))
+    places = tuple(BearingPlace(str(node), node, None, "linear-bearing") for node in (1, 7))  # type: ignore[arg-type]
+    rig = RotorRig("small", shaft, speed=50.0, bearings=places)
+    system = RotorSystem(
+        rig, {}, (), {"1": ((2,), float(np.log(1.4)), 0.0)}, linear={"1": bearing, "7": bearing}
+    )
+    model = build(system, SmallErrors(0, 0, 0, 0, 0), {}).model
+    assert not model.unknowns
+    reference = modes(shaft, [Support(node, stiffness, damping) for node in (1, 7)], 300.0)
+    found = model.roots(np.zeros(0), 300.0, slopes=False).values
+    for value in reference.eigenvalues[:6]:
+        assert np.abs(found - value).min() < 1e-8 * abs(value)
+
+
+def test_damping_that_turns_with_the_shaft_makes_it_unstable_above_the_critical_speed() -> None:
+    """A flexible shaft with internal damping alone is unstable above its critical speed (Childs 1993): with
+    damping that stands still as well, above it times 1 + standing over turning damping of the mode.
+    """
+    of = built()
+    values = np.where(of.model.acting("at speed"), true_values(of), 0.0)
+    slow = of.model.roots(values, 100.0, slopes=False).values
+    fast = of.model.roots(values, 3000.0, slopes=False).values
+    assert slow.real.max() < 0 < fast.real.max()
+    assert dof("2 z") == 9
