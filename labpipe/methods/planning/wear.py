@@ -205,12 +205,14 @@ class ExpectedWear:
         others = tuple(part for part in self.rig.loads if part[0] != node)
         return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
 
-    def receptance_and_slopes(self, lines: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def receptance_and_slopes(
+        self, lines: FloatArray, mesh: FilmMesh = MESH
+    ) -> tuple[ComplexArray, ComplexArray]:
         """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the
         parameters [m/N per SI unit].
         """
         loads = self.rig.static_loads()
-        supports = [self._support(place, loads[place.name]) for place in self.rig.bearings]
+        supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
         response, slopes = self._response(lines, supports, self.beta)
         if "beta" in self.values:
             step = BETA_STEP * self.beta
@@ -230,7 +232,7 @@ class ExpectedWear:
         free = reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
         return response_with_slopes(free, supports, self.rig.response, self.rig.force)
 
-    def _support(self, place: BearingPlace, load: tuple[float, float]) -> VaryingSupport:
+    def _support(self, place: BearingPlace, load: tuple[float, float], mesh: FilmMesh) -> VaryingSupport:
         """A bearing with the derivatives of its coefficients by the parameters."""
         slopes = np.zeros((2, len(self.values), 2, 2))
         if not place.is_film:
@@ -242,7 +244,7 @@ class ExpectedWear:
             if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))
         ]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
-        film = journal_equilibrium(bearing, load, self.rig.omega, MESH)
+        film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
         for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
         return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
