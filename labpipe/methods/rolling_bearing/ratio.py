@@ -477,9 +477,9 @@ def _bending_error(settings: CompareSettings) -> float:
 def _matched(campaign: Campaign, evidence: Evidence) -> _Solved:
     named = campaign.settings.theory
     assert named is not None
+    theory = evidence.theory or theory_of(evidence.folder, named)
     key = (campaign.settings.fit, campaign.settings.term, named)
     if key not in evidence.solved:
-        theory = evidence.theory or theory_of(evidence.folder, named)
         evidence.solved[key] = _newly_matched(campaign, evidence, theory, named)
     return evidence.solved[key]
 
