@@ -8,8 +8,7 @@ import io
 import numpy as np
 
 from labpipe.methods.modal.likelihood import Lines, Refined
-from labpipe.methods.modal.number import refine_with_terms
-from labpipe.methods.modal.poles import normal_equations, stabilisation
+from labpipe.methods.modal.poles import normal_equations, refine_with_terms, stabilisation
 from tests.benchmarks.test_identify_ratios import cpu_time
 from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.methods.live.command import Page
 from labpipe.methods.live.course import CoefficientCourse, course_figure
+from labpipe.methods.live.view import Page
 from labpipe.report.document import Document, Paragraph, Section
 
 SHOWN = "document.querySelector('iframe:not(.hidden)').contentDocument"

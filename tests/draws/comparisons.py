@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.methods.rolling_bearing.loads import DOFS
+from labpipe.methods.rolling_bearing.loads import DOFS, bent_transfer_matrix
 from labpipe.methods.rolling_bearing.ratio import theory_of
-from labpipe.methods.rolling_bearing.shaft import bent_transfer_matrix
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter

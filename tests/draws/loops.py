@@ -19,9 +19,8 @@ from labpipe.methods.magnetic_bearing.certificate import certificate
 from labpipe.methods.magnetic_bearing.comparisons import magnetic_theory
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.loop_fit import loop_fit
-from labpipe.methods.magnetic_bearing.loop_matrix import per_injection
 from labpipe.methods.magnetic_bearing.loop_problem import View, with_unknowns
-from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity
+from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, per_injection
 from labpipe.methods.magnetic_bearing.stability import open_loop, sensitivity
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.finding import Parameter

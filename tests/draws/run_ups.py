@@ -16,11 +16,10 @@ import numpy as np
 
 from labpipe.errors import FitError
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR, FilmFamily
 from labpipe.methods.run_ups.joint import family_about, fit_jointly
 from labpipe.methods.run_ups.misfit import runs_by_speeds
 from labpipe.methods.run_ups.records import DIRECTIONS, TRAINED, RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import PARAMETERS, PRIOR, FilmFamily, RunUpRotor, searched_over
 from labpipe.methods.run_ups.section import read_run
 from labpipe.methods.run_ups.settings import ProbeUncertainties
 from labpipe.project.pipeline_file import Pipeline

@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.fit import fitted_model, given_baseline
-from labpipe.methods.floating_bearing.given import Given, projection
+from labpipe.methods.floating_bearing.settings import Given, projection
 from labpipe.methods.floating_bearing.stator import direction, stator_of
 from labpipe.methods.magnetic_bearing.balance import Between, levitation_of, magnet_model
 from labpipe.records.fit_details import DynamicStiffness

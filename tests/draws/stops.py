@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench
-from labpipe.methods.live.standings import Goal
+from labpipe.methods.live.charts import Goal
 from labpipe.records.recording import Channel
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 

@@ -12,14 +12,14 @@ import pytest
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.rolling_bearing.loads import DOFS
-from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, _solved, log_covariance, match, overlay
-from labpipe.methods.rolling_bearing.shaft import (
+from labpipe.methods.rolling_bearing.loads import (
+    DOFS,
     RigidShaft,
     bent_transfer_matrix,
     sdof_stiffness,
     without_shaft,
 )
+from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, _solved, log_covariance, match, overlay
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
 from tests.uncertainty.conftest import a_fit

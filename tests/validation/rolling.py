@@ -11,9 +11,14 @@ import numpy as np
 from scipy import integrate
 
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium, load_vector
-from labpipe.methods.rolling_bearing.loads import RollingBearing
+from labpipe.methods.rolling_bearing.loads import (
+    BendingShaft,
+    RigidShaft,
+    RollingBearing,
+    modes,
+    sdof_stiffness,
+)
 from labpipe.methods.rolling_bearing.settings import BallGeometry, Material, point_contact
-from labpipe.methods.rolling_bearing.shaft import BendingShaft, RigidShaft, modes, sdof_stiffness
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
 

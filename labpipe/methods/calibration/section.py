@@ -190,14 +190,11 @@ class CalibrationSettings(Settings):
 
 @dataclass(frozen=True)
 class _Column:
-    """A table's column in SI units, with the name of its SI unit."""
-
     values: FloatArray
     unit: str
 
 
 def run_calibrations(settings: Iterable[CalibrationSettings], work: Work) -> list[Fit]:  # noqa: ARG001 (one signature for all sections)
-    """The section calibrate: the straight lines of all its entries."""
     return calibrate(settings)
 
 
@@ -234,7 +231,6 @@ def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
 
 
 def _grouped(settings: CalibrationSettings, x: _Column, y: _Column, group: _Column) -> list[Fit]:
-    """One line per value of the group column, each with the linear range over the groups."""
     positions = np.unique(group.values)
     fits = []
     for position in positions:
@@ -256,7 +252,6 @@ def _shown(position: float, unit: str) -> str:
 
 
 def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
-    """A column in SI: its unit as stated in the settings, or by the table itself."""
     text = stated or table.units.get(name, "1")
     try:
         unit = parse_unit(text)
@@ -266,7 +261,6 @@ def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column
 
 
 def _powered(x: _Column, power: int) -> _Column:
-    """The column to a power of at least 1."""
     if power < 1:
         raise ConfigError("'x_power' must be at least 1")
     return x if power == 1 else _Column(x.values**power, x.unit if x.unit == "1" else f"{x.unit}^{power}")

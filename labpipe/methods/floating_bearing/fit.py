@@ -17,8 +17,8 @@ from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodne
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, inflation_factors
-from labpipe.methods.floating_bearing.budget import as_estimate, budgeted, unconverged
 from labpipe.methods.floating_bearing.findings import (
+    BalanceError,
     effective_forces,
     given_notes,
     motion_findings,
@@ -26,11 +26,21 @@ from labpipe.methods.floating_bearing.findings import (
     physical_findings,
     remedy,
     shown_course,
+    stator_error,
     whirl_findings,
 )
 from labpipe.methods.floating_bearing.forms import BANDS, FORMS, Form, StiffnessModel, banded
-from labpipe.methods.floating_bearing.given import (
+from labpipe.methods.floating_bearing.likelihood import (
+    Balance,
+    ErrorsInVariables,
+    Estimate,
+    GivenErrors,
+    Noise,
+    estimate,
+)
+from labpipe.methods.floating_bearing.settings import (
     Baseline,
+    DynamicStiffnessSettings,
     Given,
     balance_of,
     contradictions,
@@ -41,16 +51,6 @@ from labpipe.methods.floating_bearing.given import (
     smeared_balance,
     smoothed_channels,
 )
-from labpipe.methods.floating_bearing.likelihood import (
-    Balance,
-    ErrorsInVariables,
-    Estimate,
-    GivenErrors,
-    Noise,
-    estimate,
-)
-from labpipe.methods.floating_bearing.model_error import BalanceError, stator_error
-from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.floating_bearing.stator import (
     LineStiffness,
     Stator,
@@ -63,9 +63,12 @@ from labpipe.methods.floating_bearing.values import (
     Bearing,
     FittedStiffness,
     Shaft,
+    as_estimate,
+    budgeted,
     coefficients,
     derived_values,
     dimensionless,
+    unconverged,
 )
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter
@@ -133,7 +136,6 @@ def _scale(shown: DynamicStiffness) -> FloatArray:
 
 
 def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
-    """The model of a fitted dynamic stiffness."""
     form = banded(np.array(shown.bands)) if shown.form == BANDS else FORMS[shown.form]
     return StiffnessModel(form, shown.symmetry)
 
@@ -210,9 +212,6 @@ def _rows_of(model: StiffnessModel, part: int) -> list[int]:
 def _solved(
     model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary
-    part.
-    """
     measured = np.einsum("...ij,cij->...c", stiffness, model.elements)
     solution = np.empty((len(model.form.matrices), measured.shape[-1]))
     variance = np.empty((2, measured.shape[-1]))
@@ -277,7 +276,6 @@ def _candidate(form: str, found: Estimate, n_equation: int) -> Candidate:
 
 
 def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> tuple[Finding, ...]:
-    """Warnings: no candidate passes its chi-square test; another form than the *given* one is better."""
     if not candidates:
         return ()
     findings = []
@@ -362,7 +360,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
     bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
     main = coefficients(fitted, inflation_factors(best.design))
-    # A baseline is no bearing of a shaft.
     others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
     parameters, budget = budgeted(
@@ -422,7 +419,6 @@ def _given(settings: FitSettings, stator: Stator) -> Given:
 
 
 def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
-    """A number of the settings, else the test's condition of that name."""
     if given is not None or condition not in spectra.conditions:
         return given
     try:
@@ -468,7 +464,6 @@ def _solved_fit(
 def _most_likely(
     balance: Balance, settings: FitSettings, noise: Noise, uncertain: GivenErrors
 ) -> tuple[Estimate, tuple[Candidate, ...]]:
-    """The estimate of the form that is given, or with `compare` and without one that of the best form."""
     section: DynamicStiffnessSettings = settings.model_settings
     model = StiffnessModel(_form(section, balance.omega), section.symmetry)
     if not settings.compare:

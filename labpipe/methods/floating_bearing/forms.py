@@ -126,7 +126,6 @@ def _fractional_slopes(theta: FloatArray, omega: FloatArray) -> ComplexArray:
 
 
 def _times(omega: FloatArray) -> FloatArray:
-    """Relaxation times of a start: 1 / w from below to above the band."""
     return np.log(1 / np.geomspace(omega[0] / 2, 2 * omega[-1], 9))[:, None]
 
 
@@ -260,7 +259,6 @@ class StiffnessModel:
 
 
 def _element_name(letter: str, suffix: str) -> str:
-    """k_xx; with the number of a band last: k1 and xx give k_xx_1."""
     plain = letter.rstrip("0123456789")
     number = letter[len(plain) :]
     return f"{plain}_{suffix}" + (f"_{number}" if number else "")

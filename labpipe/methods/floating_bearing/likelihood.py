@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import Minimum, minimise
+from labpipe.estimation.descent import minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
@@ -226,7 +226,6 @@ def solved(
 # Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a
 # model.
 GivenErrors = Callable[[StiffnessModel, FloatArray, Whitened], ComplexArray]
-# Equations of a line and run.
 N_EQUATION = 2
 # Distance to the minimum in standard errors at which a descent ends: that which counts, and those from
 # several starts before it.
@@ -367,7 +366,16 @@ def estimate(
         )
     checked(balance, noise)
     problem = ErrorsInVariables(balance, model)
-    best = _lowest(problem)
+    begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
+    if not begun:
+        raise FitError(
+            "the covariance of the channels is singular on a line",
+            hint="leave out lines without noise, or `estimator: ls`",
+        )
+    if len(begun) > 1:
+        rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
+        begun = [min(rough, key=problem.chi2)]
+    best = minimise(problem, begun[0], NEAR, MOST_STEPS)
     squares = 2 * problem.chi2(best.values)
     jacobian = problem.columns(best.values)
     pulls = None if uncertain is None else _pulls(problem, best.values, jacobian, uncertain, noise)
@@ -402,22 +410,6 @@ def _pulls(
         pulls_of(residual, stated, slopes, inverse, variance) for variance in (noise.excess, noise.inflation)
     )
     return replace(by_estimate, explained=by_noise.explained)
-
-
-def _lowest(problem: ErrorsInVariables) -> Minimum:
-    """The lowest of the descents from all starts: each until it is clear where it ends, the best one to its
-    end.
-    """
-    begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
-    if not begun:
-        raise FitError(
-            "the covariance of the channels is singular on a line",
-            hint="leave out lines without noise, or `estimator: ls`",
-        )
-    if len(begun) > 1:
-        rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
-        begun = [min(rough, key=problem.chi2)]
-    return minimise(problem, begun[0], NEAR, MOST_STEPS)
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:

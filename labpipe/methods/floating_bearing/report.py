@@ -21,16 +21,12 @@ PARTS = (("Re", np.real), ("Im", np.imag))
 
 
 def dynamic_stiffness_blocks(fit: Fit, shown: DynamicStiffness) -> list[Block]:
-    """Other excitations, H over frequency, effective stiffness and damping."""
     orbit = [] if shown.absolute else [effective_figure(fit, shown)]
     other = [excitation_table(fit, shown)] if shown.excitations else []
     return [*other, stiffness_figure(fit, shown), *orbit]
 
 
 def excitation_table(fit: Fit, shown: DynamicStiffness) -> Table:
-    """What another excitation of the same time and peak force would have made of the standard errors by
-    noise.
-    """
     letters = shown.excitations[0].matrices
     header = ("excitation", *(f"{letter.upper()} times" for letter in letters))
     rows = tuple((other.name, *(f"{ratio:.2f}" for ratio in other.ratios)) for other in shown.excitations)
@@ -42,7 +38,6 @@ def excitation_table(fit: Fit, shown: DynamicStiffness) -> Table:
 
 
 def stiffness_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
-    """Real and imaginary part of the four elements: line by line with 95 % bars, the model, the baseline."""
     panels = tuple(_part(shown, i, j, which) for which in range(2) for i in range(2) for j in range(2))
     lines = (
         "of every line from its runs"
@@ -95,9 +90,6 @@ def _part(shown: DynamicStiffness, i: int, j: int, which: int) -> Panel:
 
 
 def effective_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
-    """Stiffness and damping that a forward circular orbit feels, with the zero of damping where it drives
-    whirl below.
-    """
     panels = (
         _effective("effective stiffness", "MN/m", shown.drawn_frequency, MEGA * shown.effective_stiffness),
         _effective("effective damping", "kN s/m", shown.drawn_frequency, 1e-3 * shown.effective_damping),

@@ -1,20 +1,366 @@
-"""The model dynamic-stiffness: its settings, and its entry in the table of models."""
+"""The model dynamic-stiffness: its settings, what is given of the stator's balance with its uncertainty, and
+what finite blocks of random data leak into it.
+
+F - M_s A - Z_b X_s = H D with the absolute motion X_s = -A / w^2 of the stator. To subtract Z_b from H
+instead is wrong by Z_b X_r D^-1 as soon as the shaft moves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
+from labpipe.estimation.causes import stated_findings
+from labpipe.estimation.diagnostics import ENOUGH_LINES, FEWEST_LINES, rounded_up
+from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.settings import FitSettings, ModelKind
-from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES
-from labpipe.methods.floating_bearing.given import Baseline
+from labpipe.estimation.statistics import Pulls
+from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES, StiffnessModel
+from labpipe.methods.floating_bearing.likelihood import Balance, Whitened, real_rows, times
+from labpipe.methods.floating_bearing.stator import ONE_DIRECTION, Stator
+from labpipe.records.finding import Finding
+from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.identification import Fit
 from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import Uncertain
+from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 from labpipe.registry import nearest
 from labpipe.spectra.settings import SPECTRA
+from labpipe.spectra.windows import has_kernel, kernel_of
+
+MASS = "mass of the stator"
+
+Respond = Callable[[ComplexArray], NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a
+    *model*, with *uncertainties*.
+    """
+
+    model: StiffnessModel
+    values: FloatArray
+    uncertainties: tuple[GivenUncertainty, ...]
+    name: str = ""
+    test: str = ""
+
+    def stiffness(self, omega: FloatArray) -> ComplexArray:
+        """Z_b (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s]."""
+        return self.model.stiffness(self.values, omega)
+
+
+@dataclass(frozen=True)
+class Given:
+    """The given part of the balance. *absolute*: the model moves with the stator's absolute motion, as a
+    baseline does.
+    """
+
+    mass: Uncertain | None = None
+    baseline: Baseline | None = None
+    absolute: bool = False
+
+    @property
+    def accelerated(self) -> bool:
+        return self.mass is not None or self.baseline is not None
+
+    def side(self, omega: FloatArray) -> ComplexArray:
+        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg].
+
+        Equation (ds-balance).
+        """
+        mass = 0.0 if self.mass is None else self.mass.value
+        side = np.broadcast_to(-mass * np.eye(2, dtype=np.complex128), (omega.size, 2, 2))
+        return (
+            side
+            if self.baseline is None
+            else side + self.baseline.stiffness(omega) / omega[:, None, None] ** 2
+        )
+
+
+def projection(stator: Stator, given: Given) -> ComplexArray:
+    """(n_line, 4, 6) [SI units]: from [F; D; A] to [G; m]."""
+    n_line = stator.omega.size
+    matrix = np.zeros((n_line, 4, 6), np.complex128)
+    matrix[:, :2, :2] = np.eye(2)
+    absolute = np.asarray(stator.omega, float)[:, None, None] ** 2
+    if stator.accelerated:
+        matrix[:, :2, 4:] = given.side(stator.omega)
+    elif given.accelerated:
+        # Only where the displacement is the absolute motion itself: A = -w^2 D.
+        matrix[:, :2, 2:4] = -absolute * given.side(stator.omega)
+    if given.absolute and stator.accelerated:
+        matrix[:, 2:, 4:] = -np.eye(2) / absolute
+    else:
+        matrix[:, 2:, 2:4] = np.eye(2)
+    return matrix
+
+
+def balance_of(stator: Stator, given: Given) -> Balance:
+    """Force side and motion of the stator with what is given."""
+    to_balance = projection(stator, given)[:, None]
+    sides = (to_balance @ stator.axes[..., None])[..., 0]
+    covariance = to_balance @ stator.axes_covariance @ to_balance.conj().swapaxes(-1, -2)
+    return Balance(
+        stator.omega,
+        sides[..., :2],
+        sides[..., 2:],
+        covariance[..., :2, :2],
+        covariance[..., 2:, :2],
+        covariance[..., 2:, 2:],
+    )
+
+
+def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, state: Whitened) -> ComplexArray:
+    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z
+    B^H S^-1 e.
+
+    Equation (ds-smoothed).
+    """
+    to_balance = projection(stator, given) @ stator.to_axes
+    rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
+    pulled = (rows.conj().swapaxes(-1, -2)[:, None] @ state.weighted()[..., None])[..., 0]
+    return stator.channels - (stator.covariance @ pulled[..., None])[..., 0]
+
+
+def given_errors(
+    stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray
+) -> list[tuple[Uncertainty, ComplexArray]]:
+    """By source, the change of e [N] by one standard deviation of the given number, (n, n_line, n_run, 2) for
+    n independent ones.
+
+    stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI units] the channels
+    with as little noise as may be.
+    """
+    axes = clean @ stator.to_axes.T
+    omega = stator.omega[:, None, None]
+    acceleration = axes[..., 4:] if stator.accelerated else -(omega**2) * axes[..., 2:4]
+    errors: list[tuple[Uncertainty, ComplexArray]] = []
+    if given.mass is not None and given.mass.std_error > 0:
+        errors.append(
+            (
+                uncertainty_of(given.mass, mass_source(given.mass), "kg"),
+                -given.mass.std_error * acceleration[None],
+            )
+        )
+    if given.baseline is not None:
+        slopes = given.baseline.model.jacobian(given.baseline.values, stator.omega) / omega**2
+        by_value = times(slopes[:, :, None], acceleration)
+        errors.extend(
+            (
+                Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit),
+                np.tensordot(uncertainty.changes, by_value, 1),
+            )
+            for uncertainty in given.baseline.uncertainties
+        )
+    to_balance = projection(stator, given) @ stator.to_axes
+    rows = (to_balance[:, :2] - stiffness @ to_balance[:, 2:])[:, None]
+    for factor in stator.spectra.factors:
+        error = omega**factor.power * (rows @ (clean @ factor.derivative.T)[..., None])[..., 0]
+        if factor.std_error > 0 and np.any(error):
+            errors.append(
+                (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None])
+            )
+    return joined(errors)
+
+
+def joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
+    """Errors (..., n_line, n_run, n) [N] of one source added with their signs, each source once."""
+    sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
+    for uncertainty, error in errors:
+        first, before = sources.get(uncertainty.source, (uncertainty, 0.0))
+        sources[uncertainty.source] = (first, before + error)
+    return list(sources.values())
+
+
+def errors_by_given(
+    stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened
+) -> ComplexArray:
+    """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values
+    (n_parameter,) of a model.
+    """
+    stiffness = model.stiffness(values, stator.omega)
+    errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
+    return np.concatenate(
+        [np.empty((0, *stator.channels.shape[:2], 2), np.complex128), *(error for _, error in errors)]
+    )
+
+
+def given_uncertainties(
+    errors: Sequence[tuple[Uncertainty, ComplexArray]], respond: Respond
+) -> tuple[GivenUncertainty, ...]:
+    """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n,
+    n_line, n_run, 2) [N].
+    """
+    return tuple(
+        GivenUncertainty(
+            uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit
+        )
+        for uncertainty, error in errors
+    )
+
+
+def response_of(whiten: Respond, columns: FloatArray) -> Callable[[ComplexArray], FloatArray]:
+    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *whiten*: L^-1 of forces, *columns* J
+    (n_equation, n_parameter) [1/parameter unit]. Equation (ds-given).
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    gain = -np.linalg.pinv(columns / scale) / scale[:, None]
+
+    def respond(errors: ComplexArray) -> FloatArray:
+        return np.asarray(real_rows(whiten(errors).reshape(len(errors), -1)) @ gain.T)
+
+    return respond
+
+
+def mass_source(mass: Uncertain) -> str:
+    """The same number with the same uncertainty is the same error, in whichever fit it stands."""
+    return f"{MASS}, {mass.value:g} kg +- {mass.std_error:g} kg"
+
+
+def contradictions(
+    given: Given, uncertainties: Sequence[GivenUncertainty], pulls: Pulls
+) -> tuple[tuple[GivenUncertainty, ...], tuple[Finding, ...]]:
+    """The uncertainties, of numbers that the data contradict as large as the distance to what they ask for,
+    and the findings that name these numbers.
+
+    pulls: of all independent errors of all sources, one after the other.
+    """
+    sources = [
+        Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit)
+        for uncertainty in uncertainties
+        for _ in uncertainty.changes
+    ]
+    ends = np.cumsum([len(uncertainty.changes) for uncertainty in uncertainties])[:-1]
+    widened = tuple(
+        replace(uncertainty, changes=uncertainty.changes * factors[:, None])
+        for uncertainty, factors in zip(uncertainties, np.split(pulls.factors, ends), strict=True)
+    )
+    values = {} if given.mass is None else {mass_source(given.mass): given.mass.value}
+    return widened, tuple(stated_findings(sources, pulls, values))
+
+
+# H (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s].
+Stiffness = Callable[[FloatArray], ComplexArray]
+# Frequencies at which the resonance of the stator is looked for.
+N_SOUGHT = 20_000
+
+
+@dataclass(frozen=True)
+class SmearedBalance:
+    """What blocks of random data do to the balance of a *stator* with what is *given*; *leakage* of the lines
+    of the fit.
+
+    ratio (n_line, 2, 2) [1/s^2]: acceleration per motion of the model, at the lines.
+    """
+
+    stator: Stator
+    given: Given
+    leakage: Leakage
+    ratio: ComplexArray
+
+    @property
+    def by_acceleration(self) -> bool:
+        """Whether the motion of the model is that of the accelerometers over -w^2."""
+        return self.given.absolute and self.stator.accelerated
+
+    def motion_per_force(self, stiffness: Stiffness, omega: FloatArray, ratio: ComplexArray) -> ComplexArray:
+        """(H - side * ratio)^-1 (n, 2, 2) [m/N] at omega (n,) [rad/s]; *ratio* (n, 2, 2) [1/s^2] there."""
+        return np.asarray(np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio))
+
+    def shown(self, stiffness: Stiffness) -> ComplexArray:
+        """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H.
+
+        Equation (ds-smeared).
+        """
+        omega, place = self.leakage.grid
+        lines = self.stator.omega
+        at = omega[place]
+        weights = self.leakage.kernel.weights
+        squared = (at / lines[:, None]) ** 2
+        n_line, n_point = place.shape
+        flat = at.ravel()
+        ratio = (self.ratio[:, None] * squared[..., None, None]).reshape(-1, 2, 2)
+        motion = self.motion_per_force(stiffness, flat, ratio)
+        side = np.repeat(self.given.side(lines), n_point, axis=0) - self.given.side(flat)
+        forces = (stiffness(flat) @ motion + side @ ratio @ motion).reshape(n_line, n_point, 2, 2)
+        moved = motion.reshape(n_line, n_point, 2, 2)
+        seen = squared if self.by_acceleration else np.ones_like(squared)
+        mean_force = np.einsum("p,lpij->lij", weights, forces)
+        return np.asarray(mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved)))
+
+    def corrected(self, balance: Balance, stiffness: Stiffness) -> Balance:
+        leaked = self.shown(stiffness) - stiffness(balance.omega)
+        return replace(balance, right=balance.right - times(leaked[:, None], balance.motion))
+
+    def finding(self, stiffness: Stiffness, modelled: bool) -> tuple[Finding, ...]:
+        """A warning where the blocks are too short for the resonance of the stator in the band; *modelled*:
+        what leaks is part of the fit.
+        """
+        lines = self.stator.omega
+        omega = np.linspace(lines[0], lines[-1], N_SOUGHT)
+        every = np.arange(lines.size)
+        ratio = np.array(
+            [[np.interp(omega, lines, self.ratio[every, i, j].real) for j in range(2)] for i in range(2)]
+        ).transpose(2, 0, 1)
+        motion = self.motion_per_force(stiffness, omega, ratio.astype(np.complex128))
+        widths = [
+            half_power
+            for axis in range(2)
+            if (half_power := _half_power(omega, np.abs(motion[:, axis, axis]))) is not None
+        ]
+        if not widths:
+            return ()
+        frequency, width = min(widths, key=lambda half_power: half_power[1])
+        length = self.leakage.kernel.blocks.length
+        enough = FEWEST_LINES if modelled else ENOUGH_LINES
+        if length * width >= enough:
+            return ()
+        why = (
+            "its damping comes from the window's leakage more than from the measurement"
+            if modelled
+            else "it shifts stiffness and damping, which no standard error shows"
+        )
+        cure = "" if modelled else ", or the estimator ml, which takes the leakage into the model"
+        message = (
+            f"the stator's resonance at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), "
+            f"{length * width:.2g} lines of blocks of {length:.3g} s: {why}; use blocks of at least "
+            f"{rounded_up(enough / width):g} s{cure}"
+        )
+        return (Finding("leakage", message),)
+
+
+def _half_power(omega: FloatArray, size: FloatArray) -> tuple[float, float] | None:
+    """Frequency and half-power width [Hz] of the highest maximum of *size* (n,) at omega (n,) [rad/s]."""
+    top = int(np.argmax(size))
+    below = np.flatnonzero(size < size[top] / np.sqrt(2))
+    before, after = below[below < top], below[below > top]
+    if not before.size or not after.size:
+        return None
+    return float(omega[top] / (2 * np.pi)), float((omega[after[0]] - omega[before[-1]]) / (2 * np.pi))
+
+
+def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBalance | None:
+    blocks = stator.spectra.blocks
+    if blocks is None or not has_kernel(blocks):
+        return None
+    numbers = np.round(stator.omega / (2 * np.pi) * blocks.length).astype(np.intp)
+    leakage = Leakage(kernel_of(blocks), numbers, np.empty(0), 0)
+    ratio = np.asarray(-(stator.omega**2)[:, None, None] * np.eye(2), np.complex128)
+    if not given.absolute and stator.accelerated and balance.motion.shape[1] > 1:
+        # The shaft moves too: acceleration per motion against it, where both runs tell it.
+        motion = balance.motion.swapaxes(-1, -2)
+        tells = np.linalg.cond(motion) < ONE_DIRECTION
+        ratio[tells] = stator.axes[tells, :, 4:].swapaxes(-1, -2) @ np.linalg.pinv(motion[tells])
+    return SmearedBalance(stator, given, leakage, ratio)
+
 
 MOTIONS = ("relative", "absolute")
 SYMMETRIES = ("none", "seal", "direct")

@@ -49,7 +49,6 @@ class Stator:
 
     @property
     def accelerated(self) -> bool:
-        """Whether accelerations were measured."""
         return bool(np.any(self.to_axes[4:]))
 
     @property
@@ -114,7 +113,6 @@ def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> lis
 
 
 def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:
-    """ConfigError for a name that no channel has."""
     columns = [n for quantity in quantities for n in _measured(spectra, quantity)]
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
@@ -257,8 +255,6 @@ def _pairs(values: NDArray[Any]) -> NDArray[Any]:
     return values[: 2 * n].reshape(n, 2, values.shape[2])
 
 
-# What another excitation of the same time and peak force would have given.
-
 # Share of the power of the forces below which a line or a direction does not act.
 QUIET = 1e-4
 SHAPES = (("amplitude ~ 1/f", -1), ("amplitude the same at all lines", 0), ("amplitude ~ f", 1))
@@ -296,7 +292,6 @@ def _errors(information: FloatArray) -> FloatArray:
 
 
 def _ratios(name: str, ratios: FloatArray, letters: list[str]) -> OtherExcitation:
-    """Geometric mean over the elements of K, of C and of M."""
     there = tuple(letter for letter in LETTERS if letter in letters)
     means = (np.mean(np.log(ratios[np.array(letters) == letter])) for letter in there)
     return OtherExcitation(name, there, tuple(float(np.exp(mean)) for mean in means))
@@ -310,7 +305,6 @@ def one_at_a_time(stator: Stator) -> bool:
 
 
 def motion_note(stator: Stator) -> str:
-    """The amplitude that the coefficients hold for."""
     size = np.sqrt(np.mean(np.sum(np.abs(stator.axes[..., 2:4]) ** 2, axis=0) / 2, axis=0))
     x, y = (f"{1e6 * value:.3g} um" for value in size)
     return (

@@ -26,14 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.estimation import statistics
+from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.statistics import derived, estimated, student_limit, widened
 from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, StiffnessModel
 from labpipe.records.finding import Parameter
-from labpipe.records.uncertain import Uncertain
+from labpipe.records.fit_details import GivenUncertainty
+from labpipe.records.identification import Goodness
+from labpipe.records.uncertain import Budget, Uncertain, Uncertainty
 
 # Imaginary step of derivatives: exact to rounding.
 STEP = 1e-30
-# Two-sided 95 % of a standard normal value.
 LIMIT = 1.959964
 # Share of a complex root's size below which its imaginary part is rounding.
 REAL = 1e-6
@@ -105,7 +108,6 @@ def _polynomial(
 
 
 def _product(a: ComplexArray, b: ComplexArray) -> ComplexArray:
-    """(a_0 + a_1 x)(b_0 + b_1 x), highest power first."""
     return np.array([a[1] * b[1], a[0] * b[1] + a[1] * b[0], a[0] * b[0]])
 
 
@@ -227,7 +229,6 @@ def crossover(
 
 
 def _zero(omega: FloatArray, values: FloatArray, at: int) -> float:
-    """Where the straight line from point *at* to the next is zero."""
     step = values[at + 1] - values[at]
     return float(omega[at] - values[at] * (omega[at + 1] - omega[at]) / step) if step else float(omega[at])
 
@@ -307,7 +308,6 @@ def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
 
 
 def _shape(found: FittedStiffness, number: int, vif: float) -> Valued:
-    """A shape parameter; the interval of one that is positive is that of its logarithm."""
     declared, place = found.model.form.shape[number], found.model.n_linear + number
     inner, slope = float(found.values[place]), declared.slope(float(found.values[place]))
     noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (found.noise, found.whole))
@@ -326,7 +326,6 @@ def _finite(low: float, high: float) -> tuple[float, float] | None:
 
 
 def _tied(valued: Valued) -> Valued:
-    """k_yy = k_xx and k_yx = -k_xy."""
     parameter = valued.parameter
     parts = parameter.name.split("_")
     place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
@@ -521,3 +520,57 @@ def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:
     viscosity, length, diameter = (float(number) for number in needed if number is not None)
     value = viscosity * speed * length * diameter / bearing.load * (diameter / (2 * bearing.clearance)) ** 2
     return (Parameter("sommerfeld", value, "1", derived=True),)
+
+
+# Share of a variance below which an independent error is not listed by itself and stays with the noise.
+UNSEEN = 1e-3
+
+
+def budgeted(
+    valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int
+) -> tuple[tuple[Parameter, ...], Budget | None]:
+    """The parameters with their systematic part, which may be zero, and the budget; none without
+    uncertainties.
+    """
+    parameters = tuple(quantity.parameter for quantity in valued)
+    slopes = np.stack([quantity.slopes for quantity in valued])
+    whole = np.array([parameter.full_error or np.nan for parameter in parameters])
+    sources, changes = [], []
+    for uncertainty in uncertainties:
+        for number, row in enumerate(uncertainty.changes, start=1):
+            change = slopes @ row
+            if len(uncertainty.changes) == 1 or np.nanmax(change**2 / whole**2) > UNSEEN:
+                part = f" ({number})" if len(uncertainty.changes) > 1 else ""
+                sources.append(
+                    Uncertainty(uncertainty.source + part, uncertainty.std_error, uncertainty.unit)
+                )
+                changes.append(change)
+    if not sources:
+        return parameters, None
+    systematic = np.sqrt(np.sum(np.square(changes), axis=0))
+    random = np.sqrt(np.maximum(whole**2 - systematic**2, 0.0))
+    budget = Budget(tuple(p.name for p in parameters), random, float(dof), tuple(sources), np.array(changes))
+    stated = zip(parameters, systematic, strict=True)
+    return tuple(
+        p if p.full_error is None else replace(p, systematic=float(size)) for p, size in stated
+    ), budget
+
+
+def unconverged(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters of a fit that did not converge, which have no uncertainty."""
+    plain = without_intervals(parameters)
+    return tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in plain)
+
+
+def as_estimate(best: Any, gof: Goodness, amplification: FloatArray | None) -> statistics.Estimate:
+    """A minimum of a balance as other fits state theirs; amplification (n_parameter,) [parameter units]."""
+    return statistics.Estimate(
+        values=best.values,
+        covariance=best.covariance,
+        scaled_design=best.design,
+        gof=gof,
+        dof=best.dof,
+        converged=best.converged,
+        iterations=best.steps,
+        amplification=amplification,
+    )

@@ -29,7 +29,6 @@ from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_r
 KIND = "virtual-floating-rig"
 Matrix = tuple[tuple[float, ...], ...]
 NONE: Matrix = ((0.0, 0.0), (0.0, 0.0))
-# Way of excitation -> ends of the names of its recordings.
 RUNS_OF = {
     "alternating": ("x", "y"),
     "hadamard": ("plus", "minus"),
@@ -107,7 +106,6 @@ class FloatingNoise(Settings):
     drive: float = quantity("recorded drives", "V", 1e-4)
 
     def of(self, quantity: str) -> float:
-        """Standard deviation of a channel of this quantity [SI]."""
         return {
             "force": self.force,
             "displacement": self.displacement,
@@ -192,7 +190,6 @@ class FloatingRig(Settings):
 
     @property
     def runs(self) -> tuple[str, ...]:
-        """The names of all recordings that can be made."""
         return tuple(
             f"{name}-{end}" for name, _ in self.conditions for ends in RUNS_OF.values() for end in ends
         )
@@ -203,12 +200,10 @@ class FloatingRig(Settings):
         return tuple(f"{name}-{end}" for name, _ in self.conditions for end in RUNS_OF[self.excitation])
 
     def condition(self, run: str) -> Condition:
-        """The condition of a recording."""
         return dict(self.conditions)[run.rpartition("-")[0]]
 
     @property
     def n_sample(self) -> int:
-        """Samples of a recording."""
         return self.periods * round(self.sample_rate / self.spacing)
 
     @property
@@ -332,7 +327,6 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
 
 
 def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
-    """(n_sample, n) of amplitudes (n_line, n), 0 to peak, at lines of the whole run."""
     spectrum = np.zeros((rig.n_sample // 2 + 1, amplitudes.shape[1]), np.complex128)
     spectrum[lines] = amplitudes * (rig.n_sample / 2)
     return np.asarray(fft.irfft(spectrum, rig.n_sample, axis=0))
@@ -343,9 +337,6 @@ def _angle(rig: FloatingRig, speed: float) -> FloatArray:
 
 
 def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatArray:
-    """What the six channels see of the turning shaft: motion under the unbalance, and runout, (n_sample,
-    6).
-    """
     total = np.zeros((rig.n_sample, 6))
     if condition.speed == 0:
         return total
@@ -382,7 +373,6 @@ def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = Fals
 
 
 def _random(rig: FloatingRig, rng: np.random.Generator) -> ComplexArray:
-    """Independent random forces in x and y over all lines of the run in the band."""
     inside, lines = rig.lines_in_band
     draws = rng.standard_normal((inside.size, 2)) + 1j * rng.standard_normal((inside.size, 2))
     draws = draws * (lines**rig.slope)[:, None]
@@ -403,7 +393,6 @@ SHAKERS: dict[str, Callable[[FloatingRig, np.random.Generator], ComplexArray]] =
 
 
 def truth(rig: FloatingRig) -> dict[str, Any]:
-    """Masses and baseline of the stator, and per condition k_xx ... m_yy, relaxation and pad [SI, Hz]."""
     stator = coefficients_by_name(AXES, k=rig.baseline_stiffness, c=rig.baseline_damping)
     conditions: dict[str, Any] = {}
     for name, condition in rig.conditions:

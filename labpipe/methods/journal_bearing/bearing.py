@@ -35,7 +35,6 @@ MOST_STEPS = 40
 MOST_HALVINGS = 6
 # Largest share of the film thickness that one step may close.
 LARGEST_CLOSING = 0.7
-# Least film thickness over clearance.
 THINNEST = 1e-6
 # First guess: this eccentricity ratio in the direction of the load.
 FIRST_ECCENTRICITY = 0.3
@@ -95,7 +94,6 @@ def film_equilibrium(
 
 
 def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
-    """The state *near*, changed as the equilibrium on half the cells changes from that film to this."""
     coarse = film.coarser() if film.mesh.around * film.mesh.across >= MANY_CELLS else None
     if (
         coarse is None
@@ -115,7 +113,6 @@ def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
 
 
 def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, FilmState | None]:
-    """Displacement, pressure and, where there are coarser meshes, the state on half the cells."""
     coarse = film.coarser()
     if coarse is None:
         return FIRST_ECCENTRICITY * load / np.hypot(*load), _ambient(film), None
@@ -125,7 +122,6 @@ def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, 
 
 
 def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
-    """The state on a coarse mesh; where Newton's method fails, started from the state under half the load."""
     try:
         displacement, pressure, coarse = _first_guess(film, load)
         return replace(_balanced(film, load, displacement, pressure, ROUGH_TOLERANCE), coarse=coarse)
@@ -159,7 +155,11 @@ def _balanced(
             - np.einsum("aij,ij->a", by_force, equations.residual)
         )
         change = np.linalg.solve(stiffness, missing)
-        part = _allowed_part(film, displacement, change)
+        _, face = film.thickness(displacement)
+        if np.min(face) < THINNEST:
+            raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
+        closing = float(np.max(-(change @ film.grid.at_face) / face))
+        part = min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
         displacement = displacement + part * change
         side = (
             equations.residual
@@ -206,14 +206,6 @@ def _squeeze(film: Film) -> FloatArray:
     [-].
     """
     return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
-
-
-def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> float:
-    _, face = film.thickness(displacement)
-    if np.min(face) < THINNEST:
-        raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
-    closing = float(np.max(-(change @ film.grid.at_face) / face))
-    return min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
 
 
 DEFAULT_MESH = FilmMesh(120, 30)
@@ -283,7 +275,6 @@ class JournalBearing:
         return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
-        """The dimensionless film on a mesh."""
         return Film.of(
             mesh,
             self.diameter / self.length,

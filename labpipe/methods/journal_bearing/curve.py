@@ -46,10 +46,7 @@ TO_LOAD_FRAME = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True)
 class ScaledCoefficients:
-    """Stiffness K c / W and damping C c Omega / W [-], (..., 2, 2) in the order xx xy.
-
-    Yx yy, and their derivatives by ln S.
-    """
+    """Stiffness K c / W and damping C c Omega / W [-], (..., 2, 2), and their derivatives by ln S."""
 
     stiffness: FloatArray
     damping: FloatArray
@@ -138,9 +135,6 @@ def journal_curve(
 
 
 def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatArray:
-    """The spline's values (n_place, 10) on one mesh at logarithms of the Sommerfeld number, from the lightest
-    load on.
-    """
     rows = []
     near: JournalEquilibrium | None = None
     for place in places[::-1]:
@@ -157,7 +151,6 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
 
 
 AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
-# In the order of the derivatives.
 PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
 # Degree of the splines, and fewest nodes along an axis; three allow a parabola.
 CUBIC, FEWEST_NODES = 3, 3
@@ -291,24 +284,12 @@ def journal_table(
     *workers*: number of processes, without influence on the result.
     """
     ranges = ranges or TableRange()
-    nodes = _nodes(bearing, float(np.hypot(*load)), speed, ranges)
-    sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
-    if workers > 1:
-        with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
-            rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
-    else:
-        rows = [_sheet(sheet) for sheet in sheets]
-    return _fitted(bearing, load, nodes, np.array(rows))
-
-
-def _nodes(
-    bearing: JournalBearing, weight: float, speed: float, ranges: TableRange
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    weight = float(np.hypot(*load))
     mean_pressure = weight / (bearing.length * bearing.diameter)
     centre = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
     half = np.log(ranges.sommerfeld_factor)
     deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
-    return (
+    nodes = (
         np.linspace(0, deepest, ranges.n_depth) if ranges.depth > 0 else np.zeros(1),
         np.linspace(-ranges.angle, ranges.angle, ranges.n_angle)
         if ranges.depth > 0
@@ -318,6 +299,13 @@ def _nodes(
         if ranges.cavitation_pressure
         else np.zeros(1),
     )
+    sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
+    if workers > 1:
+        with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
+            rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
+    else:
+        rows = [_sheet(sheet) for sheet in sheets]
+    return _fitted(bearing, load, nodes, np.array(rows))
 
 
 @dataclass(frozen=True)
@@ -337,7 +325,6 @@ class _Sheet:
     def equilibrium(
         self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None
     ) -> JournalEquilibrium:
-        """At a wear angle [rad], ln S [-] and p_cav L D / W [-]."""
         bearing, weight = self.bearing, float(np.hypot(*self.load))
         viscosity = (
             bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(self.speed)
@@ -352,7 +339,6 @@ class _Sheet:
         return journal_equilibrium(worn, self.load, self.speed, self.mesh, near, self.tolerance)
 
     def scaled(self, equilibrium: JournalEquilibrium) -> FloatArray:
-        """K c / W and C c Omega / W (8,) [-]."""
         matrices = np.concatenate([equilibrium.stiffness.ravel(), equilibrium.damping.ravel() * self.speed])
         return matrices * (self.bearing.clearance / float(np.hypot(*self.load)))
 

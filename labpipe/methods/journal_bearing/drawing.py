@@ -45,7 +45,6 @@ def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
 def _mid_width(
     axes: Axes, film: PressureField, angle: FloatArray, pressure: FloatArray, order: IntArray
 ) -> None:
-    """Pressure at mid width [bar] and, on a second ordinate, the thickness [um] over the angle [deg]."""
     nearest = np.isclose(np.abs(film.axial), np.abs(film.axial).min(), atol=1e-12)
     axes.plot(angle, np.asarray(pressure[:, nearest].mean(axis=1)), color=PALETTE[0])
     axes.set_ylabel("pressure at mid width [bar]", color=PALETTE[0])

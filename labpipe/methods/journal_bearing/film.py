@@ -91,12 +91,10 @@ class FilmMesh:
 
     @property
     def arc(self) -> float:
-        """Angle of one cell [rad]."""
         return 2 * np.pi / self.around
 
     @property
     def strip(self) -> float:
-        """Width of one cell over half the bearing's length [-]."""
         return 2 / self.across
 
     def halved(self) -> FilmMesh | None:
@@ -125,23 +123,18 @@ class FilmGrid:
 
 @lru_cache(maxsize=16)
 def film_grid(mesh: FilmMesh) -> FilmGrid:
-    """The grid of a mesh."""
     centre = (np.arange(mesh.around) + 0.5) * mesh.arc
     face = (np.arange(mesh.around) + 1.0) * mesh.arc
     at_centre = -np.stack([np.cos(centre), np.sin(centre)])
     at_face = -np.stack([np.cos(face), np.sin(face)])
     wedge = (at_face - np.roll(at_face, 1, axis=1)) / mesh.arc
-    grid = FilmGrid(centre, face, at_centre, at_face, wedge, _curvature(mesh))
-    for values in vars(grid).values():
-        values.setflags(write=False)
-    return grid
-
-
-def _curvature(mesh: FilmMesh) -> FloatArray:
     n_half = mesh.across // 2
     curvature = 2 * np.eye(n_half) - np.eye(n_half, k=1) - np.eye(n_half, k=-1)
     curvature[0, 0], curvature[-1, -1] = 1, 3
-    return curvature / mesh.strip**2
+    grid = FilmGrid(centre, face, at_centre, at_face, wedge, curvature / mesh.strip**2)
+    for values in vars(grid).values():
+        values.setflags(write=False)
+    return grid
 
 
 @lru_cache(maxsize=16)
@@ -337,9 +330,6 @@ def _hold_ambient(
 
 
 def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:
-    """Cells in the grooves at theta = 0 and 180 deg, and conductance factors of the faces: 1 / distance to
-    the edge [cells].
-    """
     from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
     grooved = from_split < groove / 2
     distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
@@ -431,7 +421,6 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
 
 
 def _open_ring(cavitated: BoolArray) -> IntArray | None:
-    """Columns from the end of the longest cavitated arc to its start."""
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
         return None

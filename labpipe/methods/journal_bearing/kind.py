@@ -19,10 +19,6 @@ HEIGHT = 5.2
 
 
 def film_figure(name: str, film: PressureField) -> Figure:
-    """Pressure over angle and width as filled contours.
-
-    Below, pressure at mid width and the film's thickness.
-    """
     caption = (
         f"{name}: pressure of the oil film against ambient, unrolled; below, at mid width (full) with "
         "the film's thickness (dashed)."
@@ -150,7 +146,6 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
 
 
 def _figures(name: str, coefficients: BearingCoefficients) -> Mapping[str, Any]:
-    from labpipe.methods.journal_bearing.kind import film_figure
 
     return {} if coefficients.film is None else {"pressure.svg": film_figure(name, coefficients.film)}
 

@@ -1,318 +1,26 @@
-"""labpipe live PIPELINE SOURCE: on the terminal, as lines of JSON, and as a page."""
+"""labpipe live PIPELINE SOURCE"""
 
 from __future__ import annotations
 
 import json
-import math
-import queue
-import secrets
 import signal
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, urlsplit
 
 import click
-import numpy as np
 
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, printable
-from labpipe.display import difference_in, shown_unit, unit_label, with_error
-from labpipe.document.html_page import render_html
 from labpipe.errors import ConfigError
-from labpipe.methods.live.course import coefficients_of, course_figure
-from labpipe.methods.live.followed import FollowedFit
-from labpipe.methods.live.session import Session, WholeFits
-from labpipe.methods.live.standings import Standing, Update
-from labpipe.quantities import to_display
-from labpipe.report.chart import Axis, Panel, curve, stacked
-from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
-
-# Points of a fitted curve between its first and last line.
-DENSE = 400
-
-
-def value_text(standing: Standing) -> str:
-    """A coefficient with its interval: 134.50 ± 0.12 kN/m."""
-    parameter = standing.parameter
-    unit = shown_unit(parameter.unit, parameter.value, None)
-    half = difference_in(standing.half, unit) if math.isfinite(standing.half) else None
-    return with_error(to_display(parameter.value, unit), half, unit)
-
-
-def goal_text(standing: Standing) -> str:
-    """The width that is asked for, relative to the value."""
-    if standing.goal is None:
-        return ""
-    return f"± {100 * standing.goal / abs(standing.parameter.value):.2g} %"
-
-
-def left_text(standing: Standing, update: Update, what: str) -> str:
-    """How long it still takes: 11 more hits, about 4 min (80 %: 8-15)."""
-    if standing.goal is None:
-        return ""
-    if standing.reached:
-        return "reached"
-    left = standing.remaining
-    if left is None or left.expected is None:
-        return "not by more averages" if left is not None else ""
-    more = max(left.expected - update.averages, 1)
-    text = f"{more} more {what}{'s' if more != 1 else ''}, about {duration(more * update.seconds)}"
-    if left.low is not None and left.high is not None:
-        text += f" (80 %: {max(left.low - update.averages, 0)}-{left.high - update.averages})"
-    return text
-
-
-def level_text(session: Session, name: str, size: float) -> str:
-    """The largest size of a channel in its unit, and its share of the range where the rig states one."""
-    units = {channel.name: channel.unit for channel in session.rig.all_channels}
-    unit = shown_unit(units[name], size, None)
-    text = f"{difference_in(size, unit):.3g} {unit_label(unit)}"
-    of_rig = {channel.channel.name: channel for channel in session.rig.channels}.get(name)
-    if of_rig is None or of_rig.limits is None:
-        return text
-    reach = abs((of_rig.limits[1] - of_rig.limits[0]) * of_rig.scale)
-    return f"{text} ({200 * size / reach:.0f} % of its range)"
-
-
-def duration(seconds: float) -> str:
-    """A time as one says it: 40 s, 4 min, 2.5 h."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def what_of(session: Session) -> str:
-    """What an average of the test is."""
-    frf = session.pipeline.frf
-    assert frf is not None
-    return {"impact": "hit", "periodic": "period"}.get(frf.excitation, "average")
-
-
-def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]:
-    """Coefficient, value with its interval, goal, what is left; those asked for first."""
-    what = what_of(session)
-    entries = sorted(update.standings.items(), key=lambda entry: entry[1].goal is None)
-    return [
-        (name, value_text(standing), goal_text(standing), left_text(standing, update, what))
-        for name, standing in entries
-    ]
-
-
-def headline(session: Session, update: Update) -> str:
-    """One sentence: where the test stands."""
-    what = what_of(session)
-    count = f"{update.averages} {what}{'s' if update.averages != 1 else ''}"
-    if update.stop:
-        return f"Enough: {count}, every goal is reached."
-    goals = [standing for standing in update.standings.values() if standing.goal is not None]
-    missing = sum(not standing.reached for standing in goals)
-    return f"{count}. " + (
-        f"{missing} of {len(goals)} goals are not reached yet." if goals else "No goal is set."
-    )
-
-
-def course(session: Session, update: Update) -> Document:
-    """The state and the course of the test."""
-    blocks: list[Block] = [Paragraph(headline(session, update), "passed" if update.stop else "note")]
-    blocks += [Paragraph(f"{finding.code}: {finding.message}", "warning") for finding in update.findings]
-    rows = rows_of(session, update)
-    if rows:
-        header = ("coefficient", "value and 95 % interval", "goal", "still to come")
-        holds = "Intervals hold at this moment: of noise, model error and stated uncertainties"
-        blocks.append(Table(header, tuple(rows), holds))
-    sections = [Section("Where the test stands", tuple(blocks))]
-    updates = session.bench.updates if session.bench else []
-    coefficients = coefficients_of(updates)
-    figures = [course_figure(coefficients)] if coefficients else []
-    figures += _responses(session)
-    if figures:
-        sections.append(Section("Course of the test", tuple(figures)))
-    came: list[Block] = []
-    if update.levels:
-        levels = tuple((name, level_text(session, name, size)) for name, size in update.levels.items())
-        came.append(Table(("channel", "largest size"), levels, "Levels of the last average"))
-    events = [event for earlier in updates for event in earlier.events]
-    if events:
-        came.append(Table(("average",), tuple((event,) for event in events[-40:]), "The last averages"))
-    if came:
-        sections.append(Section("What came in", tuple(came)))
-    return Document(session.pipeline.title, "while it runs", tuple(sections), to_sign=False)
-
-
-def _responses(session: Session) -> list[Figure]:
-    """Measured and fitted response of each fit with one force."""
-    bench = session.bench
-    if bench is None or isinstance(bench, WholeFits):
-        return []
-    figures = []
-    for fit in bench.fits:
-        if fit.estimate is not None and len(fit.setup.inputs) == 1:
-            figures.append(_response(fit))
-    return figures
-
-
-def _response(fit: FollowedFit) -> Figure:
-    equation, estimate = fit.fit.equation, fit.estimate
-    assert estimate is not None
-    mean = fit.sums.mean[:, 0]
-    motion, force = equation.split(mean[:, None])
-    frequency = equation.omega / (2 * np.pi)
-    measured = np.abs(motion[:, 0] / force[:, 0, :1])
-    dense = np.linspace(equation.omega[0], equation.omega[-1], DENSE)
-    fitted = np.abs(fit.model.receptance(estimate.values, dense))[:, :, 0]
-    panels = []
-    for row, port in enumerate(fit.setup.outputs):
-        series = (
-            curve("measured", frequency, measured[:, row], line="", marker="."),
-            curve("fitted", dense / (2 * np.pi), fitted[:, row], colour=1),
-        )
-        amplitude = Axis(f"|{port.label}|", "m/N", logarithmic=True)
-        panels.append(Panel(Axis("frequency", "Hz"), amplitude, series))
-    name = fit.settings.name
-    return Figure(
-        stacked(panels, 1.8 * len(panels) + 0.8),
-        f"{name}: receptance so far, and the fitted model.",
-        f"Measured and fitted receptance of {name}",
-    )
-
-
-ADDRESS = "127.0.0.1"
-# A page that does not listen is told so every so many seconds.
-HEARTBEAT = 15.0
-# Two frames one upon the other: the new state is shown when it is drawn, at the place that was read.
-SHELL = """<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>labpipe live</title><style>
-html,body{margin:0;height:100%}iframe{position:fixed;inset:0;width:100%;height:100%;border:0}
-.hidden{visibility:hidden}</style></head><body><iframe id="a" title="state of the test"></iframe>
-<iframe id="b" class="hidden" title="state of the test, next"></iframe><script>
-let [front, back] = [document.getElementById("a"), document.getElementById("b")];
-const query = location.search;
-let busy = false, waiting = false, number = 0;
-function load() {
-  if (busy) { waiting = true; return; }
-  busy = true;
-  back.onload = () => {
-    const place = front.contentWindow ? front.contentWindow.scrollY : 0;
-    back.contentWindow.scrollTo(0, place);
-    back.className = ""; front.className = "hidden";
-    [front, back] = [back, front];
-    document.title = front.contentDocument.title;
-    busy = false;
-    if (waiting) { waiting = false; load(); }
-  };
-  back.src = "/state" + query + "&n=" + ++number;
-}
-new EventSource("/events" + query).onmessage = load;
-load();
-</script></body></html>
-"""
-
-
-class Page:
-    """Serves the latest document and tells open pages when there is a new one."""
-
-    def __init__(self, port: int = 0) -> None:
-        self.token = secrets.token_urlsafe(16)
-        self._html = b""
-        self._listeners: list[queue.Queue[bool]] = []
-        self._lock = threading.Lock()
-        page = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                page.answer(self)
-
-            def log_message(self, format: str, *args: object) -> None:
-                """Say nothing."""
-
-        self._server = ThreadingHTTPServer((ADDRESS, port), Handler)
-        self._server.daemon_threads = True
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-
-    @property
-    def address(self) -> str:
-        """Where a browser of this machine finds the page."""
-        return f"http://{ADDRESS}:{self._server.server_port}/?token={self.token}"
-
-    def show(self, document: Document) -> None:
-        """Take the place of what was shown."""
-        self._html = render_html(document).encode()
-        with self._lock:
-            for listener in self._listeners:
-                if listener.empty():
-                    listener.put(True)
-
-    def close(self) -> None:
-        """Serve no more."""
-        self._server.shutdown()
-        self._server.server_close()
-
-    def answer(self, request: BaseHTTPRequestHandler) -> None:
-        """One request: the shell, the state, or the stream of news; nothing without the token."""
-        parts = urlsplit(request.path)
-        token = parse_qs(parts.query).get("token", [""])[0]
-        host = (request.headers.get("Host") or "").rpartition(":")[0]
-        # Another name for this address is another site's, which may not read the page.
-        if host not in (ADDRESS, "localhost") or not secrets.compare_digest(
-            token.encode(), self.token.encode()
-        ):
-            request.send_error(HTTPStatus.FORBIDDEN)
-        elif parts.path == "/":
-            self._send(request, SHELL.encode())
-        elif parts.path == "/state":
-            self._send(request, self._html)
-        elif parts.path == "/events":
-            self._events(request)
-        else:
-            request.send_error(HTTPStatus.NOT_FOUND)
-
-    @staticmethod
-    def _send(request: BaseHTTPRequestHandler, content: bytes) -> None:
-        request.send_response(HTTPStatus.OK)
-        for name, value in (
-            ("Content-Type", "text/html; charset=utf-8"),
-            ("Content-Length", str(len(content))),
-            ("Cache-Control", "no-store"),
-            ("Referrer-Policy", "no-referrer"),
-        ):
-            request.send_header(name, value)
-        request.end_headers()
-        request.wfile.write(content)
-
-    def _events(self, request: BaseHTTPRequestHandler) -> None:
-        news: queue.Queue[bool] = queue.Queue()
-        with self._lock:
-            self._listeners.append(news)
-        request.send_response(HTTPStatus.OK)
-        request.send_header("Content-Type", "text/event-stream")
-        request.send_header("Cache-Control", "no-store")
-        request.end_headers()
-        try:
-            while True:
-                try:
-                    news.get(timeout=HEARTBEAT)
-                    request.wfile.write(b"data: new\n\n")
-                except queue.Empty:
-                    request.wfile.write(b": still here\n\n")
-                request.wfile.flush()
-        except OSError:
-            # The page was closed.
-            pass
-        finally:
-            with self._lock:
-                self._listeners.remove(news)
-
 
 if TYPE_CHECKING:
+    from labpipe.methods.live.charts import Update
     from labpipe.methods.live.session import Session
-    from labpipe.methods.live.standings import Update
 
 # Seconds between two pictures of the terminal and the page.
 PICTURE = 0.25
@@ -367,9 +75,9 @@ def live(
     recordings of PIPELINE are not read. Exit code 0 when every rule of --until holds (or there is none), 1
     when the test ended before.
     """
+    from labpipe.methods.live.charts import Goal
     from labpipe.methods.live.session import Session, columns_of
     from labpipe.methods.live.sources import open_source, standard_input
-    from labpipe.methods.live.standings import Goal
     from labpipe.project.pipeline_file import load_for_stream
 
     if (source is None) == (simulate is None):
@@ -402,6 +110,7 @@ def live(
 
 
 def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
+    """Show every update until it is enough; whether it was."""
     with _display(session, as_json, page, quiet) as show:
         last, shown = None, 0.0
         for last in session.updates():
@@ -421,9 +130,13 @@ def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bo
 
 @contextmanager
 def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterator[Callable[[Update], None]]:
+    """What shows an update: a page, and a table on the terminal that is drawn anew, or lines elsewhere."""
+    from labpipe.methods.live.view import course, headline, rows_of
 
     server = None
     if page:
+        from labpipe.methods.live.view import Page
+
         server = Page()
         echo(f"page: {server.address}", err=True)
     console = None if as_json or quiet else _console()
@@ -456,6 +169,7 @@ def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterat
 
 
 def _console() -> Any:
+    """A display of the package rich on a terminal; None elsewhere, or where the extra is not installed."""
     if not sys.stdout.isatty():
         return None
     try:
@@ -470,6 +184,8 @@ def _picture(session: Session, update: Update) -> Any:
     from rich.table import Table
     from rich.text import Text
 
+    from labpipe.methods.live.view import headline, rows_of
+
     table = Table("coefficient", "value and 95 % interval", "goal", "still to come")
     for row in rows_of(session, update):
         table.add_row(*(Text(printable(cell)) for cell in row))
@@ -481,6 +197,7 @@ def _picture(session: Session, update: Update) -> Any:
 
 
 def _echo_last(session: Session) -> None:
+    from labpipe.methods.live.view import rows_of
 
     updates = session.bench.updates if session.bench else []
     if updates:
@@ -501,6 +218,7 @@ def _echo_by_hand(session: Session) -> None:
 
 @contextmanager
 def _asked_to_stop() -> Iterator[list[int]]:
+    """The interrupts that ended the test by hand."""
     asked: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _frame: asked.append(number))
     try:
@@ -510,6 +228,7 @@ def _asked_to_stop() -> Iterator[list[int]]:
 
 
 def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Path, columns: list[str]) -> Any:
+    """A run of a virtual rig, played in real time."""
     import numpy as np
 
     from labpipe.artefacts.writing import output_folder

@@ -11,10 +11,9 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.display import difference_in, shown_unit, unit_label
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.averages import CUTTERS
-from labpipe.methods.live.bench import Bench
-from labpipe.methods.live.followed import is_followed
-from labpipe.methods.live.standings import Goal, Update
+from labpipe.methods.live.bench import Bench, is_followed
+from labpipe.methods.live.charts import Goal, Update
+from labpipe.methods.live.running_fit import CUTTERS
 from labpipe.project.ingest import ingest, unique_names
 from labpipe.project.tests import Test
 from labpipe.project.work import Work
@@ -47,7 +46,6 @@ class LiveSettings(Settings):
 
     @property
     def goals(self) -> list[Goal]:
-        """The goals in their order."""
         return [Goal.of(text) for text in self.until]
 
 
@@ -103,7 +101,6 @@ def coefficients_of(updates: Sequence[Update]) -> tuple[CoefficientCourse, ...]:
 
 
 def course_figure(coefficients: Sequence[CoefficientCourse]) -> Figure:
-    """The coefficients with their intervals over the averages, beside what is asked for."""
     panels = []
     for course in coefficients:
         unit = shown_unit(course.unit, float(course.value[-1]), None)
@@ -171,7 +168,6 @@ def _course(
 
 
 def course_lines(courses: Courses) -> Iterator[str]:
-    """One line for each test."""
     for course in courses:
         yield f"live{f' {course.test}' if course.test else ''}: {_sentence(course)}"
 

@@ -17,12 +17,10 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.averages import CUTTERS
-from labpipe.methods.live.bench import Bench
-from labpipe.methods.live.charts import Forecast
-from labpipe.methods.live.followed import is_followed
+from labpipe.methods.live.bench import Bench, is_followed
+from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, half_width
+from labpipe.methods.live.running_fit import CUTTERS
 from labpipe.methods.live.sources import Folder, SampleStream, is_old
-from labpipe.methods.live.standings import Goal, Standing, Update, Watch, check_names, half_width
 from labpipe.project.ingest import Calibration, channel_screen
 from labpipe.project.measured import OTHERS
 from labpipe.project.pipeline_file import Pipeline
@@ -93,7 +91,6 @@ class WholeFits(Watch):
         return self.look()
 
     def look(self) -> list[Update]:
-        """The fits of all samples so far."""
         self._spool.flush()
         prefix = Prefix(self.channels, self.sample_rate, Path(self._spool.name), self.n_sample)
         seconds = self.n_sample / self.sample_rate
@@ -136,7 +133,6 @@ class WholeFits(Watch):
         return Standing(parameter, half, wanted, Forecast(expected))
 
     def by_hand(self) -> dict[str, tuple[float, float]]:
-        """No interval holds for a stop at any moment here."""
         return {}
 
 
@@ -223,7 +219,6 @@ class Session:
                 yield replace(update, findings=(*update.findings, *self.findings, *screened))
 
     def _begun(self) -> bool:
-        """Set up the bench once the rate is known."""
         head = np.concatenate(self._head)
         rate = self.rig.sample_rate or self.stream.sample_rate
         if self.rig.time:
@@ -249,7 +244,6 @@ class Session:
         return True
 
     def _without_gaps(self, rows: FloatArray) -> Iterator[FloatArray]:
-        """The rows of the channels, cut where the time column leaves some out."""
         if not self.rig.time:
             yield rows
             return

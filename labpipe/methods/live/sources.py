@@ -81,8 +81,6 @@ class _Source:
 
 
 class _Growing(_Source):
-    """A file of this machine that another program writes."""
-
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         self.path, self.columns = path, list(columns)
         self.sample_rate: float | None = None
@@ -124,7 +122,6 @@ class GrowingText(_Growing):
         return self._table.rows_of(whole + end, self.columns)
 
     def _opened(self, size: int) -> bool:
-        """Whether the head of the table with its first rows is there, and known."""
         if size < LEAST_TEXT:
             return False
         with self.path.open("rb") as stream:

@@ -239,8 +239,6 @@ def mass_matrix(
     return matrix
 
 
-# The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples.
-
 # Powers of A T^2, the square of the pole times the sampling interval, beyond which rounding is larger.
 POWERS = 6
 NODES = 24

@@ -224,7 +224,6 @@ class MagneticFile(Settings):
 
     @property
     def motion_frequency(self) -> float:
-        """The frequency of the motion [Hz]."""
         return float(self.speed or 0.0) if self.frequency is None else self.frequency
 
     def levitated(self) -> Levitated:
@@ -241,7 +240,6 @@ class MagneticFile(Settings):
         return Levitated(loop, pull, self.mass)
 
     def assumptions(self) -> str:
-        """Assumptions of the result, with the inferred values named."""
         single, rate = self.loop.cross is None, self.loop.rate
         assumptions = [
             "both directions alike, without coupling"
@@ -273,12 +271,10 @@ class Verdict:
 
 @lru_cache(maxsize=32)
 def verdict(plant: Levitated) -> Verdict:
-    """Poles and sensitivity."""
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
 
 
 def magnetic_coefficients(settings: Sequence[MagneticFile]) -> list[BearingCoefficients]:
-    """The coefficients of all settings, in order."""
     return [_coefficients(entry) for entry in settings]
 
 
@@ -288,11 +284,25 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     (total,) = stiffness_matrix(plant.loop, plant.negative_stiffness, omega)
     # An unstable loop has no steady response, so its |S| has no meaning.
     zone = {"sensitivity_zone": stability.peak.zone} if stability.unstable == 0 else {}
+    # The stiffness of an integrating controller at rest is infinite.
+    at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
+    static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
+    peak = [
+        Amount("sensitivity_peak", stability.peak.value, "1"),
+        Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
+    ]
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=total.real,
         damping=total.imag / omega[0],
-        notes=_notes(settings, plant, stability),
+        notes=(
+            Amount("frequency", settings.motion_frequency, "Hz"),
+            *static,
+            Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
+            Amount("force_per_current", plant.loop.force_per_current, "N/A"),
+            Amount("unstable_poles", float(stability.unstable), "1"),
+            *(peak if stability.unstable == 0 else []),
+        ),
         shares=tuple(
             Amount(f"{letter}_{name}", float(value), unit)
             for letter, unit in (("k", "N/m"), ("c", "N.s/m"))
@@ -306,24 +316,6 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
             "assumptions": settings.assumptions(),
         },
         findings=stability_findings(stability),
-    )
-
-
-def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tuple[Amount, ...]:
-    # The stiffness of an integrating controller at rest is infinite.
-    at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
-    static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
-    peak = [
-        Amount("sensitivity_peak", stability.peak.value, "1"),
-        Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
-    ]
-    return (
-        Amount("frequency", settings.motion_frequency, "Hz"),
-        *static,
-        Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
-        Amount("force_per_current", plant.loop.force_per_current, "N/A"),
-        Amount("unstable_poles", float(stability.unstable), "1"),
-        *(peak if stability.unstable == 0 else []),
     )
 
 

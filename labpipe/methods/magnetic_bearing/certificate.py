@@ -36,10 +36,15 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import GAIN, MEASURED, measured_margins
-from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, peak_of
+from labpipe.methods.magnetic_bearing.sensitivity import (
+    MeasuredSensitivity,
+    Peak,
+    SensitivityMatrix,
+    peak_of,
+    sensitivity_matrix,
+)
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,
     Levitated,
@@ -57,7 +62,6 @@ from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
-# Step of differences in standard errors of the unknowns.
 STEP = 0.02
 # Upper end of the search without a sampling rate [Hz], and of modes as a share of the sampling rate.
 HIGHEST, NYQUIST = 20e3, 0.5
@@ -73,7 +77,6 @@ UNITS = {
 }
 
 
-# From values of the unknowns by name to the amounts by name.
 Amounts = Callable[[Mapping[str, float]], dict[str, float]]
 
 
@@ -100,7 +103,6 @@ class ClosedLoop:
         return float(np.sqrt(max(self.covariance[place, place], 0.0) + systematic))
 
     def modes(self) -> list[str]:
-        """Names of the logarithmic decrements."""
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
     def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
@@ -182,7 +184,6 @@ def _bent(
 
 
 def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names: list[str]) -> FloatArray:
-    """Slopes (n,) of all amounts [their units] over one unknown."""
     step = STEP * (parameter.std_error or 0.0) or 1e-6 * abs(parameter.value)
     ahead, behind = (at({**values, parameter.name: parameter.value + sign * step}) for sign in (1, -1))
     return np.array([(ahead.get(name, np.nan) - behind.get(name, np.nan)) / (2 * step) for name in names])
@@ -243,7 +244,6 @@ def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: 
     return amounts
 
 
-# Modes are looked for up to this multiple of the measured band.
 BEYOND = 1.5
 
 
@@ -261,7 +261,7 @@ def certificate(
     measured_amounts, budget = _measured_amounts(matrix, peaks)
     model = None if file is None else _fitted(settings, certificate_settings, response, matrix, file)
     limits = [
-        _zone_limit(certificate_settings, worst, model),
+        _zone_limit(certificate_settings, worst, None if model is None else model.trusted),
         *_decrement_limits(certificate_settings, model),
     ]
     amounts, budgets = list(measured_amounts), [budget]
@@ -312,6 +312,11 @@ class FittedModel:
     rejected: str
     rate: float | None
 
+    @property
+    def trusted(self) -> ClosedLoop | None:
+        """The closed loop where it is sound."""
+        return None if self.rejected else self.loop
+
 
 # Amounts of a fitted closed loop by the first part of their names.
 OF_LOOP = (
@@ -327,50 +332,32 @@ OF_LOOP = (
 
 
 def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tuple[str, str]]:
-    """What rests on a model that is rejected, with the reason: no rule is kept by it."""
     if model is None or not model.rejected:
         return []
     return [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
 
 
 def resolved(settings: CompareSettings) -> CertificateSettings:
-    """The settings of the certificate, with the points of the comparison where it names none behind the
-    sums.
-    """
-    certificate_settings: CertificateSettings = settings.kind_settings
-    return (
-        certificate_settings
-        if certificate_settings.after
-        else replace(
-            certificate_settings,
-            before=certificate_settings.before or (settings.before,),
-            after=(settings.after,),
-        )
-    )
+    own: CertificateSettings = settings.kind_settings
+    if own.after:
+        return own
+    return replace(own, before=own.before or (settings.before,), after=(settings.after,))
 
 
 def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
     peaks = []
     for number in range(len(matrix.loops)):
         size, error = matrix.size(number)
-        phased = matrix.values[:, number, number]
-        above = np.maximum(error, 1e-15 * size)
-        peaks.append(
-            peak_of(
-                MeasuredSensitivity(
-                    matrix.frequency, phased, above, matrix.quantile, response, matrix.errors_of(number)
-                )
-            )
-        )
+        phased, above = matrix.values[:, number, number], np.maximum(error, 1e-15 * size)
+        errors = matrix.errors_of(number)
+        measured = MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, errors)
+        peaks.append(peak_of(measured))
     return peaks
 
 
 def _measured_amounts(
     matrix: SensitivityMatrix, peaks: Sequence[Peak]
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """Measured peaks and margins of all loops, and of several the largest singular value, with what
-    systematic errors add.
-    """
     amounts: list[Parameter] = []
     changes: list[FloatArray] = []
     for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
@@ -404,9 +391,6 @@ def _fitted(
     matrix: SensitivityMatrix,
     file: MagneticFile,
 ) -> FittedModel:
-    """The fit of the file's unknowns to all recorded signals, its closed loop, and why nothing is decided by
-    it.
-    """
     if len(matrix.loops) != 1:
         raise ConfigError(
             "a bearing file describes one loop", hint="leave theory out, or certify one loop at a time"
@@ -415,19 +399,17 @@ def _fitted(
     fit = loop_fit([recorded_loop(own, response, file)], settings.estimate)
     given = fit.usable or not settings.estimate
     loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
-    if sound(fit):
-        unstable = (
-            ""
-            if loop is None or not loop.unstable
-            else (f"the fitted loop is unstable, {loop.unstable} poles grow")
+    rejected = ""
+    if not sound(fit):
+        cause = cause_of(own, response, file, settings.estimate) or (
+            "check signs, units, delays and the controller of the bearing file"
         )
-        return FittedModel(
-            file, fit, loop, unstable and f"{unstable}, so it cannot be the recorded one", rate
+        rejected = f"{_why_rejected(fit)}; {cause}"
+    elif loop is not None and loop.unstable:
+        rejected = (
+            f"the fitted loop is unstable, {loop.unstable} poles grow, so it cannot be the recorded one"
         )
-    cause = cause_of(own, response, file, settings.estimate) or (
-        "check signs, units, delays and the controller of the bearing file"
-    )
-    return FittedModel(file, fit, loop, f"{_why_rejected(fit)}; {cause}", rate)
+    return FittedModel(file, fit, loop, rejected, rate)
 
 
 def _why_rejected(fit: LoopFit) -> str:
@@ -439,21 +421,13 @@ def _why_rejected(fit: LoopFit) -> str:
     return "the fit did not converge" if fit.determined else f"{' and '.join(fit.alike)} cannot be told apart"
 
 
-def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None) -> Limit:
+def _zone_limit(own: CertificateSettings, worst: Peak, loop: ClosedLoop | None) -> Limit:
     """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
+    by_model = loop is not None and "sensitivity_peak" in loop.amounts
     peak, error, whose = worst.value, worst.combined, "measured"
-    by_model = (
-        model is not None
-        and model.loop is not None
-        and not model.rejected
-        and "sensitivity_peak" in model.loop.amounts
-    )
-    if by_model and model is not None and model.loop is not None:
-        peak, error, whose = (
-            model.loop.amounts["sensitivity_peak"],
-            model.loop.error("sensitivity_peak"),
-            "of the fitted loop",
-        )
+    if loop is not None and by_model:
+        peak, error = loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak")
+        whose = "of the fitted loop"
     probability = below(np.log(peak), error / peak, np.log(dict(ZONES)[own.zone]))
     zone = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
     if worst.at_edge and not by_model and probability > 1 - own.confidence:
@@ -466,16 +440,10 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
     if model is None and own.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
-    if why or model is None or model.loop is None:
-        return [
-            Limit(
-                "log_decrement",
-                None,
-                f"log decrement above {own.least_decrement:g} not judged, since {why}",
-                why,
-            )
-        ]
-    loop = model.loop
+    loop = None if model is None else model.trusted
+    if loop is None:
+        said = f"log decrement above {own.least_decrement:g} not judged, since {why}"
+        return [Limit("log_decrement", None, said, why)]
     if not loop.modes():
         return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
     least = min(loop.modes(), key=lambda name: loop.amounts[name])
@@ -491,9 +459,6 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
 
 
 def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:
-    """|S| of every loop with its 95 % band, of several the largest singular value, and the real and imaginary
-    part of L.
-    """
     curves = []
     fitted = _fitted_size(matrix.frequency, model)
     several = len(matrix.loops) > 1
@@ -530,27 +495,12 @@ def _curve(
 ) -> Curve:
     low, high = ends or (np.empty(0), np.empty(0))
     matched = np.empty(0) if fitted is None else fitted
-    lists = [tuple(part.tolist()) for part in (frequency, matched, values, low, high)]
-    return Curve(
-        "",
-        quantity,
-        "1",
-        frequency=lists[0],
-        matched=lists[1],
-        measured=lists[2],
-        low=lists[3],
-        high=lists[4],
-    )
+    parts = {"frequency": frequency, "matched": matched, "measured": values, "low": low, "high": high}
+    return Curve("", quantity, "1", **{name: tuple(part.tolist()) for name, part in parts.items()})
 
 
 def _findings(worst: Peak, model: FittedModel | None) -> tuple[Finding, ...]:
-    findings = []
-    if worst.at_edge:
-        what = (
-            f"the largest sensitivity is at the edge of the band, {worst.frequency:.4g} Hz; it may be "
-            "larger beyond"
-        )
-        findings.append(Finding("sensitivity-edge", what))
+    findings = worst.findings()
     if model is None:
         return tuple(findings)
     if model.loop is not None and model.loop.unstable:

@@ -22,7 +22,6 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.loop_matrix import per_injection
 from labpipe.methods.magnetic_bearing.loop_problem import (
     View,
     checked_view,
@@ -30,7 +29,7 @@ from labpipe.methods.magnetic_bearing.loop_problem import (
     predicted_fits,
     with_unknowns,
 )
-from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity
+from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, per_injection
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note
@@ -47,7 +46,6 @@ from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, Theory
 ENOUGH = 0.9
 LETTERS = ("k", "c")
 
-# The bearing file at a condition (value, SI unit), or unchanged.
 MagneticTheory = Callable[[float | None, str], MagneticFile]
 
 
@@ -60,12 +58,8 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     names = _names(settings, views[0].fits[0])
     bands = [band for view in views for band in _bands(view, view.file, names)]
     fitted = loop_fit([view.observation for view in views], settings.estimate)
-    changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.usable else None
-    after = (
-        []
-        if changed is None
-        else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
-    )
+    changed = [with_unknowns(view.file, fitted.values()) for view in views if fitted.usable]
+    after = [band for view, file in zip(views, changed, strict=False) for band in _bands(view, file, names)]
     findings = (
         *_unstable(views),
         *identifiability_findings(fitted),
@@ -74,19 +68,30 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     unstable = any(verdict(view.file.levitated()).unstable for view in views)
     shares = [_share(bands, name) for name in names]
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
+    amounts = [
+        Parameter(f"share_{letter}{fitted}", _share(of, name), "1", derived=True)
+        for of, fitted in ((bands, ""), (after, "_fitted"))
+        if of
+        for letter, name in zip(LETTERS, names, strict=True)
+    ]
     return Comparison(
         name=settings.name,
         kind="prediction",
         subject=f"{names[0]} and {names[1]}, fit {settings.fit}",
         unit="N/m",
         points=(),
-        amounts=(*_amounts(bands, after, names), *_stability(views), *goodness(fitted), *fitted.parameters),
+        amounts=(
+            *[*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)],
+            *_stability(views),
+            *goodness(fitted),
+            *fitted.parameters,
+        ),
         verdict=word,
         statement=_statement(bands, after, names, fitted, word, views),
         condition=settings.condition,
         bands=tuple(bands),
         curves=tuple(
-            _curve(view, letter, None if changed is None else changed[n])
+            _curve(view, letter, changed[n] if changed else None)
             for n, view in enumerate(views)
             for letter in LETTERS
         ),
@@ -97,7 +102,6 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
 
 
 def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
-    """The stiffness of the settings and the corresponding damping."""
     names = [parameter.name for parameter in fit.parameters if parameter.unit in ("N/m", "N.s/m")]
     stiffness = settings.parameter
     if stiffness == "k" and "k" not in names:
@@ -143,24 +147,7 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
     return float(np.mean([band.holds for band in bands if band.parameter == name]))
 
 
-def _amounts(
-    bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]
-) -> list[Parameter]:
-    amounts = [
-        Parameter(f"share_{letter}", _share(bands, name), "1", derived=True)
-        for letter, name in zip(LETTERS, names, strict=True)
-    ]
-    if after:
-        pairs = zip(LETTERS, names, strict=True)
-        amounts += [
-            Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True)
-            for letter, name in pairs
-        ]
-    return [*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
-
-
 def _stability(views: Sequence[View]) -> list[Parameter]:
-    """Number of unstable poles, and the largest sensitivity of the stable settings."""
     verdicts = [verdict(view.file.levitated()) for view in views]
     peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
     unstable = Parameter(
@@ -170,7 +157,6 @@ def _stability(views: Sequence[View]) -> list[Parameter]:
 
 
 def _unstable(views: Sequence[View]) -> list[Finding]:
-    """Warnings of the predicted rotor alone: an unstable loop, or one beyond zone B."""
     findings = []
     for view in views:
         plant = view.file.levitated()
@@ -259,12 +245,10 @@ def _file_of(settings: CompareSettings, evidence: Evidence) -> MagneticFile | No
 
 
 def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | None:
+    if evidence.theory is None and settings.theory is not None:
+        return magnetic_theory(evidence.folder, settings.theory)
     given: MagneticTheory | None = evidence.theory
-    return (
-        magnetic_theory(evidence.folder, settings.theory)
-        if given is None and settings.theory is not None
-        else given
-    )
+    return given
 
 
 def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -276,9 +260,6 @@ def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Compar
 
 
 def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
-    """All tests of the fit with their bearing file, its entry set to the test's condition where the settings
-    name one.
-    """
     named, views = evidence.fits_of(settings), []
     for test in dict.fromkeys(fit.test for fit in named):
         response = evidence.response(test)

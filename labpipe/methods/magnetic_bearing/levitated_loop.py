@@ -279,7 +279,6 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
 
 
 def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
-    """Masses, polar inertias, own stiffnesses and dampings of the coordinates of one plane."""
     masses, gyroscopic, stiffnesses, damping = (
         [mass, rotor.inertia],
         [0.0, rotor.polar_inertia],
@@ -395,7 +394,6 @@ class LevitatedLoop:
 
 
 def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
-    """The closed loop of a rig."""
     of, control = mechanics(rig), rig.control
     n_q, n_axis = of.mass.shape[0], len(rig.labels)
     plant = [_sampled_plant(rig, of, part / BETWEEN) for part in range(BETWEEN + 1)]

@@ -38,9 +38,6 @@ FINE_CURRENT = ("uA", 1e6)
 
 
 def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
-    """Currents i_ or forces f_, readings, injections r_ or forces s_ of shakers, and the tacho n of a shaft
-    that turns.
-    """
     period = round(rig.sample_rate / rig.injection.spacing)
     n_sample, n_axis = (
         (
@@ -107,9 +104,6 @@ def _inputs(
 
 
 def _injected(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
-    """What is added in the loop (length, n_axis) [A or m]: on the axis that the run is named after, or on
-    all.
-    """
     n_axis, injection = len(rig.labels), rig.injection
     added = np.zeros((length, n_axis))
     level = injection.rms * (injection.per_ampere if injection.place == "input" else 1.0)
@@ -197,9 +191,6 @@ def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
 
 
 def truth(rig: LevitatedRig) -> dict[str, Any]:
-    """k_i, k_s per bearing (negative where the magnet pulls), the rotor's matrices, and the poles of the
-    closed loop [SI, 1/s].
-    """
     of = mechanics(rig)
     poles = levitated_loop(rig).poles
     slowest = poles[np.argsort(-poles.real)]
@@ -234,7 +225,6 @@ def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
 
 
 def _magnets(rig: LevitatedRig) -> dict[str, float]:
-    """k_i_xx, k_s_xx, c_xx and so on of two axes, k_i_ax_ax of two bearings, as a magnet's fit names them."""
     magnets: dict[str, float] = {}
     glue = "" if rig.rotor is None else "_"
     for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):

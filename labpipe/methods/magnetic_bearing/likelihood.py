@@ -17,8 +17,8 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.regression import triangle_of
-from labpipe.methods.floating_bearing.given import given_uncertainties, joined, response_of
 from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows
+from labpipe.methods.floating_bearing.settings import given_uncertainties, joined, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.uncertain import Uncertainty

@@ -83,13 +83,10 @@ class CertificateSettings(Settings):
 
     @property
     def recorded(self) -> tuple[str, ...]:
-        """The responses that it names."""
         return tuple(
             name for name in (*self.before, *self.after, self.output, self.displacement, self.current) if name
         )
 
-
-# Limits of acceptance, each with the probability that it is kept, and the verdict on all of them.
 
 KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
 
@@ -116,7 +113,6 @@ def below(value: float, error: float, limit: float) -> float:
 
 
 def words(probability: float) -> str:
-    """A probability as people read it."""
     return (
         "over 99.9 %"
         if probability > 0.999
@@ -138,7 +134,6 @@ def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
 
 
 def probabilities(limits: Sequence[Limit]) -> list[Parameter]:
-    """The probability that each limit is kept, of those that were judged."""
     judged = ((limit.name, limit.probability) for limit in limits if limit.probability is not None)
     return [Parameter(f"probability_{name}", probability, "1", derived=True) for name, probability in judged]
 
@@ -152,8 +147,6 @@ def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
         *([("verdict", reasons)] if reasons else []),
     ]
 
-
-# Logarithmic decrements of the modes of a fit (an FRF's modal model.
 
 RATIO, DECREMENT = "zeta", "log_decrement"
 
@@ -364,10 +357,17 @@ def _changes(
         )
         for factor in (-1.0, *(sign * 10.0**power for power in POWERS for sign in (1, -1))):
             # More of the excitation is less of all responses to it.
+            assert response.covariance is not None
+            scale = np.ones(len(response.outputs))
+            scale[list(rows)] = factor if name in signals else 1 / factor
+            errors = tuple(replace(error, change=error.change * scale[:, None]) for error in response.errors)
+            covariance = response.covariance * np.outer(scale, scale)
             yield (
                 _words(name, factor),
                 own,
-                _scaled(response, rows, factor if name in signals else 1 / factor),
+                replace(
+                    response, matrix=response.matrix * scale[:, None], covariance=covariance, errors=errors
+                ),
             )
 
 
@@ -376,12 +376,3 @@ def _words(name: str, factor: float) -> str:
         return f"with the sign of '{name}' changed (invert: in the rig file)"
     sign = " and its sign changed" if factor < 0 else ""
     return f"with '{name}' times {abs(factor):g}{sign} (its unit or sensitivity in the rig file)"
-
-
-def _scaled(response: FrequencyResponse, rows: Sequence[int], factor: float) -> FrequencyResponse:
-    assert response.covariance is not None
-    scale = np.ones(len(response.outputs))
-    scale[list(rows)] = factor
-    errors = tuple(replace(error, change=error.change * scale[:, None]) for error in response.errors)
-    covariance = response.covariance * np.outer(scale, scale)
-    return replace(response, matrix=response.matrix * scale[:, None], covariance=covariance, errors=errors)

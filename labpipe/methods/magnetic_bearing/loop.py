@@ -62,9 +62,6 @@ class ControlLoop(Settings):
         self._check_blocks()
 
     def _check_blocks(self) -> None:
-        """ConfigError for gains of the PID beside blocks, a matrix without its first element, and blocks at
-        two rates.
-        """
         if self.controller:
             for name in PID:
                 if getattr(self, name) != self.__dataclass_fields__[name].default:
@@ -215,9 +212,6 @@ def stiffness_shares(
     return shares
 
 
-# Margins of a loop transfer function.
-
-# Lines of the search, and its lowest frequency over the highest.
 LINES, LOWEST = 1201, 1e-6
 LoopTransfer = Callable[[FloatArray], ComplexArray]
 
@@ -268,7 +262,6 @@ def margins(loop: LoopTransfer, highest: float) -> Margins:
 
 
 def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
-    """Factors that bring L onto -1, where it crosses the negative real axis."""
     gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
     for place in _roots(lambda w: loop(w).imag, omega, values.imag):
         at = loop(np.array([place]))[0].real
@@ -292,7 +285,6 @@ def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tupl
 def _roots(
     function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
 ) -> list[float]:
-    """Places where a function of frequency changes its sign, between lines and none at rest."""
     places = np.flatnonzero((values[:-1] * values[1:] < 0) & (omega[:-1] > 0))
     return [
         float(
@@ -305,7 +297,6 @@ def _roots(
 def _largest(
     function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
 ) -> tuple[float, float]:
-    """The largest value and its place [rad/s], between the lines."""
     top = int(np.argmax(values))
     if top in (0, omega.size - 1):
         return float(values[top]), float(omega[top])

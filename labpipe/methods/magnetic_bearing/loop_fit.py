@@ -96,8 +96,6 @@ def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
     return Minimum(values, end.converged and stays, minimum.steps + end.steps)
 
 
-# The end of a loop's fit.
-
 # Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
 UNDETERMINED = 1e6
 # Second order is looked for so many combined standard errors away.
@@ -136,9 +134,6 @@ class LoopMinimum:
         return cls(problem, u, problem.residual(u), jacobian, inverse)
 
     def chi2(self, excess: float) -> float:
-        """Chi-square for weights that are too large by *excess*, of the responses less what their sources
-        explain, and of these.
-        """
         n = self.residual.size - len(self.problem.sources)
         return float(self.residual[:n] @ self.residual[:n] / excess + self.residual[n:] @ self.residual[n:])
 
@@ -434,7 +429,6 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
 def _curved(
     parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool
 ) -> Parameter:
-    """The unknown with an interval that follows the response. *at_zero*: an unknown is held there."""
     factor = parameter.coverage_factor or limit
     ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
     if ends[0] is None or ends[1] is None:
@@ -531,7 +525,6 @@ def _bent_findings(fit: LoopFit) -> list[Finding]:
 
 
 def fit_statement(fit: LoopFit) -> str:
-    """Goodness of fit of all lines as a sentence."""
     chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
     statement = (
         f"All {fit.lines} lines against the "

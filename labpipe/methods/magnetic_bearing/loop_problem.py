@@ -61,7 +61,16 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     field = ALIASES.get(name, name)
     value_and_unit: tuple[float | None, str] | None
     if field.startswith(BLOCK):
-        value_and_unit = _block_entry(file, name)
+        place, _, entry = name.removeprefix(BLOCK).partition(".")
+        count = len(file.loop.controller)
+        if not place.isdigit() or not 1 <= int(place) <= count:
+            hint = f"controller.1 to controller.{count}" if count else ""
+            raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
+        if entry not in _BLOCK_ENTRIES:
+            raise ConfigError(
+                f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES))
+            )
+        value_and_unit = getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
     elif field == "static_stiffness":
         value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
     elif field in FACTORS:
@@ -95,19 +104,6 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
             hint="a value near the expected one is needed to start from",
         )
     return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
-
-
-def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
-    place, _, entry = name.removeprefix(BLOCK).partition(".")
-    count = len(file.loop.controller)
-    if not place.isdigit() or not 1 <= int(place) <= count:
-        hint = f"controller.1 to controller.{count}" if count else ""
-        raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
-    if entry not in _BLOCK_ENTRIES:
-        raise ConfigError(
-            f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES))
-        )
-    return getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
 
 
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
@@ -188,7 +184,6 @@ def directions_left_out(ports: Iterable[Port]) -> list[str]:
 
 STEP = 1e-5
 
-# Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
 Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]
 # What one standard uncertainty of every source does to measured less predicted, at the same.
 Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
@@ -280,7 +275,6 @@ class LoopProblem:
         return np.concatenate([np.concatenate(residuals) + change, deviations])
 
     def _at(self, observation: LoopObservation, u: FloatArray) -> tuple[MagneticFile, tuple[float, float]]:
-        """The file of an observation with its unknowns, and stiffness and damping of its support."""
         support = [observation.support.stiffness.value, observation.support.damping.value]
         deviations = u[len(self.unknowns) : self.n_shared]
         for (which, error), deviation in zip(self.support, deviations, strict=True):
@@ -347,10 +341,6 @@ class LoopProblem:
 
 @dataclass(frozen=True)
 class View:
-    """One test with its sliding fits: the measured *response*, the fits, and their settings with mass,
-    support and share.
-    """
-
     test: str
     response: FrequencyResponse
     settings: FitSettings

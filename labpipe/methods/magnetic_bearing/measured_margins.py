@@ -34,7 +34,6 @@ SURE = 3.0
 TELLING = 4.0
 # How names of margins without a model begin, and of gain margins after that.
 MEASURED, GAIN = "measured_", "gain_margin"
-# Places between the lines on either side of a crossing.
 FINE = 32
 # Share of a response below which what is left is rounding.
 ROUNDING = 1e-12
@@ -73,7 +72,6 @@ class Course:
             if np.isfinite(self.dof)
             else chi2_quantile(1 - ENOUGH, degrees) / degrees
         )
-        # Rounding of a response that is free of noise.
         rounding = ROUNDING**2 * np.sum(np.abs(plain) ** 2, axis=1)
         return np.asarray(np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding))
 
@@ -280,9 +278,6 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
     share = _crossing(values)
     angle = float(np.angle(-(values[0] + share * (values[1] - values[0])))) % (2 * np.pi)
     return angle / float(omega[0] + share * (omega[1] - omega[0]))
-
-
-# Peak of a measured sensitivity.
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from labpipe.report.wording import fit_title
 
 
 def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
-    """A sentence and a figure."""
     size: list[Series] = []
     weights: list[Series] = []
     pairs = [(o, i) for o in range(len(plant.outputs)) for i in range(len(plant.inputs))]

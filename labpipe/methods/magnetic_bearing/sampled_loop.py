@@ -225,13 +225,8 @@ def sampled_law(
     # Where zeros are fewer than poles, scipy puts others at z = 0, which takes as many sampling intervals of
     # delay away: [z^-1] each.
     late = [[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]] * (len(poles) - len(zeros))
-    return _in_sections(np.vstack([sections, *late]))
-
-
-def _in_sections(sections: FloatArray) -> SampledLaw:
-    """Sections of second order (n, 6) in series: y = b0 u + m1, m1' = b1 u - a1 y + m2, m2' = b2 u - a2 y."""
     law = SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 1.0)
-    for b0, b1, b2, _, a1, a2 in sections:
+    for b0, b1, b2, _, a1, a2 in np.vstack([sections, *late]):
         section = SampledLaw(
             np.array([[-a1, 1.0], [-a2, 0.0]]),
             np.array([b1 - a1 * b0, b2 - a2 * b0]),
@@ -315,7 +310,6 @@ def tustin(derivative: float, constant: float, time: float, interval: float) -> 
 
 
 def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
-    """Exact solution over one *interval* [s]; the newest voltage arrives after *late* of it."""
     loop, n = plant.loop, 3 if plant.loop.sensor_bandwidth is None else 4
     slope, voltage, force = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     slope[0, 1] = 1.0

@@ -1,9 +1,10 @@
-"""Sensitivity of a control loop from an excitation added in the loop: its peak, the zone of ISO 14839-3, and
-the prediction.
+"""Sensitivity of one control loop, or of several that are coupled, from an excitation added in the loop: its
+peak, the zone of ISO 14839-3, and the prediction.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.measured import Measured, select_ports
+from labpipe.estimation.measured import Measured, chosen_ports, select_ports
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile, stability_findings, verdict
 from labpipe.methods.magnetic_bearing.loop_fit import (
     LoopFit,
@@ -20,13 +21,19 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, response_errors, with_unknowns
+from labpipe.methods.magnetic_bearing.loop_problem import (
+    LoopObservation,
+    merged,
+    response_errors,
+    with_unknowns,
+)
 from labpipe.methods.magnetic_bearing.measured_margins import Course, crest_of
 from labpipe.methods.magnetic_bearing.stability import ZONES, sensitivity, zone_of
 from labpipe.records.comparison import Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note
-from labpipe.records.response import FrequencyResponse
-from labpipe.records.uncertain import Budget, MatrixError
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.uncertain import Budget, MatrixError, Uncertainty
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
@@ -60,10 +67,18 @@ class MeasuredSensitivity:
     def size_changes(self) -> FloatArray:
         """Changes of |S| by one standard uncertainty of every source, (n_source, n_line) [1]."""
         along = self.values.conj() / np.maximum(self.size, 1e-300)
-        changes = np.array([error.change[:, 0, 0] for error in self.errors]).reshape(
-            len(self.errors), self.values.size
-        )
-        return np.asarray((changes * along).real)
+        return np.asarray((self._changes * along).real)
+
+    @property
+    def _changes(self) -> ComplexArray:
+        changes = [error.change[:, 0, 0] for error in self.errors]
+        return np.array(changes).reshape(len(changes), self.values.size)
+
+    @property
+    def course(self) -> Course:
+        """S over omega with its noise and changes."""
+        omega, dof = 2 * np.pi * self.frequency, self.response.covariance_dof
+        return Course(omega, self.values, 2 * self.error**2, self._changes, dof)
 
     @property
     def combined(self) -> FloatArray:
@@ -125,14 +140,25 @@ class Peak:
         """Combined standard uncertainty of the value [1]."""
         return float(np.sqrt(self.error**2 + np.sum(self.changes**2)))
 
+    def findings(self) -> list[Finding]:
+        what = (
+            f"the largest sensitivity is at the edge of the band, {self.frequency:.4g} Hz; it may be larger "
+            "beyond"
+        )
+        return [Finding("sensitivity-edge", what)] if self.at_edge else []
+
     def amounts(self, quantile: float, suffix: str = "") -> list[Parameter]:
-        """The peak and its frequency with what noise leaves of them."""
         named = f"peak_frequency{suffix}"
         if self.frequency_error is None:
             place = Parameter(named, self.frequency, "Hz", derived=True)
         else:
             place = with_error(named, "Hz", self.frequency, self.frequency_error, quantile)
         return [with_error(f"peak{suffix}", "1", self.value, self.error, quantile), place]
+
+
+def _quantile(dof: float) -> float:
+    """Standard errors to either side of a 95 % interval by complex degrees of freedom."""
+    return student_quantile(0.975, COMPLEX_PARTS * dof) if np.isfinite(dof) else normal_quantile(0.975)
 
 
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
@@ -154,7 +180,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     index = [row * len(response.inputs) + columns[0] for row in rows]
     ahead, behind = response.matrix[:, rows, columns[0]].T
     added = behind - ahead
-    if np.any(np.abs(added) < 1e-9 * np.abs(behind)):
+    if np.any(np.abs(added) < SAME_SIGNAL * np.abs(behind)):
         raise FitError(
             f"'{before}' and '{after}' are the same signal",
             hint="record one ahead of the sum and one behind it",
@@ -162,8 +188,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     slopes = np.stack([behind, -ahead], axis=1) / added[:, None] ** 2
     covariance = response.covariance[:, index][:, :, index]
     variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
-    dof = COMPLEX_PARTS * response.covariance_dof
-    quantile = student_quantile(0.975, dof) if np.isfinite(dof) else normal_quantile(0.975)
+    quantile = _quantile(response.covariance_dof)
     errors = tuple(
         replace(error, change=np.einsum("fi,fic->fc", slopes, error.change)[:, :, None])
         for error in response_errors(response, rows, columns)
@@ -179,17 +204,11 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
 
     Equation (comp-peak-change).
     """
-    frequency, error = measured.frequency, measured.error
-    changes = np.array([one.change[:, 0, 0] for one in measured.errors]).reshape(-1, frequency.size)
-    crest = crest_of(
-        Course(
-            2 * np.pi * frequency, measured.values, 2 * error**2, changes, measured.response.covariance_dof
-        )
-    )
+    crest = crest_of(measured.course)
     if crest is None:
         top = int(np.argmax(measured.size))
         of_lines = measured.size_changes
-        at_edge = float(measured.size[top]), float(error[top]), float(frequency[top])
+        at_edge = float(measured.size[top]), float(measured.error[top]), float(measured.frequency[top])
         return Peak(*at_edge, True, of_lines[:, top], None, np.zeros(len(of_lines)))
     value, spread, moved = crest.value
     place, wide, shifted = crest.place
@@ -214,9 +233,9 @@ def loop_sensitivity(
     amounts, budgets = list(measured_amounts), [budget]
     if theory is not None and predicted is not None:
         holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
-        pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
         amounts += [
-            *tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items()),
+            Parameter("predicted_peak", float(np.max(predicted)), "1", derived=True),
+            Parameter("share", float(np.mean(holds)), "1", derived=True),
             *goodness(theory.fitted),
             *theory.fitted.parameters,
         ]
@@ -239,8 +258,6 @@ def loop_sensitivity(
 
 @dataclass(frozen=True)
 class _Theory:
-    """The bearing file, and its fit to the measured sensitivity."""
-
     file: MagneticFile
     fitted: LoopFit
 
@@ -297,23 +314,19 @@ def _statement(
         f"zone {zone} of ISO 14839-3"
     )
     ends = [zone_of(low), zone_of(high)]
-    confidence = (
-        "." if ends[0] == ends[1] else (f"; its interval reaches from zone {ends[0]} to zone {ends[1]}.")
-    )
-    limits = f" Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
+    if ends[0] != ends[1]:
+        peak_text += f"; its interval reaches from zone {ends[0]} to zone {ends[1]}"
+    peak_text += f". Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
     if theory is None or predicted is None:
-        return peak_text + confidence + limits
+        return peak_text
     stability = verdict(theory.file.levitated())
     if stability.unstable:
-        return (
-            f"{peak_text}{confidence}{limits} The loop of the bearing file is unstable, so it cannot be "
-            "the recorded one."
-        )
+        return f"{peak_text} The loop of the bearing file is unstable, so it cannot be the recorded one."
     prediction_text = f" Predicted in this band: {float(np.max(predicted)):.3f}."
     if stability.peak.value > 1.01 * float(np.max(predicted)):
         where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz, zone {stability.peak.zone}"
         prediction_text += f" Outside it the prediction reaches {where}, which this recording does not show."
-    return f"{peak_text}{confidence}{limits}{prediction_text} {fit_statement(theory.fitted)}"
+    return f"{peak_text}{prediction_text} {fit_statement(theory.fitted)}"
 
 
 def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, ...]:
@@ -325,14 +338,251 @@ def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, .
                 f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation",
             )
         )
-    if peak.at_edge:
-        what = (
-            f"the largest sensitivity is at the edge of the band, {peak.frequency:.4g} Hz; it may be "
-            "larger beyond"
-        )
-        findings.append(Finding("sensitivity-edge", what))
+    findings += peak.findings()
     if theory is not None:
         predicted = stability_findings(verdict(theory.file.levitated()))
         findings += [replace(finding, message=f"prediction: {finding.message}") for finding in predicted]
         findings += [*identifiability_findings(theory.fitted), note("assumptions", theory.file.assumptions())]
     return tuple(findings)
+
+
+# Condition number of the injections of all runs beyond which they are one.
+ONE_INJECTION = 1e6
+
+
+def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
+    """H = Y R^-1 of the runs, Y the channels of role output and R those of role input, dH = (dY - H dR) R^-1.
+
+    Uncertainties of channels and of sums go the same way, but for directions that no other channel tells,
+    which stay at their ports. ConfigError where there is not one run per injection, or where the runs do not
+    tell them apart. Equation (comp-injection).
+    """
+    inputs, outputs = (
+        [n for n, channel in enumerate(spectra.channels) if channel.role == role]
+        for role in ("input", "output")
+    )
+    if len(spectra.runs) != len(inputs):
+        hint = "one recording per injection, the injections alone with role: input"
+        raise ConfigError(f"{len(spectra.runs)} run(s) for {len(inputs)} injection(s)", hint=hint)
+    injected = spectra.vectors[:, :, inputs].swapaxes(1, 2)
+    if np.any(np.linalg.cond(injected) > ONE_INJECTION):
+        raise ConfigError(
+            "the runs do not tell the injections apart", hint="inject into one loop after the other"
+        )
+    inverse = np.linalg.inv(injected)
+    matrix = spectra.vectors[:, :, outputs].swapaxes(1, 2) @ inverse
+    return FrequencyResponse(
+        spectra.frequency,
+        matrix,
+        tuple(_port(spectra, n) for n in outputs),
+        tuple(_port(spectra, n) for n in inputs),
+        form="other",
+        covariance=_covariance(spectra, (outputs, inputs), matrix, inverse),
+        covariance_dof=spectra.covariance_dof,
+        line_correlation=spectra.line_correlation,
+        errors=_errors(spectra, (outputs, inputs), matrix, inverse),
+        name=spectra.name,
+        findings=spectra.findings,
+        conditions=dict(spectra.conditions),
+    )
+
+
+def _covariance(
+    spectra: ChannelSpectra, places: tuple[list[int], list[int]], matrix: ComplexArray, inverse: ComplexArray
+) -> ComplexArray:
+    """E[dH dH^H] (n_line, n, n) row by row: sum over runs of E[(dY - H dR)(dY - H dR)^H] times what the run
+    is in R^-1.
+    """
+    outputs, inputs = places
+    rows = np.zeros((*matrix.shape[:2], len(spectra.channels)), np.complex128)
+    rows[:, np.arange(len(outputs)), outputs] = 1.0
+    rows[:, :, inputs] -= matrix
+    noise = np.einsum("loc,lrcd,lpd->lrop", rows, spectra.covariance, rows.conj())
+    joint = np.einsum("lrop,lri,lrj->loipj", noise, inverse, inverse.conj())
+    n = matrix.shape[1] * matrix.shape[2]
+    return joint.reshape(-1, n, n)
+
+
+def _errors(
+    spectra: ChannelSpectra, places: tuple[list[int], list[int]], matrix: ComplexArray, inverse: ComplexArray
+) -> tuple[MatrixError, ...]:
+    """dH (n_line, n_output, n_input) by one standard uncertainty of every source in the channels and their
+    sums.
+    """
+    outputs, inputs = places
+    uncertainties = {
+        calibration.uncertainty.source: calibration.uncertainty
+        for channel in spectra.channels
+        for calibration in channel.uncertainties
+    }
+    omega = 2 * np.pi * spectra.frequency
+    errors = []
+    for factor in spectra.factors:
+        moved = (
+            spectra.vectors @ factor.derivative.T * (factor.std_error * omega**factor.power)[:, None, None]
+        )
+        change = (moved[:, :, outputs].swapaxes(1, 2) - matrix @ moved[:, :, inputs].swapaxes(1, 2)) @ inverse
+        uncertainty = uncertainties.get(
+            factor.source, Uncertainty(factor.source, factor.std_error, factor.unit)
+        )
+        errors.append(MatrixError(uncertainty, change))
+    return merged(errors)
+
+
+def _port(spectra: ChannelSpectra, number: int) -> Port:
+    channel = spectra.channels[number]
+    factor_sources = {factor.source for factor in spectra.factors}
+    left = tuple(
+        calibration
+        for calibration in channel.uncertainties
+        if calibration.uncertainty.source not in factor_sources
+    )
+    return Port(channel.name, channel.name, channel.dof, channel.angle, left)
+
+
+SAME_SIGNAL = 1e-9
+
+
+@dataclass(frozen=True)
+class SensitivityMatrix:
+    """S over *frequency* [Hz], (n_line, n, n) [1] by loops, covariance (n_line, n^2, n^2) [1] of its elements
+    row by row.
+
+    dof: complex degrees of freedom behind the covariance; names of the loops. errors: changes (n_line, n, n)
+    [1] of S by one standard uncertainty of every source.
+    """
+
+    frequency: FloatArray
+    values: ComplexArray
+    covariance: ComplexArray
+    dof: float
+    loops: tuple[str, ...]
+    errors: tuple[MatrixError, ...] = ()
+
+    @property
+    def quantile(self) -> float:
+        return _quantile(self.dof)
+
+    def errors_of(self, loop: int) -> tuple[MatrixError, ...]:
+        """Changes (n_line, 1, 1) [1] of S_ii of a loop."""
+        part = slice(loop, loop + 1)
+        return tuple(replace(error, change=error.change[:, part, part]) for error in self.errors)
+
+    def size(self, loop: int) -> tuple[FloatArray, FloatArray]:
+        """|S_ii| of a loop and its standard error, (n_line,) each [1]."""
+        n = len(self.loops)
+        return np.abs(self.values[:, loop, loop]), np.sqrt(
+            np.maximum(self.covariance[:, loop * (n + 1), loop * (n + 1)].real / 2, 0.0)
+        )
+
+    def largest(self) -> tuple[FloatArray, FloatArray]:
+        """The largest singular value of S and its standard error, d sigma = Re u^H dS v, (n_line,) each
+        [1].
+        """
+        slopes = self._largest_slopes()
+        variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
+        return np.linalg.svd(self.values, compute_uv=False)[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
+
+    def largest_changes(self) -> FloatArray:
+        """Changes of the largest singular value by every source, (n_source, n_line) [1].
+
+        Equation (mag-singular-change).
+        """
+        slopes = self._largest_slopes()
+        changes = [np.sum(slopes * error.change.reshape(slopes.shape), axis=1).real for error in self.errors]
+        return np.array(changes).reshape(len(self.errors), len(slopes))
+
+    def combined_size(self, loop: int) -> tuple[FloatArray, FloatArray]:
+        """|S_ii| of a loop and its combined standard uncertainty, (n_line,) each [1]."""
+        size, error = self.size(loop)
+        along = self.values[:, loop, loop].conj() / np.maximum(size, 1e-300)
+        changes = [(along * error_of.change[:, loop, loop]).real for error_of in self.errors]
+        return size, np.sqrt(error**2 + np.sum(np.square(changes), axis=0))
+
+    def combined_largest(self) -> tuple[FloatArray, FloatArray]:
+        """The largest singular value and its combined standard uncertainty, (n_line,) each [1]."""
+        size, error = self.largest()
+        return size, np.sqrt(error**2 + np.sum(self.largest_changes() ** 2, axis=0))
+
+    def _largest_slopes(self) -> ComplexArray:
+        """u_i* v_j of the largest singular value, (n_line, n^2) [1]."""
+        left, _, right = np.linalg.svd(self.values)
+        slopes = left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]
+        return slopes.reshape(len(slopes), -1)
+
+    def loop_transfer(self, loop: int) -> tuple[ComplexArray, FloatArray]:
+        """L = 1 / S_ii - 1 of a loop that is cut alone, the others closed, and its variance |S_ii|^-4 var
+        S_ii, (n_line,) each [1].
+
+        Equation (mag-loop-transfer).
+        """
+        size, error = self.size(loop)
+        return np.asarray(1 / self.values[:, loop, loop] - 1), 2 * error**2 / size**4
+
+    def transfer_changes(self, loop: int) -> ComplexArray:
+        """Changes of L of a loop by every source, dL = -S_ii^-2 dS_ii, (n_source, n_line) [1].
+
+        Equation (mag-transfer-change).
+        """
+        changes = np.array([error.change[:, loop, loop] for error in self.errors]).reshape(
+            len(self.errors), len(self.values)
+        )
+        return np.asarray(-changes / self.values[:, loop, loop] ** 2)
+
+
+def sensitivity_matrix(
+    response: FrequencyResponse, before: Sequence[str], after: Sequence[str]
+) -> SensitivityMatrix:
+    """S = H_after (H_after - H_before)^-1; without *before* the responses behind the sums are per excitation
+    themselves, S = H_after.
+
+    ConfigError where there is not one excitation per loop, FitError without a covariance or where both sides
+    are one signal. Equation (mag-sensitivity-matrix).
+    """
+    rows = [chosen_ports(response.outputs, (name,), "response")[0] for name in after]
+    ahead = [chosen_ports(response.outputs, (name,), "response")[0] for name in before]
+    n, n_input = len(rows), len(response.inputs)
+    if n_input != n:
+        hint = "role: input for the excitations alone, one per loop"
+        raise ConfigError(f"{n} loop(s) and {n_input} excitation(s)", hint=hint)
+    if response.covariance is None:
+        raise FitError(
+            "the noise of the response is not known, so nothing has an interval",
+            hint="average several periods or blocks",
+        )
+    h_after = response.matrix[:, rows]
+    unit = np.broadcast_to(np.eye(n), h_after.shape).astype(np.complex128)
+    added = h_after - response.matrix[:, ahead] if ahead else unit
+    if np.any(
+        np.linalg.svd(added, compute_uv=False)[:, -1] < SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2))
+    ):
+        raise FitError(
+            "both sides of a sum are the same signal", hint="record one ahead of the sum and one behind it"
+        )
+    inverse = np.linalg.inv(added)
+    values = h_after @ inverse
+    # dS = (dH_after - S (dH_after - dH_before)) added^-1.
+    picked = np.zeros((len(values), n, len(response.outputs)), np.complex128)
+    picked[:, :, rows] += unit - values if ahead else unit
+    if ahead:
+        picked[:, :, ahead] += values
+    slopes = np.einsum("lio,lkj->lijok", picked, inverse).reshape(len(values), n * n, -1)
+    covariance = slopes @ response.covariance @ slopes.conj().swapaxes(1, 2)
+    loops = tuple(port.label for port in response.inputs)
+    errors = tuple(
+        replace(error, change=picked @ error.change @ inverse)
+        for error in _recorded_errors(response, (rows, ahead), picked)
+    )
+    return SensitivityMatrix(response.frequency, values, covariance, response.covariance_dof, loops, errors)
+
+
+def _recorded_errors(
+    response: FrequencyResponse, places: tuple[list[int], list[int]], picked: ComplexArray
+) -> tuple[MatrixError, ...]:
+    used = list(dict.fromkeys([*places[0], *places[1]]))
+    errors = []
+    for error in response_errors(response, used, list(range(len(response.inputs)))):
+        change = np.zeros((len(picked), len(response.outputs), len(response.inputs)), np.complex128)
+        change[:, used] = error.change
+        errors.append(replace(error, change=change))
+    return tuple(errors)

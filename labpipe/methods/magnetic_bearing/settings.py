@@ -86,7 +86,7 @@ def _fit_magnet(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 
 
 def _fit_block(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    from labpipe.methods.magnetic_bearing.block import block_fits
+    from labpipe.methods.magnetic_bearing.fit import block_fits
 
     return block_fits(response, settings)
 

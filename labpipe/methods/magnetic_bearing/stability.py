@@ -101,7 +101,6 @@ def characteristic_polynomial(plant: Levitated, time: float) -> Polynomial:
 
 
 def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial, Polynomial]:
-    """Numerator and denominator of the controller x by x in s * *time*."""
     if loop.controller:
         return _polynomials(loop.controller, time)
     differentiator, lag = (Polynomial([1.0, t / time]) for t in (loop.derivative_time, loop.lag_time))
@@ -114,7 +113,6 @@ def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial,
 
 
 def _polynomials(blocks: Sequence[ControllerBlock], time: float) -> tuple[Polynomial, Polynomial]:
-    """Numerator and denominator of blocks of s in series in s * *time*; no blocks are zero."""
     if not blocks:
         return Polynomial([0.0]), Polynomial([1.0])
     continuous, _ = in_series(blocks)
@@ -270,7 +268,6 @@ class OpenLoop:
     @property
     def loop(self) -> ComplexArray:
         """L (n_line,) [1]."""
-        # Of an integrator at rest no number, though L is infinite.
         with np.errstate(invalid="ignore"):
             return -self.sensor * self.motion * self.controller
 
@@ -352,7 +349,6 @@ def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArra
 
 
 def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
-    """Reading of the probe and current per command, with computing delay and hold."""
     motion, whole = sampled_plant(plant, rate)
     z = np.exp(1j * np.asarray(omega) / rate)
     late = motion.hold[:, 0] * z[:, None] ** (-whole - 1.0) + motion.hold[:, 1] * z[:, None] ** (

@@ -115,7 +115,6 @@ def pid(proportional: float, integral: float, derivative: float, time: float) ->
 
 
 def _pair(omega: float, damping: float) -> tuple[complex, complex]:
-    """Roots of s^2 + 2 d w s + w^2."""
     root = np.sqrt(complex(damping**2 - 1))
     return complex(omega * (-damping + root)), complex(omega * (-damping - root))
 
@@ -156,7 +155,6 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
 
 
 def _rate_of(interval: Any) -> float | None:
-    """Sampling rate [Hz] of a sampling time [s]; None and 0 are of continuous systems."""
     if interval is None or (not isinstance(interval, bool) and interval == 0):
         return None
     if isinstance(interval, bool):
@@ -212,7 +210,6 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
 def _confirmed(
     found: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float
 ) -> Transfer:
-    """The transfer function where it is that of the state space; ConfigError otherwise."""
     a, b, c, d = system
     for share in (0.01, 0.3, 3.0):
         point = share * unit * (0.3 + 1j)
@@ -229,8 +226,6 @@ def _confirmed(
             )
     return found
 
-
-# Blocks of a controller in series as a bearing file has them. FORMS by name.
 
 # Relative distance at which two roots are conjugate.
 CONJUGATE = 1e-6

@@ -43,8 +43,6 @@ class Levitation(Settings):
 
 @dataclass(frozen=True)
 class Noise(Settings):
-    """Standard deviations of the measuring noise and of the rotor's wander."""
-
     displacement: float = quantity("displacement sensors", "m", 0.3e-6)
     force: float = quantity("force transducer", "N", 0.02)
     hover: float = quantity("slow wander of the levitated rotor", "m", 1e-6)
@@ -84,7 +82,6 @@ COUPLED_STIFFNESS = np.array([[180e3, 25e3], [-18e3, 210e3]])
 COUPLED_DAMPING = np.array([[120.0, 15.0], [-10.0, 150.0]])
 
 
-# Periods that are averaged; transient periods come before them.
 PERIODS = 5
 
 

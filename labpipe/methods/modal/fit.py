@@ -32,22 +32,20 @@ from labpipe.methods.modal.model_error import (
     with_model_errors,
 )
 from labpipe.methods.modal.moved import MovedMode, aligned, aligned_measured, with_moved_modes
-from labpipe.methods.modal.number import (
-    Completed,
-    LineNoise,
-    completed,
-    kept_modes,
-    refine_with_terms,
-    with_real_modes,
-)
 from labpipe.methods.modal.poles import (
+    Completed,
     Diagram,
+    LineNoise,
     NormalEquations,
     Poles,
+    completed,
     damping_ratio,
+    kept_modes,
     nearest_modes,
     normal_equations,
+    refine_with_terms,
     stabilisation,
+    with_real_modes,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.methods.modal.whole_covariance import (
@@ -99,7 +97,6 @@ def modal_sources(
 
 
 def _weights(measured: Measured) -> ComplexArray:
-    """Those of the fit; equal ones where the covariance is not known or cannot be used."""
     if not has_noise(measured):
         return equal_weights(measured)
     try:
@@ -360,7 +357,6 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 def _at_mean_poles(
     sides: _Sides, whole: Completed, noise: LineNoise, modal: ModalSettings
 ) -> tuple[_Sides, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
-    """FRFs and modes with every point at the mean pole of its mode, unless the poles are named by hand."""
     if modal.poles:
         return sides, whole, (), ()
     moving = modal.moving_mass is not None
@@ -439,7 +435,6 @@ def _turned(measured: Measured) -> Measured:
 
 
 def _highest_order(lines: Lines, modal: ModalSettings) -> int:
-    """The settings' order, less where the lines are few; FitError where they are too few for any choice."""
     highest = min(modal.order, lines.omega.size // LINES_PER_ORDER)
     if highest < LEAST_ORDER:
         raise FitError(
@@ -540,7 +535,6 @@ def _reported(
 
 
 def _diagram_record(lines: Lines, diagram: Diagram) -> StabilisationDiagram:
-    """The diagram in Hz, with the singular values of the FRFs on the lines."""
     poles = diagram.poles
     return StabilisationDiagram(
         np.abs(poles.values) / (2 * np.pi),

@@ -172,7 +172,11 @@ def refine(
     The noise of every element, the same at all lines, is estimated from its residual after each step.
     Equation (modal-model).
     """
-    start = _normalised(participation)
+    rows, largest = np.arange(participation.shape[0]), np.argmax(np.abs(participation), axis=1)
+    scaled = participation / participation[rows, largest][:, None]
+    # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.
+    scaled[rows, largest] = 1.0
+    start = np.asarray(scaled)
     state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)
     for steps in range(1, most_steps + 1):
         step, std_errors = state.step()
@@ -186,7 +190,6 @@ def refine(
 
 
 def _moved(state: _State, step: FloatArray) -> _State | None:
-    """The state after the largest of the halved steps that lowers the misfit."""
     before = state.chi2
     for halving in range(MOST_HALVINGS):
         other = state.after(step / 2**halving)
@@ -235,7 +238,6 @@ class _State:
         )
 
     def after(self, step: FloatArray) -> _State | None:
-        """The state at the parameters moved by *step* (n,)."""
         poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
         if np.any(poles.real >= 0) or np.any(poles.imag <= 0):
             return None
@@ -255,7 +257,6 @@ class _State:
         return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
 
     def step(self) -> tuple[FloatArray, FloatArray]:
-        """Gauss-Newton step (n,) of the parameters and their standard errors (n,)."""
         normal, gradient, *_ = self._schur()
         inverse = _pseudo_inverse(normal)
         return inverse @ gradient, np.sqrt(np.diag(inverse) / 2)
@@ -311,14 +312,6 @@ def _pseudo_inverse(normal: FloatArray) -> FloatArray:
     return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / (scale[:, None] * scale))
 
 
-def _normalised(participation: ComplexArray) -> ComplexArray:
-    rows, largest = np.arange(participation.shape[0]), np.argmax(np.abs(participation), axis=1)
-    scaled = participation / participation[rows, largest][:, None]
-    # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.
-    scaled[rows, largest] = 1.0
-    return np.asarray(scaled)
-
-
 def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
     """Rows and columns of the entries that are estimated: all but the 1 of each row."""
     rows, columns = np.nonzero(participation != 1)
@@ -326,7 +319,6 @@ def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
 
 
 def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
-    """u, v of every mode in turn, then their counterparts with squared denominators, (n_line, 4 n_mode)."""
     pairs = pole_functions(lines.s, poles, lines.hysteretic)
     columns = [np.stack([a + b, 1j * (a - b)], axis=-1).reshape(lines.omega.size, -1) for a, b in pairs]
     return np.asarray(np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None])

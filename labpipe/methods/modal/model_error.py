@@ -82,7 +82,6 @@ HYSTERETIC: tuple[tuple[str, str, Function], ...] = (
     ("f_n", "Hz", lambda x: float(np.sqrt(x[1] ** 2 - x[0] ** 2) / (2 * np.pi))),
     ("eta", "1", lambda x: float(-2 * x[0] * x[1] / (x[1] ** 2 - x[0] ** 2))),
 )
-# Relative step of the central differences of functions of pole and residue.
 STEP = 1e-6
 
 
@@ -220,7 +219,6 @@ def _pole_and_residue(
 
 
 def _gradient(function: Function, x: FloatArray) -> FloatArray:
-    """Central differences (n,) with a step relative to the pair (Re, Im) that a number belongs to."""
     slopes = np.empty(x.size)
     for number in range(x.size):
         pair = x[2 * (number // 2) : 2 * (number // 2) + 2]
@@ -309,7 +307,6 @@ def model_errors(
 def _elsewhere(
     wide: Measured, estimate: ModalEstimate, mode: int, near: _Band, scatter: FloatArray | None
 ) -> tuple[Mixture, ...]:
-    """The same mode in narrower and wider bands, and with fewer and more residual terms."""
     pole, rows = estimate.refined.poles[mode], []
     low, high = float(near.frequency[0]), float(near.frequency[-1])
     f_r, width = abs(pole) / (2 * np.pi), -2 * pole.real / (2 * np.pi)
@@ -405,7 +402,6 @@ class _Band:
         )
 
     def curve(self, outputs: slice) -> Curve:
-        """The line of the mode, of unit amplitude, from some of the outputs, and the noise on it."""
         data, std = (part[:, outputs].reshape(self.frequency.size, -1) for part in (self.data, self.std))
         # As many modes as these FRFs can tell apart.
         columns = self.columns[outputs].reshape(data.shape[1], -1)[:, : max(data.shape[1] // 2, 1)]
@@ -480,7 +476,6 @@ def _near(measured: Measured, pole: complex) -> BoolArray:
 
 
 def _widened(measured: Measured, pole: complex) -> tuple[float, float] | None:
-    """Edges [Hz] of the band in which a mode can be judged whose own one is too narrow for that, or None."""
     f_r, width = abs(pole) / (2 * np.pi), -2 * pole.real / (2 * np.pi)
     low, high = (float(end) / (2 * np.pi) for end in measured.omega[[0, -1]])
     if high - low >= FEWEST_WIDTHS * width:

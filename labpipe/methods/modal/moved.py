@@ -16,7 +16,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import Measured
 from labpipe.methods.modal.likelihood import Lines, Refined, pole_functions, remaining
-from labpipe.methods.modal.number import Completed, LineNoise, refine_with_terms, whiteness
+from labpipe.methods.modal.poles import Completed, LineNoise, refine_with_terms, whiteness
 from labpipe.records.finding import Finding, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
@@ -151,7 +151,6 @@ def with_moved_modes(
 
 
 def _chains(refined: Refined) -> list[list[int]]:
-    """Numbers of poles that follow each other closely, in ascending frequency."""
     order = np.argsort(refined.poles.imag).tolist()
     # Half-power width over frequency, 2 zeta.
     relative = float(np.median(-2 * refined.poles.real / np.abs(refined.poles)))
@@ -168,7 +167,6 @@ def _chains(refined: Refined) -> list[list[int]]:
 
 
 def _moved(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
-    """The modes of a chain that are made of several poles, with the numbers of these."""
     if len(chain) < 2:
         return []
     s, data = _alone(lines, refined, chain)

@@ -37,7 +37,6 @@ TWO_SIGMA = 1.96
 
 
 def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
-    """Table of the modes, stabilisation diagram, shapes and MAC."""
     diagram = [] if modes.diagram is None else [diagram_figure(fit, modes, modes.diagram)]
     alike = [mac_figure(fit, modes)] if modes.frequency.size > 1 and len(modes.points) > 1 else []
     shapes = [shapes_figure(fit, modes)] if len(modes.points) > 1 else []
@@ -45,7 +44,6 @@ def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
 
 
 def modes_table(fit: Fit, modes: Modes) -> Table:
-    """One row per mode: where it moves most and how far its points move in one phase."""
     largest = np.argmax(np.abs(modes.shapes), axis=0)
     strongest = np.argmax(np.abs(modes.participation), axis=1)
     rows = tuple(
@@ -73,10 +71,6 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
 
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
-    """Complex mode indicator function above, the stable poles of all orders below.
-
-    Chosen modes as upright lines.
-    """
     names = [f"singular value {n + 1}" for n in range(diagram.indicator.shape[1])]
     indicators = [
         curve(name, diagram.indicator_frequency, diagram.indicator[:, n], *look(n))
@@ -100,7 +94,6 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
 
 
 def shapes_figure(fit: Fit, modes: Modes) -> Figure:
-    """The shapes, turned to be as real as they can be, real part with 95 % interval over the points."""
     few = len(modes.points) <= MOST_NAMES
     axis = Axis("point", ticks=named_ticks(modes.points) if few else ())
     panels = tuple(_shape(modes, n, axis, few) for n in range(modes.frequency.size))
@@ -133,7 +126,6 @@ def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
 
 
 def mac_figure(fit: Fit, modes: Modes) -> Figure:
-    """Modal assurance criterion between the shapes."""
     names = [f"{frequency:.4g}" for frequency in modes.frequency]
     texts = [[f"{value:.2f}" for value in row] for row in modes.mac.tolist()]
     axis = Axis("mode [Hz]", ticks=named_ticks(names))

@@ -225,9 +225,6 @@ def regular(measured: Measured) -> Measured:
 
 
 def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
-    """The parts of the covariance (n_parameter, n_parameter) that concern poles, participation and the shape
-    of each output.
-    """
     poles, participation, shapes, _ = model.split(minimum.values)
     whole = np.zeros((model.free.size, model.free.size))
     whole[np.ix_(model.free, model.free)] = covariance

@@ -100,7 +100,6 @@ def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> t
 
 
 def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs."""
     first = np.arange(0, lines.size - 1, 2)
     return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
 
@@ -108,7 +107,6 @@ def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
 def _kept(
     names: tuple[str, ...], lines: IntArray, forces: ComplexArray, groups: IntArray
 ) -> tuple[Multisines, ...]:
-    """The test without lines of negligible force."""
     size = np.sum(np.abs(forces) ** 2, axis=1)
     kept = size > LEFT_OUT * size.sum()
     return (Multisines("+".join(names), lines[kept], forces[kept], groups[kept]),)
@@ -116,7 +114,6 @@ def _kept(
 
 SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleaved}
 
-# Phases for the least peak of several signals that share their lines.
 
 # Samples per period of the highest line, while searching.
 SEARCHED = 8
@@ -213,8 +210,6 @@ class _Problem:
             minimize(self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options).x
         )
 
-
-# What tests of a given length tell once every signal is as large as the limits allow.
 
 # Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the
 # slowest motion has died away.

@@ -108,7 +108,6 @@ def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArra
 
 
 def _scores(weights: FloatArray, information: FloatArray) -> FloatArray:
-    """d_a = tr(W I_a), (n_candidate,)."""
     return np.asarray(np.einsum("ij,aij->a", weights, information))
 
 

@@ -24,14 +24,13 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.planning.campaigns import Multisines
 from labpipe.methods.planning.campaigns import Rig as LimitedRig
-from labpipe.methods.planning.expectation import Earlier, Expected
 from labpipe.methods.planning.model import AXES
 from labpipe.methods.planning.plan import Planned, make_plan, planned_test
 from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_plan, write_settings
 from labpipe.methods.planning.records import PlannedTest
 from labpipe.methods.planning.report import goal_sentence, plan_document, sentence
 from labpipe.methods.planning.settings import PlanKind, PlanSettings, TheorySettings
-from labpipe.methods.planning.uncertainty import Rehearse, rehearsed
+from labpipe.methods.planning.uncertainty import Earlier, Expected, Rehearse, rehearsed
 from labpipe.project.bearing_file import open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import load_marked, set_entry
@@ -48,7 +47,6 @@ from labpipe.spectra.measurement import measure
 
 RIG, PIPELINE = "rig.yaml", "pipeline.yaml"
 FIT = "planned"
-# What evaluates spectra of all channels.
 OF_SPECTRA = "dynamic-stiffness"
 SI_UNITS = {"force": "N", "displacement": "m", "acceleration": "m/s^2"}
 
@@ -67,12 +65,10 @@ class Evaluation:
 
     @property
     def shakers(self) -> list[str]:
-        """Every shaker that runs in a test."""
         return list(dict.fromkeys(shaker for test in self.tests for shaker in test.shakers))
 
     @property
     def at_once(self) -> bool:
-        """Whether shakers run at once."""
         return any(len(test.shakers) > 1 for test in self.tests)
 
     @property
@@ -115,7 +111,6 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
 
 
 def forces_of(rig: Rig) -> list[Channel]:
-    """The forces of a rig."""
     return [channel.channel for channel in rig.channels if channel.channel.role == "input"]
 
 
@@ -177,9 +172,6 @@ def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
 
 
 def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
-    """Name of the one force that is moved from test to test, and the uncertainty of its direction as it is
-    written; None where none is.
-    """
     settings = evaluation.settings
     if evaluation.side_by_side:
         return None
@@ -224,7 +216,6 @@ def uncertain_text(number: Uncertain) -> str:
 
 
 def rig_path(file: PlanFile) -> Path | None:
-    """The rig file that a plan names, if any."""
     settings: PlanSettings = file.settings
     return (file.path.parent / settings.rig).absolute() if settings.rig else None
 
@@ -318,9 +309,6 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
 
 
 def _expected(file: PlanFile) -> Expected:
-    """Values by name: those of `expected`, the others from the earlier result, with its uncertainties, then
-    from theory.
-    """
     settings = file.settings
     theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
     typed = dict(settings.expected)

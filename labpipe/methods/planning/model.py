@@ -43,12 +43,12 @@ class PlannedModel:
 
     @property
     def n_dof(self) -> int:
-        """Degrees of freedom, 1 or 2."""
+
         return self.known.shape[-1]
 
     @property
     def units(self) -> tuple[str, ...]:
-        """SI units of the coefficients."""
+
         return tuple(UNITS[name[0]] for name in self.names)
 
     @property
@@ -124,11 +124,8 @@ def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedMod
     """
     wanted = ("k", "c") if mass is not None else ("k", "c", "m")
     values = _values(expected, wanted)
-    elements = np.zeros((len(wanted), 3, 1, 1))
-    elements[np.arange(len(wanted)), np.arange(len(wanted))] = 1.0
-    known_matrices = np.zeros((3, 1, 1))
-    known_matrices[2] = mass or 0.0
-    return PlannedModel("sdof", wanted, values, elements, known_matrices)
+    elements = np.eye(len(wanted), 3)[:, :, None, None]
+    return PlannedModel("sdof", wanted, values, elements, np.array([0.0, 0.0, mass or 0.0])[:, None, None])
 
 
 def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
@@ -140,10 +137,8 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
         raise ConfigError(
             "model rotor-2dof needs the mass of the rotor", hint="for example mass: 0.92 kg", field="mass"
         )
-    known_matrices = np.zeros((3, 2, 2))
-    known_matrices[2] = mass * np.eye(2)
-    names = _matrix_names("kc")
-    return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), known_matrices)
+    names, known = _matrix_names("kc"), np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
+    return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), known)
 
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
@@ -193,11 +188,7 @@ def _matrix_names(letters: str) -> tuple[str, ...]:
 
 
 def _matrix_elements(letters: str) -> FloatArray:
-    elements = np.zeros((4 * len(letters), 3, 2, 2))
-    for number in range(4 * len(letters)):
-        power, place = divmod(number, 4)
-        elements[number, power, place // 2, place % 2] = 1.0
-    return elements
+    return np.eye(4 * len(letters), 12).reshape(-1, 3, 2, 2)
 
 
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:
@@ -213,9 +204,6 @@ def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
         hint = "leave `mass` out to estimate m" if unknown == ["m"] else f"known: {', '.join(names)}"
         raise ConfigError(f"the model has no coefficient {', '.join(unknown)}", hint=hint, field="expected")
     return np.array([expected[name] for name in names])
-
-
-# What a force spectrum tells about coefficients.
 
 
 @dataclass(frozen=True)

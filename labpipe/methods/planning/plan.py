@@ -25,14 +25,6 @@ from labpipe.methods.planning.campaigns import (
     settling,
     with_shares,
 )
-from labpipe.methods.planning.expectation import (
-    Earlier,
-    Excitation,
-    Expected,
-    identifiability,
-    spread,
-    spread_notes,
-)
 from labpipe.methods.planning.model import AXES, Noise, PlannedModel
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
 from labpipe.methods.planning.runs import LONGEST, least_factor
@@ -48,15 +40,21 @@ from labpipe.methods.planning.search import (
 )
 from labpipe.methods.planning.settings import BEST, PlanSettings
 from labpipe.methods.planning.uncertainty import (
+    Earlier,
+    Excitation,
+    Expected,
     Goals,
     Rehearse,
     aims,
     beside_earlier,
     calibration_notes,
     goals_of,
+    identifiability,
     lasting_notes,
     limits,
     predicted,
+    spread,
+    spread_notes,
     unreachable,
     with_uncertainty,
 )
@@ -206,7 +204,6 @@ def _scheme(settings: PlanSettings) -> str:
 def _with_budget(
     plan: Plan, question: _Question, timed: Campaign, budget: Budget, earlier: Earlier | None
 ) -> Plan:
-    """The plan with what the uncertainties of sensors and mass add, and what of the goals they leave."""
     model, goals = question.rig.model, question.goals
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
     if timed.known is not None and earlier is not None:
@@ -239,10 +236,6 @@ def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration:
 def _over_draws(
     plan: Plan, question: _Question, timed: Campaign, earlier: Earlier, common: Sequence[str]
 ) -> Plan:
-    """The plan with the ranges of its prediction over draws from the covariance of what is expected.
-
-    common: sources of error that the new test has as well.
-    """
     rig, wanted = question.rig, question.wanted
     covariance = earlier.covariance_of(rig.model, common)
     if not np.all(np.isfinite(covariance)):
@@ -392,9 +385,6 @@ def _skip(settings: PlanSettings, rig: Rig, design: Campaign, periods: tuple[int
 
 
 def _settled_after(motion: Settling, errors: FloatArray) -> int:
-    """The first number of skipped periods, from one on, that shifts no coefficient by SETTLED of its *errors*
-    (n_coefficient,) [1].
-    """
     settled = (n for n in range(1, MOST_SKIPPED) if np.all(np.abs(motion.shifts(n)) <= SETTLED * errors))
     return next(settled, MOST_SKIPPED)
 

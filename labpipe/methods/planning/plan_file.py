@@ -27,7 +27,6 @@ KEYS = ("title", "plan")
 
 
 def plan_schema() -> dict[str, Any]:
-    """The JSON schema of a plan file."""
     plan = of_kinds("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
     head = {name: plan.pop(name) for name in ("$schema", "title")}
     properties = {"title": {"type": "string"}, "plan": plan}
@@ -73,7 +72,6 @@ def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
 
 
 def _sort_theory(node: Marked) -> None:
-    """expected: {bearing: FILE, ...} is what `theory` says."""
     entries = node.content if isinstance(node.content, dict) else {}
     expected = entries.get("expected")
     if (
@@ -99,12 +97,10 @@ def _kind(node: Marked, faults: Faults) -> PlanKind | None:
 
 
 NAME = "plan.json"
-# Of an excitation, and of runs.
 SCHEMAS: dict[type, str] = {Plan: "labpipe/plan/1", RunPlan: "labpipe/run-plan/1"}
 
 
 def write_plan(path: Path, plan: Plan | RunPlan) -> None:
-    """Write a plan."""
     write_digested(path, {"schema": SCHEMAS[type(plan)], "labpipe": __version__, **entry_of(plan)})
 
 
@@ -137,7 +133,6 @@ REPORT, PIPELINE, ROTOR = "report.html", "pipeline.yaml", "rotor.yaml"
 
 
 def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputFolder) -> list[str]:
-    """plan.json, report.html, runs.csv and runs.md, and files of settings by name; the names."""
     write_plan(output.write_path(NAME), plan)
     output.write_path(REPORT).write_bytes(DOCUMENTS.load("html")(run_plan_document(plan, __version__)))
     output.write_path("runs.csv").write_text(runs_csv(plan), encoding="utf-8")
@@ -148,7 +143,6 @@ def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputF
 
 
 def write_settings(files: Mapping[str, Any], output: OutputFolder) -> None:
-    """Files of settings by name: their entries, or their text."""
     for name, content in files.items():
         text = (
             content
@@ -159,7 +153,6 @@ def write_settings(files: Mapping[str, Any], output: OutputFolder) -> None:
 
 
 def plan_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan and write; sentences on the plan, and the files' names."""
     try:
         sentences, names = file.kind.files(file, output)
     except LabpipeError as error:

@@ -100,9 +100,6 @@ class Plan:
         return any(c.goal is not None or c.goal_expanded is not None for c in self.coefficients)
 
 
-# Planned runs: under which operating conditions a rig is to run, and what that will tell.
-
-
 @dataclass(frozen=True)
 class PlannedNumber:
     """What the runs will tell of a parameter or of a prediction made from them; errors are standard errors in

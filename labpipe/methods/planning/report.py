@@ -72,7 +72,6 @@ CRITERIA = {
 
 
 def plan_document(plan: Plan, version: str) -> Document:
-    """The report of a plan."""
     sections = (
         Section("Plan", tuple(_verdict(plan))),
         Section("Predicted errors", (_coefficients(plan), Paragraph(_explained(plan)))),
@@ -83,7 +82,6 @@ def plan_document(plan: Plan, version: str) -> Document:
 
 
 def sentence(plan: Plan) -> str:
-    """What the plan does, in a sentence."""
     worst = max(plan.coefficients, key=_over_goal if plan.with_goals else lambda c: c.error)
     tests = ", ".join(f"{test.name} {test.periods} periods" for test in plan.tests)
     gain = dict(plan.gains)["least crest"]
@@ -99,7 +97,6 @@ def sentence(plan: Plan) -> str:
 
 
 def goal_sentence(plan: Plan) -> str:
-    """Whether the goals are met, and the time they need."""
     if not plan.with_goals:
         return ""
     if plan.needed is None:
@@ -260,7 +257,6 @@ def _spectrum(plan: Plan) -> Figure:
 
 
 def _over_goal(coefficient: PlannedCoefficient) -> float:
-    """Error over goal, of noise or expanded, whichever is further."""
     parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
     parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
     return max(parts, default=0.0)
@@ -279,7 +275,6 @@ MODELS = {
 
 
 def run_plan_document(plan: RunPlan, version: str) -> Document:
-    """The report of planned runs."""
     sections = (
         Section("Plan", tuple(_runs_verdict(plan))),
         Section("Runs", (runs_table(plan),)),
@@ -296,7 +291,6 @@ EXPLAINED = (
 
 
 def runs_table(plan: RunPlan) -> Table:
-    """A row for every condition that is to be run."""
     titles = tuple(dict.fromkeys(title for run in plan.runs for title, _ in run.conditions))
     rows = tuple(
         (
@@ -312,7 +306,6 @@ def runs_table(plan: RunPlan) -> Table:
 
 
 def run_sentences(plan: RunPlan) -> Iterator[str]:
-    """What is to be run and what it will tell, in sentences."""
     total = sum(run.count for run in plan.runs)
     aimed = [number for number in plan.numbers if number.goal is not None and number.error is not None]
     worst = max(aimed, key=lambda number: (number.error or 0.0) / (number.goal or 1.0)) if aimed else None
@@ -342,7 +335,6 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
 
 
 def runs_csv(plan: RunPlan) -> str:
-    """The runs as a table for other programs."""
     table = runs_table(plan)
     quoted = [
         ",".join('"' + cell.replace('"', '""') + '"' for cell in row) for row in (table.header, *table.rows)
@@ -351,7 +343,6 @@ def runs_csv(plan: RunPlan) -> str:
 
 
 def error_text(number: PlannedNumber, error: float | None) -> str:
-    """A standard error, in per cent of the number's scale, or with its unit where it has none."""
     if error is None:
         return NOT_DETERMINED
     if number.scale is not None:
@@ -395,7 +386,6 @@ def _numbers(plan: RunPlan) -> Table:
 
 
 def run_names(run: PlannedRun) -> tuple[str, ...]:
-    """The names of the recordings of a condition, one for each of its runs."""
     return (
         (run.name,) if run.count == 1 else tuple(f"{run.name}-{number}" for number in range(1, run.count + 1))
     )

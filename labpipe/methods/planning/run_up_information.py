@@ -15,11 +15,16 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.film_family import PARAMETERS, FilmFamily, as_matrices
 from labpipe.methods.run_ups.joint import threshold_row
 from labpipe.methods.run_ups.misfit import ExcitedRun
 from labpipe.methods.run_ups.records import RunUp, Shaker
-from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement
+from labpipe.methods.run_ups.rotor import (
+    PARAMETERS,
+    FilmFamily,
+    RunUpRotor,
+    as_matrices,
+    largest_displacement,
+)
 from labpipe.records.uncertain import Uncertain
 
 # Readings with a larger relative error are not planned with: a fit weighs along and across the measured

@@ -28,10 +28,9 @@ from labpipe.methods.planning.run_up_information import (
 )
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_relative
-from labpipe.methods.run_ups.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily
 from labpipe.methods.run_ups.misfit import scales
 from labpipe.methods.run_ups.records import Shaker
-from labpipe.methods.run_ups.rotor import RPM, RunUpRotor
+from labpipe.methods.run_ups.rotor import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, RPM, FilmFamily, RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.registry import nearest
@@ -76,7 +75,6 @@ class TrialSettings(Settings):
 
     @property
     def words(self) -> str:
-        """The excitation in words."""
         if self.shaker:
             return f"shaker at {self.shaker}: {self.force:g} N in x, {self.ratio:g} of the speed"
         return "; ".join(
@@ -249,12 +247,10 @@ class RunUpsPlanned:
 
     @property
     def plan(self) -> RunPlan:
-        """What is to be run."""
         return self.answered.plan
 
 
 def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan the run-ups and write their files; sentences on them, and the files' names."""
     settings: RunUpPlanSettings = file.settings
     planned = plan_run_ups(settings, file.title, _earlier(file))
     names = []
@@ -284,7 +280,6 @@ def _earlier(file: PlanFile) -> dict[str, float]:
 
 
 def pipeline_entries(plan: RunPlan, settings: RunUpPlanSettings) -> dict[str, Any]:
-    """The pipeline that evaluates the runs."""
     runs = [{"file": f"recordings/{name}.csv"} for run in plan.runs for name in run_names(run)]
     section: dict[str, Any] = {"rotor": ROTOR, "methods": [METHOD], "runs": runs}
     if settings.known:
@@ -297,7 +292,17 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
 
     ConfigError where a goal cannot be met however many there are.
     """
-    expected = _expected(settings, earlier)
+    assert settings.rig is not None
+    rig: RunUpRotor = settings.rig
+    if rig.speeds is None:
+        rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
+    film = rig.place.film("a plan of run-ups")
+    family = FilmFamily(
+        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
+    )
+    noise = settings.noise
+    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
+    expected = ExpectedRig(rig, family, settings.values(earlier), reading)
     candidates, notes = _allowed(expected, _candidates(settings, expected, settings.loads), settings)
     given = settings.known
     question = RunQuestion(
@@ -322,24 +327,9 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     return RunUpsPlanned(answered, expected, {candidate.name: candidate for candidate in candidates})
 
 
-def _expected(settings: RunUpPlanSettings, earlier: dict[str, float]) -> ExpectedRig:
-    assert settings.rig is not None
-    rig: RunUpRotor = settings.rig
-    if rig.speeds is None:
-        rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
-    film = rig.place.film("a plan of run-ups")
-    family = FilmFamily(
-        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
-    )
-    noise = settings.noise
-    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
-    return ExpectedRig(rig, family, settings.values(earlier), reading)
-
-
 def _candidates(
     settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
 ) -> Iterator[RunCandidate]:
-    """Every trial under every load on every stretch of speeds; the highest also on to the threshold."""
     stretches = np.array_split(settings.omega, settings.stretches)
     for place, load in enumerate(loads, 1):
         for name, trial in settings.trials:
@@ -365,7 +355,6 @@ def _shaker(trial: TrialSettings) -> Shaker | None:
 def _allowed(
     expected: ExpectedRig, candidates: Iterator[RunCandidate], settings: RunUpPlanSettings
 ) -> tuple[list[RunCandidate], list[str]]:
-    """The candidates at the speeds that limits and stability allow, and notes on those that were cut."""
     limits = Limits(settings.displacement_limit, settings.journal_limit)
     kept, cut, whole = [], 0, 0
     for candidate in candidates:
@@ -407,7 +396,6 @@ def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: Ru
 def _remedies(
     settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Sequence[RunCandidate]
 ) -> Iterator[Change]:
-    """A measured clearance, a shaker, a second load: alone, then two of them."""
     conditions = tuple(_condition(settings, expected, candidate) for candidate in candidates)
     shaken = TrialSettings(shaker=expected.rig.plane_names[0])
     with_shaker = replace(settings, trials=(*settings.trials, ("shaker", shaken)))
@@ -442,7 +430,6 @@ def _extra(
 
 
 def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[Quantity]:
-    """Parameters that are not known; at a named load and speed also speeds and coefficients, relative."""
     goals = {name: values[0] for name, values in settings.goal}
     for number, name in enumerate(PARAMETERS):
         if name not in settings.known:
@@ -474,7 +461,6 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
 
 
 def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
-    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms."""
 
     def speed(values: FloatArray) -> float | None:
         at = expected.family.at_load(values, load)

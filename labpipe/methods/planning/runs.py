@@ -163,7 +163,6 @@ def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArra
 def _filled(
     criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray
 ) -> IntArray:
-    """Runs added one by one, the one that tells most per second first, until none fits in."""
     counts = counts.copy()
     slight = SLIGHT * choices.information.sum(axis=0)
     while True:
@@ -180,7 +179,6 @@ def _filled(
 def _exchanged(
     criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray
 ) -> IntArray:
-    """One run of a kind taken out and the time filled again, as long as that helps."""
     value = _values(criterion, choices.of(counts)[None], wanted)[0]
     for _ in range(MOST_EXCHANGES):
         trials = []
@@ -197,7 +195,6 @@ def _exchanged(
 
 
 def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
-    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances."""
     root = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     values = np.full(len(information), np.inf)
     regular = np.all(root > 0, axis=1)
@@ -286,9 +283,6 @@ def least_factor(low: float, enough: Callable[[float], object]) -> float:
     return float(np.exp(high))
 
 
-# From candidates of runs, with what each tells, to planned runs and what they will tell.
-
-
 @dataclass(frozen=True)
 class Quantity:
     """A number that the runs tell: *row* (n,) [unit per parameter unit], its derivatives by the parameters;
@@ -353,7 +347,6 @@ class RunQuestion:
         return self._choices(self.conditions, self.known)
 
     def changed(self, change: Change) -> RunChoices:
-        """The choices after a change."""
         return self._choices(change.conditions, (*self.known, *change.known))
 
     def _choices(self, conditions: Sequence[Condition], known: Sequence[str]) -> RunChoices:
@@ -372,7 +365,6 @@ class Answered:
     covariance: FloatArray
 
     def noted(self, notes: Iterable[str]) -> Answered:
-        """With further notes."""
         return replace(self, plan=replace(self.plan, notes=(*self.plan.notes, *notes)))
 
 
@@ -420,7 +412,6 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
 def _check_open(
     question: RunQuestion, choices: RunChoices, aimed: Sequence[Quantity], wanted: FloatArray
 ) -> None:
-    """ConfigError where a number with a goal, or any number, stays open however many runs there are."""
     lasting = lasting_errors(choices, wanted)
     pairs = list(zip(aimed, lasting, strict=True))
     beyond = [quantity.name for quantity, error in pairs if quantity.goal is not None and error > 1]
@@ -442,7 +433,6 @@ def _words(names: Sequence[str], choices: RunChoices, units: FloatArray) -> tupl
 
 
 def _remedies(question: RunQuestion) -> tuple[str, ...]:
-    """The smallest changes after which the runs, with what is known for certain, determine all parameters."""
     if undetermined(question.choices()).size == 0:
         return ()
     helpful: list[Change] = []

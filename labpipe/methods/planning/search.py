@@ -228,7 +228,6 @@ def _balanced(found: Candidates, wanted: Wanted, criterion: str, floor: float, n
 
 
 def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[Source]:
-    """Designs of every criterion and cost on every scheme; flat last."""
     limited = rig.limits.displacement is not None
     at_once = [scheme for scheme in schemes if scheme != ONE_BY_ONE]
     for share in DISPLACEMENT_SHARES if limited else (0.0,):

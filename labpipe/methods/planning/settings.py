@@ -196,7 +196,6 @@ class PlanSettings(Settings):
 
     @property
     def kind(self) -> PlannedKind:
-        """What the model to be identified is."""
         return MODELS[self.model]
 
     def _check_expected(self) -> None:

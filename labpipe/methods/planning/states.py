@@ -128,7 +128,6 @@ class StatePlanSettings(Settings):
 
     @property
     def periods(self) -> int:
-        """Measured periods of a run."""
         return int(self.run / self.period + 0.5)
 
     @property
@@ -262,7 +261,6 @@ def _quantities(
             )
 
 
-# Half of a difference, relative to the number.
 STEP = 1e-2
 UNTESTED = (
     "What all states have in common is taken from the theory: whether it holds in the states without "
@@ -271,7 +269,6 @@ UNTESTED = (
 
 
 def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan the runs and write their files; sentences on them, and the files' names."""
     settings: StatePlanSettings = file.settings
     answered, tests = plan_states(settings, file.title, file.path.parent)
     names = []
@@ -324,7 +321,6 @@ def plan_states(
 
 
 def _common(bearing: BearingFile, name: str) -> Common:
-    """A number of the bearing file, with its uncertainty as what is known before."""
     declared = settings_of(bearing.kind.settings)
     if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
         numbers = tuple(
@@ -347,7 +343,6 @@ def _common(bearing: BearingFile, name: str) -> Common:
 def _states(
     settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]
 ) -> list[BearingState]:
-    """Every load at every speed, with coefficients by theory and their slopes by central differences."""
     points = [(load, speed) for load in settings.loads for speed in settings.speeds]
     changes: list[tuple[Common, float] | None] = [
         None,
@@ -375,7 +370,6 @@ def _states(
 
 
 def _settings(bearing: BearingFile, load: float, speed: float, change: tuple[Common, float] | None) -> Any:
-    """The bearing's settings in a state, with a number a step off; the file's entries are as before then."""
     entries = [("load", load, "N"), ("speed", speed, "Hz")]
     for name, value, unit in entries:
         set_entry(bearing.tree, f"{name}={value!r} {unit}")

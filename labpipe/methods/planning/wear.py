@@ -31,8 +31,7 @@ from labpipe.methods.planning.settings import PlanKind
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import Support
-from labpipe.methods.wear.measured import PLACES
-from labpipe.methods.wear.model import BETA_STEP
+from labpipe.methods.wear.model import BETA_STEP, PLACES
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
 from labpipe.records.settings import Settings, quantity, require_positive, setting
@@ -157,12 +156,10 @@ class WearPlanSettings(Settings):
 
     @property
     def nuisances(self) -> dict[str, Uncertain]:
-        """What is estimated along, by name."""
         return {name: getattr(self, name) for name in NUISANCES if getattr(self, name) is not None}
 
     @property
     def static_forces(self) -> tuple[float, ...]:
-        """The static forces that can be set [N]; those of the rotor file unless given."""
         assert self.rig is not None
         return self.loads or (sum(force for node, _, force in self.rig.loads if node == self.node),)
 
@@ -208,12 +205,14 @@ class ExpectedWear:
         others = tuple(part for part in self.rig.loads if part[0] != node)
         return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
 
-    def receptance_and_slopes(self, lines: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def receptance_and_slopes(
+        self, lines: FloatArray, mesh: FilmMesh = MESH
+    ) -> tuple[ComplexArray, ComplexArray]:
         """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the
         parameters [m/N per SI unit].
         """
         loads = self.rig.static_loads()
-        supports = [self._support(place, loads[place.name]) for place in self.rig.bearings]
+        supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
         response, slopes = self._response(lines, supports, self.beta)
         if "beta" in self.values:
             step = BETA_STEP * self.beta
@@ -233,7 +232,7 @@ class ExpectedWear:
         free = reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
         return response_with_slopes(free, supports, self.rig.response, self.rig.force)
 
-    def _support(self, place: BearingPlace, load: tuple[float, float]) -> VaryingSupport:
+    def _support(self, place: BearingPlace, load: tuple[float, float], mesh: FilmMesh) -> VaryingSupport:
         """A bearing with the derivatives of its coefficients by the parameters."""
         slopes = np.zeros((2, len(self.values), 2, 2))
         if not place.is_film:
@@ -245,7 +244,7 @@ class ExpectedWear:
             if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))
         ]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
-        film = journal_equilibrium(bearing, load, self.rig.omega, MESH)
+        film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
         for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
         return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
@@ -300,12 +299,10 @@ class WearPlanned:
 
     @property
     def plan(self) -> RunPlan:
-        """What is to be run."""
         return self.answered.plan
 
 
 def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    """Plan the tests and write their files; sentences on them, and the files' names."""
     settings: WearPlanSettings = file.settings
     planned = plan_wear(settings, file.title)
     rotor = yaml.safe_load((file.path.parent / settings.rotor).read_text(encoding="utf-8"))
@@ -318,7 +315,22 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
             "speed": f"{point.speed!r} Hz",
             "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
         }
-        files[f"virtual-{run.name}.yaml"] = virtual_entries(settings, run, point)
+        expected = settings.expected
+        files[f"virtual-{run.name}.yaml"] = {
+            "kind": "virtual-journal-rig",
+            "rotor": _rotor_name(run),
+            **({"bearing": settings.bearing} if settings.bearing else {}),
+            "states": {"worn": {"depth": f"{expected.depth!r} m", "angle": f"{expected.angle!r} rad"}},
+            "force": f"{settings.force!r} N",
+            "lowest": f"{point.band[0]!r} Hz",
+            "bandwidth": f"{point.band[1]!r} Hz",
+            "sample_rate": f"{settings.sample_rate!r} Hz",
+            "duration": f"{run.count * settings.run!r} s",
+            "noise": {
+                "displacement": f"{settings.noise.displacement!r} m",
+                "force": f"{settings.noise.force!r} N",
+            },
+        }
     files |= {RIG: rig_entries(settings), PIPELINE: pipeline_entries(planned, settings)}
     names = write_runs(planned.plan, files, output)
     return list(run_sentences(planned.plan)), names
@@ -332,7 +344,19 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
     assert settings.rig is not None
     bearing = settings.rig.place(settings.bearing).name
     expected = _expected(settings, bearing, settings.expected)
-    testing = _testing(settings)
+    density = float(np.sqrt(2 / settings.sample_rate))
+    exclude = tuple(
+        (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
+    )
+    noise = settings.noise
+    testing = ResponseTest(
+        settings.force,
+        settings.run,
+        1 / settings.block,
+        noise.displacement * density,
+        noise.force * density,
+        exclude,
+    )
     points = tuple(_points(settings))
     conditions = _conditions(settings, expected, testing, points)
     units = _units(settings, expected)
@@ -364,22 +388,6 @@ def _expected(settings: WearPlanSettings, bearing: str, wear: Wear) -> ExpectedW
         **{name: given.value for name, given in settings.nuisances.items()},
     }
     return ExpectedWear(settings.rig, bearing, values)
-
-
-def _testing(settings: WearPlanSettings) -> ResponseTest:
-    density = float(np.sqrt(2 / settings.sample_rate))
-    exclude = tuple(
-        (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
-    )
-    noise = settings.noise
-    return ResponseTest(
-        settings.force,
-        settings.run,
-        1 / settings.block,
-        noise.displacement * density,
-        noise.force * density,
-        exclude,
-    )
 
 
 def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
@@ -417,7 +425,6 @@ def _prior(settings: WearPlanSettings) -> FloatArray:
 
 
 def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
-    """Micrometres and degrees; of the others their uncertainty."""
     return np.array(
         [
             1e-6,
@@ -436,14 +443,12 @@ def _quantities(settings: WearPlanSettings, expected: ExpectedWear) -> Iterator[
 def _remedies(
     settings: WearPlanSettings, bearing: str, testing: ResponseTest, points: Sequence[WearPoint]
 ) -> Iterator[Change]:
-    """What would tell an angle that light wear does not show: waiting until there is some."""
     if settings.expected.depth < VISIBLE:
         worn = _expected(settings, bearing, Wear(VISIBLE, settings.expected.angle))
         yield Change(f"a wear of {1e6 * VISIBLE:g} um", 1, _conditions(settings, worn, testing, points))
 
 
 def _range_notes(settings: WearPlanSettings, answered: Answered) -> Iterator[str]:
-    """Where the angle is known no better than before: with every angle of its range alike."""
     error = next(number.error for number in answered.plan.numbers if number.name == ANGLE)
     before = float(2 * settings.angle_limit / np.sqrt(12))
     if error is not None and error > before / 2:
@@ -477,7 +482,6 @@ def _term_notes(
     points: Sequence[WearPoint],
     answered: Answered,
 ) -> Iterator[str]:
-    """What the same tests tell from some terms of the response only."""
     counts = {run.name: run.count for run in answered.plan.runs}
     for terms in PLACES:
         if terms == "full":
@@ -496,28 +500,7 @@ def _rotor_name(run: PlannedRun) -> str:
     return f"rotor-{run.name}.yaml"
 
 
-def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoint) -> dict[str, Any]:
-    """A virtual rig that rehearses one test: labpipe simulate FILE -o recordings/NAME."""
-    expected = settings.expected
-    return {
-        "kind": "virtual-journal-rig",
-        "rotor": _rotor_name(run),
-        **({"bearing": settings.bearing} if settings.bearing else {}),
-        "states": {"worn": {"depth": f"{expected.depth!r} m", "angle": f"{expected.angle!r} rad"}},
-        "force": f"{settings.force!r} N",
-        "lowest": f"{point.band[0]!r} Hz",
-        "bandwidth": f"{point.band[1]!r} Hz",
-        "sample_rate": f"{settings.sample_rate!r} Hz",
-        "duration": f"{run.count * settings.run!r} s",
-        "noise": {
-            "displacement": f"{settings.noise.displacement!r} m",
-            "force": f"{settings.noise.force!r} N",
-        },
-    }
-
-
 def rig_entries(settings: WearPlanSettings) -> dict[str, Any]:
-    """The rig file that the pipeline names."""
     channels = {
         "f": {"column": "force [N]", "quantity": "force", "unit": "N", "role": "input", "dof": "y"},
         "y": {"column": "y [um]", "quantity": "displacement", "unit": "um", "role": "output", "dof": "y"},

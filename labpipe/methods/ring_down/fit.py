@@ -18,12 +18,22 @@ from labpipe.estimation.statistics import correlation, derived, estimated, stude
 from labpipe.methods.ring_down.amplitude_law import (
     FittedLaw,
     MissingMode,
+    decay_findings,
+    depends_on_amplitude,
     fitted_law,
+    jump_of,
     missing_mode,
     over_amplitude,
 )
-from labpipe.methods.ring_down.findings import decay_findings, depends_on_amplitude, jump_of
-from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
+from labpipe.methods.ring_down.likelihood import (
+    Decayed,
+    Judged,
+    Piece,
+    energies,
+    judged,
+    most_likely,
+    pieces_of,
+)
 from labpipe.methods.ring_down.repeats import (
     RepeatedDecays,
     drift_findings,
@@ -31,7 +41,6 @@ from labpipe.methods.ring_down.repeats import (
     repeated_decays,
     with_repeats,
 )
-from labpipe.methods.ring_down.residual_test import Judged, judged
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
@@ -74,7 +83,6 @@ DECAY = ModelKind(
 )
 
 
-# Peaks count down to this share of the first.
 DOWN_TO = 0.1
 
 
@@ -203,16 +211,6 @@ def law_parameters(
             dof,
         ),
     )
-
-
-def pole_correlation(fitted: Decayed) -> FloatArray:
-    """Correlation (2 n_mode, 2 n_mode) [1] of f_n_1, zeta_1, f_n_2, zeta_2 ..."""
-    n = fitted.poles.size
-    slopes = np.zeros((2 * n, 2 * n))
-    for mode, pole in enumerate(fitted.poles):
-        for row, (_, _, _, gradient) in enumerate(_frequency_and_damping(pole)):
-            slopes[2 * mode + row, 2 * mode : 2 * mode + 2] = gradient
-    return correlation(slopes @ fitted.covariance @ slopes.T)
 
 
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
@@ -358,7 +356,6 @@ def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
 def _laws(
     pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]
 ) -> dict[int, FittedLaw]:
-    """The laws of modes whose damping or frequency depends on the amplitude."""
     if tested.amplitude >= MISMATCH_P or not fitted.converged:
         return {}
     laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
@@ -366,7 +363,6 @@ def _laws(
 
 
 def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int, FittedLaw]:
-    """The laws that leave noise, or less than EXPLAINED of what the decay without them leaves."""
     rows = sum(piece.rows.shape[0] for piece in pieces)
     return {
         mode: law
@@ -384,7 +380,6 @@ def _missing(
     strongest: dict[int, tuple[int, int]],
     settings: FitSettings,
 ) -> MissingMode | None:
-    """One mode more, where it explains better than the *laws* what the fit leaves."""
     if not laws or fitted.poles.size == MOST_MODES:
         return None
     try:
@@ -436,7 +431,12 @@ def _reported(
         _free_of_nuisance(piece) for piece in pieces
     )
     adjusted = 1 - (1 - r2) * equations / fitted.dof
-    matrix = pole_correlation(fitted)
+    n = fitted.poles.size
+    slopes = np.zeros((2 * n, 2 * n))
+    for mode, pole in enumerate(fitted.poles):
+        for row, (_, _, _, gradient) in enumerate(_frequency_and_damping(pole)):
+            slopes[2 * mode + row, 2 * mode : 2 * mode + 2] = gradient
+    matrix = correlation(slopes @ fitted.covariance @ slopes.T)
     return Fit(
         name=settings.name,
         model=settings.model,
@@ -505,7 +505,6 @@ def _ring_down(
     strongest: dict[int, tuple[int, int]],
     curves: tuple[OverAmplitude, ...],
 ) -> RingDown:
-    """The decay in which the strongest mode is largest, thinned for drawing."""
     number, output = max(
         strongest.values(),
         key=lambda place: float(np.max(np.abs(fitted.pieces[place[0]].amplitudes[:, place[1]]))),

@@ -74,7 +74,14 @@ def repeated_decays(
     failed = []
     for number, (decay, piece) in enumerate(zip(decays.decays, pieces, strict=True)):
         try:
-            fits[number] = _alone(decays, number, columns, piece, band, n_mode)
+            fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
+            if not fitted.converged:
+                raise FitError("its fit does not converge")
+            if np.any(fitted.poles.real >= 0):
+                raise FitError("it does not decay")
+            if np.any(energies([piece], fitted) < 2 * np.log(piece.rows.size / MISMATCH_P)):
+                raise FitError("a mode of it is noise")
+            fits[number] = fitted
         except FitError as error:
             where = f"decay {number + 1} of {len(pieces)} ('{decay.recording}', {decay.start:.3f} s)"
             failed.append(note("repeat-left-out", f"{where} is left out: {error.what}"))
@@ -95,24 +102,6 @@ def repeated_decays(
     return RepeatedDecays(len(pieces), numbers, own, tuple(failed), kept, tuple(means), at)
 
 
-def _alone(
-    decays: FreeDecays,
-    number: int,
-    columns: Sequence[int],
-    piece: Piece,
-    band: tuple[float, float] | None,
-    n_mode: int,
-) -> Decayed:
-    fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
-    if not fitted.converged:
-        raise FitError("its fit does not converge")
-    if np.any(fitted.poles.real >= 0):
-        raise FitError("it does not decay")
-    if np.any(energies([piece], fitted) < 2 * np.log(piece.rows.size / MISMATCH_P)):
-        raise FitError("a mode of it is noise")
-    return fitted
-
-
 def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
     """ln f and ln zeta of all modes, (2 n_mode,), and their variances by the noise alone."""
     sizes = np.abs(fitted.poles)
@@ -129,9 +118,6 @@ def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
 def _means(
     logs: FloatArray, variances: FloatArray, sizes: FloatArray
 ) -> tuple[tuple[RepeatMean, RepeatMean], float]:
-    """Means of ln f and ln zeta (n, 2) of one mode, and the amplitude they hold at where either follows the
-    *sizes* (n,), else nan.
-    """
     scales = (PRIOR_SCALE * float(np.exp(np.median(logs[:, 1]))), PRIOR_SCALE)
     middle = float(np.median(sizes))
     covariate = (sizes - middle) / middle
@@ -146,7 +132,6 @@ def _means(
 def _outliers(
     decays: FreeDecays, numbers: Sequence[int], kept: Kept, logs: FloatArray, n_mode: int
 ) -> list[Finding]:
-    """Notes on decays that stand out, and a warning where they are a second population."""
     if kept.two_populations:
         message = (
             "more than a quarter of the decays lie apart from the others: two populations, and the "

@@ -24,7 +24,6 @@ Law = Callable[[AmplitudeLaw, FloatArray], FloatArray]
 
 
 def ring_down_figures(fit: Fit, shown: RingDown) -> list[Figure]:
-    """Decay over time, and for every mode damping and frequency over amplitude."""
     modes = [
         over_amplitude_figure(fit, shown, n, mode)
         for n, mode in enumerate(shown.modes, start=1)
@@ -34,7 +33,6 @@ def ring_down_figures(fit: Fit, shown: RingDown) -> list[Figure]:
 
 
 def decay_figure(fit: Fit, shown: RingDown) -> Figure:
-    """Measured and fitted decay above, what the fit leaves below."""
     time, factor, unit = Axis("time in the recording", "s"), scale_of(shown.unit), unit_text(shown.unit)
     panels = (
         Panel(
@@ -61,9 +59,6 @@ def decay_figure(fit: Fit, shown: RingDown) -> Figure:
 
 
 def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmplitude) -> Figure:
-    """Damping ratio and frequency of a mode between neighbouring stretches of the decays, over the amplitude
-    there.
-    """
     across = Axis("amplitude", unit_text(shown.unit), logarithmic=True)
     amplitude = scale_of(shown.unit) * mode.amplitude
     panels = (

@@ -17,7 +17,6 @@ from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator,
 
 KIND = "virtual-decay-rig"
 RUNS = ("struck", "beating", "joint")
-# The logger begins this long before the first hit [s].
 PRETRIGGER = 0.2
 
 
@@ -104,10 +103,6 @@ def _slipping(rig: DecayRig, time: FloatArray, strength: float) -> FloatArray:
 
 
 def truth(rig: DecayRig, names: Sequence[str] = RUNS) -> dict[str, float]:
-    """f_n, zeta and logarithmic decrement of every mode of the named runs, k and c of the first.
-
-    Of a joint its law [SI, Hz].
-    """
     modes = len(rig.frequencies) if "beating" in names else 1
     entries: dict[str, float] = {}
     for n, (frequency, ratio) in enumerate(

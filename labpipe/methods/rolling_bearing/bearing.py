@@ -21,14 +21,19 @@ from labpipe.bearings.kinds import (
     not_on_rotor,
 )
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
-from labpipe.methods.rolling_bearing.loads import DOFS, RollingBearing
+from labpipe.methods.rolling_bearing.loads import (
+    DOFS,
+    RollingBearing,
+    modes,
+    sdof_stiffness,
+    theoretical_response,
+)
 from labpipe.methods.rolling_bearing.settings import (
     LOAD_OF_DOF,
     BallBearingSettings,
     RollerBearingSettings,
     RollingSettings,
 )
-from labpipe.methods.rolling_bearing.shaft import modes, sdof_stiffness, theoretical_response
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
 
@@ -96,7 +101,6 @@ LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
-    """Coefficients of all settings, in order."""
     groups: dict[object, list[int]] = {}
     for number, entry in enumerate(settings):
         groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)
@@ -134,11 +138,34 @@ def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
 def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoefficients:
     state = solved.state
     k, at = state.stiffness[case], state.contacts
+    rest = [
+        Amount(name, float(q), unit)
+        for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)
+    ]
+    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
+    rest += [
+        Amount(name, float(f), unit)
+        for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)
+    ]
+    warnings = []
+    if solved.mirrored[case]:
+        message = (
+            "elements carry at the opposite contact angle, across the groove: a bearing with one "
+            "shoulder cannot carry this load"
+        )
+        warnings.append(Finding("mirrored", message))
+    if not solved.determinate[case]:
+        number = int(np.sum(solved.state.contacts.load[case] > 0))
+        message = (
+            f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not "
+            "unique, the stiffness is singular"
+        )
+        warnings.append(Finding("indeterminate", message))
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=k,
         damping=settings.damping_factor * k,
-        rest=_rest(state, case),
+        rest=(*rest, Amount("loaded_elements", float(np.sum(state.contacts.load[case] > 0)), "1")),
         element_state={
             "element_angle": state.angles[case],
             "element_load": at.load[case],
@@ -149,22 +176,8 @@ def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoeff
         highest=solved.highest[case],
         notes=_notes(settings),
         shaft=_shaft(settings, k),
-        findings=tuple(_findings(solved, case)),
+        findings=tuple(warnings),
     )
-
-
-def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
-    """Displacements, loads of the inner ring, and the number of loaded elements."""
-    rest = [
-        Amount(name, float(q), unit)
-        for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)
-    ]
-    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
-    rest += [
-        Amount(name, float(f), unit)
-        for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)
-    ]
-    return (*rest, Amount("loaded_elements", float(np.sum(state.contacts.load[case] > 0)), "1"))
 
 
 def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
@@ -175,9 +188,6 @@ def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
 
 
 def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ...]:
-    """Natural frequencies and damping ratios of the shaft, and the results of one-dof fits of its direct
-    transfer functions.
-    """
     if settings.shaft is None:
         return ()
     shaft_modes = modes(settings.shaft.body, stiffness)
@@ -207,24 +217,6 @@ def rolling_response(
         np.linspace(*settings.shaft.band, settings.shaft.lines),
         settings.damping_factor,
     )
-
-
-def _findings(solved: _Solved, case: int) -> list[Finding]:
-    warnings = []
-    if solved.mirrored[case]:
-        message = (
-            "elements carry at the opposite contact angle, across the groove: a bearing with one "
-            "shoulder cannot carry this load"
-        )
-        warnings.append(Finding("mirrored", message))
-    if not solved.determinate[case]:
-        number = int(np.sum(solved.state.contacts.load[case] > 0))
-        message = (
-            f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not "
-            "unique, the stiffness is singular"
-        )
-        warnings.append(Finding("indeterminate", message))
-    return warnings
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,6 @@ def _case(case: int, n_case: int) -> str:
     return f"load case {case + 1}: " if n_case > 1 else ""
 
 
-# Newton's method with a line search on the convex load potential of a rolling bearing.
-
 TOLERANCE = 1e-12  # of the residual against the loads
 ACCEPTABLE = 1e-9  # where steps are down to the rounding of positions
 ROUNDING = 4 * np.finfo(np.float64).eps
@@ -377,8 +375,16 @@ def equilibrium(
     for start in range(0, n_case, CASES_AT_ONCE):
         part = slice(start, start + CASES_AT_ONCE)
         part_cage = cage[part] if cage.ndim else cage
+        displacement = _solve_part(bearing, f, q, fixed_dofs, part_cage, part)
+        angles = bearing.angles(part_cage)
+        frame = ElementFrame.at(angles, bearing.pitch_radius)
+        at = contacts(bearing, displacement, frame)
+        free = tuple(name for name in DOFS if name not in fixed_dofs)
+        case_angles = np.broadcast_to(angles, at.load.shape)
         parts.append(
-            _state(bearing, _solve_part(bearing, f, q, fixed_dofs, part_cage, part), fixed_dofs, part_cage)
+            Equilibrium(
+                bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, case_angles, free
+            )
         )
     return _joined(parts)
 
@@ -399,19 +405,6 @@ def _solve_part(
     if not solved.all():
         explain_failure(bearing, np.where(free, f, 0.0), part.start + int(np.flatnonzero(~solved)[0]))
     return u / scale
-
-
-def _state(
-    bearing: RollingBearing, displacement: FloatArray, fixed_dofs: Sequence[str], cage: FloatArray
-) -> Equilibrium:
-    angles = bearing.angles(cage)
-    frame = ElementFrame.at(angles, bearing.pitch_radius)
-    at = contacts(bearing, displacement, frame)
-    free = tuple(name for name in DOFS if name not in fixed_dofs)
-    case_angles = np.broadcast_to(angles, at.load.shape)
-    return Equilibrium(
-        bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, case_angles, free
-    )
 
 
 def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:

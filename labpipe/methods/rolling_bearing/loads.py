@@ -4,6 +4,15 @@ stiffness matrix.
 Coordinates q = (x, y, z, bx, by): displacement of the inner relative to the outer ring, z along the axis, bx
 and by tilts about x, y; loads f = (Fx, Fy, Fz, Mx, My). T. C. Lim and R. Singh, J. Sound Vib. 139 (1990)
 179-199, eqs. 2-8.
+
+A shaft on one rolling bearing: natural frequencies, transfer matrices, and bending in series with the
+bearing.
+
+M q'' + C q' + K q = f, q = (x, y, z, bx, by) at the bearing's centre, which is the shaft's centre of mass; C
+= beta K.
+
+R. J. W. Knaapen (1997), chapter 3: 1/k_total = 1/k_bearing + 1/k_shaft for radial coefficients; tilts and
+axial ones need no correction.
 """
 
 from __future__ import annotations
@@ -12,10 +21,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from labpipe.arrays import BoolArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.distributions import normal_quantile
+from labpipe.errors import ConfigError, FitError
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.uncertain import Uncertain
 
 DOFS = ("x", "y", "z", "bx", "by")
 BALL_EXPONENT, ROLLER_EXPONENT = 3 / 2, 10 / 9
@@ -231,3 +243,274 @@ def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLi
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
     return stiffness_sum(contacts(bearing, displacement, frame), frame)
+
+
+@dataclass(frozen=True)
+class RigidShaft:
+    """A rigid shaft: mass m [kg], moments of inertia about x and y [kg m^2]."""
+
+    mass: float
+    inertia_x: float
+    inertia_y: float
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "inertia_x", "inertia_y"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigError(f"the shaft's {name} must be above zero")
+
+    @property
+    def inertias(self) -> FloatArray:
+        """Diagonal of M = diag(m, m, m, Jx, Jy), (5,) [kg, kg m^2]."""
+        return np.array([self.mass, self.mass, self.mass, self.inertia_x, self.inertia_y])
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Undamped modes in ascending order: frequency (5,) [Hz]; shape (5, 5), columns with phi^T M phi = 1.
+
+    share (5, 5): share of dof i (row) of the modal mass of mode r (column), M_ii phi_ir^2; rows and columns
+    sum to one.
+    """
+
+    frequency: FloatArray
+    shape: FloatArray
+    share: FloatArray
+
+    def damping_ratio(self, beta: float) -> FloatArray:
+        """zeta_r = beta w_r / 2 of Rayleigh damping C = beta K, beta [s]; (5,)."""
+        return np.pi * beta * self.frequency
+
+    def main_mode(self, dof: str) -> int:
+        """The mode with the largest share of the dof's inertia: its peak in the direct transfer function."""
+        return int(np.argmax(self.share[DOFS.index(dof)]))
+
+
+def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
+    """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a dof without stiffness
+    gives 0 Hz.
+
+    Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an equilibrium
+    is unstable. Equation (roll-modes).
+    """
+    scale = 1 / np.sqrt(shaft.inertias)
+    squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
+    if squares[0] < -1e-9 * squares[-1]:
+        raise FitError("the stiffness matrix has a negative eigenvalue", hint="the shaft does not rest there")
+    return Modes(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), scale[:, None] * vectors, vectors**2)
+
+
+def transfer_matrix(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float
+) -> ComplexArray:
+    """Receptance H(w) = (-w^2 M + j w beta K + K)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)];
+    *frequency* [Hz], *beta* [s].
+
+    *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a
+    dof without stiffness, or on an undamped resonance. Equation (roll-transfer).
+    """
+    w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
+    dynamic: ComplexArray = -(w**2) * np.diag(shaft.inertias) + (1 + 1j * w * beta) * stiffness
+    try:
+        receptance: ComplexArray = np.linalg.inv(dynamic)
+    except np.linalg.LinAlgError:
+        raise FitError(
+            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
+        ) from None
+    return receptance
+
+
+def theoretical_response(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, name: str = "theory"
+) -> FrequencyResponse:
+    """The transfer matrix as a frequency response, for comparison with a measured one or for a fit.
+
+    *stiffness* (5, 5) [N/m, N/rad, N m/rad], *frequency* (n_frequency,) [Hz], *beta* [s]. Raises as
+    transfer_matrix does.
+    """
+    ports = tuple(Port(dof, dof, dof) for dof in DOFS)
+    return FrequencyResponse(
+        frequency,
+        transfer_matrix(shaft, stiffness, frequency, beta),
+        ports,
+        ports,
+        form="receptance",
+        name=name,
+    )
+
+
+def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool = False) -> FloatArray:
+    """Stiffness from a one-dof fit at each dof's main peak, lightly damped: k_i = w_r^2 / phi_ir^2, (5,)
+    [N/m, N m/rad].
+
+    With *known_inertia* the fit's mass is M_ii instead of the modal 1/phi_ir^2: k_i = M_ii w_r^2. Neither
+    equals K_ii: at the peak the coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir,
+    which makes the lower mode of a coupled pair appear softer and the upper one stiffer. A measured fit is
+    therefore to be compared with the fit of the theoretical curve, not with K_ii. Equation (roll-sdof).
+    """
+    shaft_modes = modes(shaft, stiffness)
+    main = [shaft_modes.main_mode(dof) for dof in DOFS]
+    squares = (2 * np.pi * shaft_modes.frequency[main]) ** 2
+    apparent = squares * shaft.inertias
+    return apparent if known_inertia else apparent / shaft_modes.share[range(len(DOFS)), main]
+
+
+RADIAL = (0, 1)
+
+
+def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
+    """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and
+    y, (..., 5, 5).
+
+    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. ConfigError for k_s
+    not above zero. Equation (roll-series-matrix).
+    """
+    if not bending > 0:
+        raise ConfigError(
+            f"the bending stiffness of the shaft is {bending:g} N/m", hint="it must be above zero"
+        )
+    whole = np.asarray(stiffness, np.complex128)
+    if np.isinf(bending):
+        return whole
+    columns = whole[..., :, RADIAL]
+    return whole - columns @ np.linalg.solve(
+        columns[..., RADIAL, :] + bending * np.eye(len(RADIAL)), whole[..., RADIAL, :]
+    )
+
+
+def bent_transfer_matrix(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, bending: float
+) -> ComplexArray:
+    """Receptance H(w) = (-w^2 M + K_total(w))^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)].
+
+    The bearing's (1 + j w beta) K, *beta* [s], in series with the bending shaft [N/m], which has no losses;
+    *frequency* [Hz]. FitError where the dynamic stiffness is singular.
+    """
+    w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
+    dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
+    try:
+        receptance = np.linalg.inv(dynamic)
+    except np.linalg.LinAlgError:
+        raise FitError(
+            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
+        ) from None
+    return receptance
+
+
+NORMAL_95 = normal_quantile(0.975)
+
+
+@dataclass(frozen=True)
+class BendingShaft:
+    """A round shaft that bends between two supports, loaded by a bearing: E [Pa], diameter, span [m], density
+    [kg/m^3].
+
+    ends: length that overhangs both supports together [m].
+    """
+
+    youngs_modulus: float
+    diameter: float
+    span: float
+    density: float = 7850.0
+    ends: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (
+            self.youngs_modulus > 0
+            and self.diameter > 0
+            and self.span > 0
+            and self.density > 0
+            and self.ends >= 0
+        ):
+            raise ConfigError(
+                "Young's modulus, diameter, span and density of the shaft must be above zero, "
+                "its ends not below"
+            )
+
+    @property
+    def rigidity(self) -> float:
+        """E I = E pi d^4 / 64 [N m^2]."""
+        return self.youngs_modulus * np.pi * self.diameter**4 / 64
+
+    def static_stiffness(self, load_point: float | None = None) -> float:
+        """k = 48 E I / (3 l^2 s - 4 s^3) [N/m], the load s from a support, the deflection at mid span; 48 E I
+        / l^3 for mid span.
+
+        *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing moves the load off the
+        middle. Equation (roll-bending).
+        """
+        s = self.span / 2 if load_point is None else load_point
+        if not 0 < s <= self.span / 2 * (1 + 1e-12):
+            raise ConfigError(f"the load point {s:g} m is not between a support and mid span")
+        return 48 * self.rigidity / (3 * self.span**2 * s - 4 * s**3)
+
+    def energy_stiffness(self) -> float:
+        """k = int E I y''^2 dx = pi^4 E I / (2 l^3) [N/m] for the first mode y = cos(pi x / l), 1.5 % above
+        the static one.
+
+        Equation (roll-bending-energy).
+        """
+        return float(np.pi**4 * self.rigidity / (2 * self.span**3))
+
+    def equivalent_mass(self) -> float:
+        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves
+        with mid span.
+
+        Equation (roll-bending-mass).
+        """
+        return self.density * np.pi * self.diameter**2 / 4 * self.span / 2
+
+    def total_mass(self) -> float:
+        """rho A (l + ends) [kg]."""
+        return self.density * np.pi * self.diameter**2 / 4 * (self.span + self.ends)
+
+
+@dataclass(frozen=True)
+class SeriesCorrection:
+    """A bearing's stiffness without the shaft's bending [N/m], its 95 % interval, and the amplification of
+    the relative error.
+    """
+
+    bearing: Uncertain
+    ci95: tuple[float, float]
+    amplification: float
+
+
+def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
+    """k_b = 1 / (1/k_total - 1/k_shaft); s_b/k_b = (k_b/k_total) s_total/k_total combined with (k_b/k_shaft)
+    s_shaft/k_shaft.
+
+    The interval is formed on the compliance, which is nearly linear in the measured stiffness, and inverted:
+    it is wider upwards, and open (infinite) where the measurement is compatible with a rigid bearing. Raises
+    FitError for k_total >= k_shaft. Equation (roll-series-shaft).
+    """
+    if not (total.value > 0 and shaft.value > 0):
+        raise FitError("a stiffness in series must be above zero", hint="check the fit and the shaft")
+    if total.value >= shaft.value:
+        raise FitError(
+            f"the measured stiffness {total.value:.4g} N/m is not below the shaft's {shaft.value:.4g} N/m",
+            hint="two springs in series are softer than either: check the shaft's stiffness",
+        )
+    compliance = 1 / total.value - 1 / shaft.value
+    std_error = float(np.hypot(total.std_error / total.value**2, shaft.std_error / shaft.value**2))
+    bearing = 1 / compliance
+    least = compliance - NORMAL_95 * std_error
+    ci95 = (1 / (compliance + NORMAL_95 * std_error), 1 / least if least > 0 else np.inf)
+    return SeriesCorrection(Uncertain(bearing, bearing**2 * std_error), ci95, bearing / total.value)
+
+
+def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain) -> Uncertain:
+    """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three
+    uncertainties to first order.
+
+    Equation (roll-series-damping).
+    """
+    stiffness = without_shaft(total, shaft).bearing.value
+    factor = (stiffness / total.value) ** 2
+    gap = shaft.value - total.value
+    slopes = (
+        factor,
+        2 * factor * damping.value / gap,
+        2 * factor * damping.value * total.value / (shaft.value * gap),
+    )
+    errors = (damping.std_error, total.std_error, shaft.std_error)
+    return Uncertain(factor * damping.value, float(np.linalg.norm(np.multiply(slopes, errors))))

@@ -19,11 +19,10 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.rolling_bearing.loads import DOFS
-from labpipe.methods.rolling_bearing.shaft import RigidShaft, bent_transfer_matrix
+from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, bent_transfer_matrix
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import NORMAL, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
@@ -86,8 +85,6 @@ class Matched:
 
 @dataclass(frozen=True)
 class _Curve:
-    """One term of a measured response on the lines of its fit, and the fit's settings for it alone."""
-
     response: FrequencyResponse
     settings: FitSettings
     place: tuple[int, int]
@@ -159,7 +156,6 @@ def _positive(fit: Fit, name: str) -> float:
 
 
 def _log_changes(fit: Fit) -> dict[str, FloatArray]:
-    """Change of ln k and ln c, (2,) [1], by one standard uncertainty of every source of a fit's budget."""
     if fit.budget is None:
         return {}
     names = ("k", "c")
@@ -204,7 +200,6 @@ def overlay(
 def _theory_curve(
     curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
 ) -> ComplexArray:
-    """The measured term of the theory's transfer matrix, (n_frequency,)."""
     frequency = curve.response.frequency
     receptance = (
         bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
@@ -215,7 +210,6 @@ def _theory_curve(
 def _curve(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
 ) -> _Curve:
-    """The part of the response that belongs to *fit*; *whole*: its term on all lines."""
     if not settings.kind.one_frf or fit.curve is None:
         raise ConfigError(
             f"fit '{fit.name}' is not of the model sdof",
@@ -283,7 +277,6 @@ def _arm(rig: Rig, place: int) -> float:
     return rig.arm
 
 
-NORMAL_95 = 1.959963984540054
 SERIES = "; corrected for the bending shaft"
 
 
@@ -300,6 +293,12 @@ def stiffness_ratio(
     ratio = from_log("ratio", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
     assert ratio.ci95 is not None
+    low, high = ratio.ci95
+    series = SERIES if any(test.to_bending.any() for test in matched) else ""
+    result = (
+        f"{campaign.subject}: measured / theory {ratio.value:.4f} (95 %: {low:.4f} to {high:.4f}), fit "
+        f"against fit{series}."
+    )
     return Comparison(
         name=campaign.settings.name,
         kind="ratio",
@@ -307,20 +306,8 @@ def stiffness_ratio(
         unit=campaign.unit,
         points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
         amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
-        verdict=(
-            "as theory"
-            if ratio.ci95[0] <= 1 <= ratio.ci95[1]
-            else "stiffer than theory"
-            if ratio.ci95[0] > 1
-            else "softer than theory"
-        ),
-        statement=_ratio_statement(
-            campaign,
-            ratio.value,
-            ratio.ci95,
-            mean,
-            SERIES if any(m.to_bending.any() for m in matched) else "",
-        ),
+        verdict="stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory",
+        statement=result + _one_factor(mean),
         condition=campaign.settings.condition,
         condition_unit=campaign.condition_unit,
         second=campaign.settings.second,
@@ -349,30 +336,19 @@ def joint_covariance(
     return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
 
 
-def _ratio_statement(
-    campaign: Campaign, ratio: float, interval: tuple[float, float] | None, mean: WeightedFit, series: str
-) -> str:
-    assert interval is not None
-    result = (
-        f"{campaign.subject}: measured / theory {ratio:.4f} (95 %: {interval[0]:.4f} to "
-        f"{interval[1]:.4f}), fit against fit{series}."
-    )
+def _one_factor(mean: WeightedFit) -> str:
     if mean.inflated:
         return (
-            f"{result} One factor does not hold for all tests (p = {mean.p_value:.2g}); the interval is "
-            "widened by their scatter."
+            f" One factor does not hold for all tests (p = {mean.p_value:.2g}); the interval is widened by "
+            "their scatter."
         )
-    return (
-        result
-        if mean.p_value is None
-        else (f"{result} One factor holds for all tests (p = {mean.p_value:.2g}).")
-    )
+    return "" if mean.p_value is None else f" One factor holds for all tests (p = {mean.p_value:.2g})."
 
 
 def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) -> tuple[ComparedPoint, ...]:
     points = []
     for point, test, error in zip(campaign.points(), matched, errors, strict=True):
-        ratio = from_log("ratio", "1", float(test.log[0]), float(error), NORMAL_95)
+        ratio = from_log("ratio", "1", float(test.log[0]), float(error), NORMAL)
         points.append(replace(point, theory=float(test.theory[0]), ratio=ratio.value, ratio_ci95=ratio.ci95))
     return tuple(points)
 
@@ -431,7 +407,6 @@ def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
 
 
 def _log_beta_change(fit: Fit, source: str) -> float:
-    """Change of ln(c / k) by one standard uncertainty of a source."""
     return (
         change_in(fit, source, "c") / fit.parameter("c").value
         - change_in(fit, source, "k") / fit.parameter("k").value
@@ -439,22 +414,18 @@ def _log_beta_change(fit: Fit, source: str) -> float:
 
 
 def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> ComparedPoint:
-    """The test's c beside the common beta times its k, and their ratio."""
-    ratio = from_log("ratio", "1", float(log - np.log(beta)), float(error), NORMAL_95)
+    ratio = from_log("ratio", "1", float(log - np.log(beta)), float(error), NORMAL)
     return replace(point, theory=point.value / ratio.value, ratio=ratio.value, ratio_ci95=ratio.ci95)
 
 
 # The condition is raised by this share for the slope of the theory.
 CONDITION_STEP = 1e-3
 
-# The theory at the conditions (value, SI unit) of one comparison.
 Theory = Callable[[Sequence[tuple[float, str]]], TheoryAt]
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """The theory matched to every observation, and the curves of the first and the last one."""
-
     matched: list[Matched]
     overlays: tuple[Overlay, ...]
 
@@ -483,11 +454,10 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
 
 
 def ratio_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
-    """The ratio of stiffness measured / theory over all tests."""
     if settings.theory is None:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(settings, "k")
-    solved = _matched(campaign, evidence, evidence.theory or theory_of(evidence.folder, settings.theory))
+    solved = _matched(campaign, evidence)
     return stiffness_ratio(campaign, solved.matched, solved.overlays, _bending_error(settings))
 
 
@@ -496,22 +466,18 @@ def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparis
     campaign = evidence.campaign(settings, "c")
     if settings.theory is None:
         return rayleigh(campaign, None)
-    return rayleigh(
-        campaign,
-        _matched(campaign, evidence, evidence.theory or theory_of(evidence.folder, settings.theory)).matched,
-        _bending_error(settings),
-    )
+    return rayleigh(campaign, _matched(campaign, evidence).matched, _bending_error(settings))
 
 
 def _bending_error(settings: CompareSettings) -> float:
-    """Relative standard error of the shaft's bending stiffness."""
     shaft = None if settings.theory is None else settings.theory.shaft
     return shaft.std_error / shaft.value if shaft else 0.0
 
 
-def _matched(campaign: Campaign, evidence: Evidence, theory: Theory) -> _Solved:
+def _matched(campaign: Campaign, evidence: Evidence) -> _Solved:
     named = campaign.settings.theory
     assert named is not None
+    theory = evidence.theory or theory_of(evidence.folder, named)
     key = (campaign.settings.fit, campaign.settings.term, named)
     if key not in evidence.solved:
         evidence.solved[key] = _newly_matched(campaign, evidence, theory, named)

@@ -15,8 +15,7 @@ import numpy as np
 from scipy import optimize, special
 
 from labpipe.errors import ConfigError
-from labpipe.methods.rolling_bearing.loads import RollingBearing
-from labpipe.methods.rolling_bearing.shaft import RigidShaft
+from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing
 from labpipe.records.settings import Settings, quantity, setting
 
 
@@ -303,7 +302,6 @@ class RollingSettings(Settings, ABC):
 
     @property
     def fixed_dofs(self) -> tuple[str, ...]:
-        """The dofs with given displacement."""
         return tuple(dof for dof in LOAD_OF_DOF if getattr(self.displacements, dof) is not None)
 
     @abstractmethod

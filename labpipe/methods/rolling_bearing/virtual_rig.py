@@ -16,9 +16,8 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.rolling_bearing.bearing import rolling_coefficients
-from labpipe.methods.rolling_bearing.loads import DOFS
+from labpipe.methods.rolling_bearing.loads import DOFS, bent_transfer_matrix
 from labpipe.methods.rolling_bearing.settings import BallBearingSettings
-from labpipe.methods.rolling_bearing.shaft import bent_transfer_matrix
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES

@@ -23,7 +23,6 @@ GROWTH_TOLERANCE = 1e-3
 # much.
 LEAST_OSCILLATION = 1e-3
 
-# Bearings as a function of the spin speed [rad/s].
 SupportsAtSpeed = Callable[[float], Iterable[Support]]
 
 

@@ -161,6 +161,14 @@ class RotorRig:
             hint=nearest(name, [bearing.name for bearing in self.bearings]),
         )
 
+    @property
+    def amounts(self) -> dict[int, complex]:
+        """Unbalance [kg m] by node, complex with its angle."""
+        amounts: dict[int, complex] = {}
+        for part in self.unbalances:
+            amounts[part.node] = amounts.get(part.node, 0j) + part.size * np.exp(1j * part.phase)
+        return amounts
+
     def static_loads(self) -> dict[str, tuple[float, float]]:
         """Load of every bearing by name, in y and z [N]."""
         forces: dict[int, tuple[float, float]] = {}

@@ -33,6 +33,10 @@ class RotorSettings(Settings):
     response: int = setting("integer", "node at which displacements are measured", default=1)
 
 
+def _material() -> Any:
+    return setting("text", "steel, aluminium or one of materials", default="steel")
+
+
 @dataclass(frozen=True)
 class MaterialSettings(Settings):
     """One entry below ``materials:``."""
@@ -50,7 +54,7 @@ class ElementSettings(Settings):
     length: float = quantity("length", "m")
     diameter: float = quantity("outer diameter", "m")
     inner_diameter: float = quantity("bore", "m", 0.0)
-    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
+    material: str = _material()
     count: int = setting("integer", "equal elements in a row", default=1)
 
     def __post_init__(self) -> None:
@@ -66,7 +70,7 @@ class DiscSettings(Settings):
     outer_diameter: float | None = quantity("outer diameter", "m", None)
     inner_diameter: float = quantity("bore", "m", 0.0)
     length: float | None = quantity("length along the shaft", "m", None)
-    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
+    material: str = _material()
     mass: float | None = quantity("mass, instead of dimensions", "kg", None)
     polar_inertia: float | None = quantity("moment of inertia about the shaft", "kg.m^2", None)
     transverse_inertia: float | None = quantity("moment of inertia about a diameter", "kg.m^2", None)
@@ -100,8 +104,8 @@ class SleeveSettings(Settings):
 
     element: int = setting("integer", "number of the element it surrounds, from 1")
     outer_diameter: float = quantity("outer diameter", "m")
-    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
-    stiffening: float = setting("value", "factor on the stiffness of the element", unit="1", default=1.0)
+    material: str = _material()
+    stiffening: float = quantity("factor on the stiffness of the element", "1", 1.0)
     name: str = setting("text", "sleeves of one name have one unknown stiffening", default="")
 
 
@@ -212,18 +216,22 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     return tried(make_rig, tree, "", faults)
 
 
+def _listed(node: Marked | None, key: str, faults: Faults) -> list[Marked]:
+    if node is None:
+        return []
+    if isinstance(node.content, list):
+        return node.content
+    faults.add(node, key, "a list is needed", "each entry begins with '- '")
+    return []
+
+
 def read_entries(
     owner: type[Owner], node: Marked | None, key: str, faults: Faults
 ) -> list[tuple[Marked, Any]]:
     """The entries of a list that can be read, with their place."""
-    if node is None:
-        return []
-    if not isinstance(node.content, list):
-        faults.add(node, key, "a list is needed", "each entry begins with '- '")
-        return []
     pairs = [
         (entry, read_settings(owner, entry, f"{key}.{number}", faults))
-        for number, entry in enumerate(node.content, 1)
+        for number, entry in enumerate(_listed(node, key, faults), 1)
     ]
     return [(entry, settings) for entry, settings in pairs if settings is not None]
 
@@ -247,7 +255,6 @@ def build_rotor(
     tree: Marked,
     faults: Faults,
 ) -> Rotor | None:
-    """The shaft with discs and sleeves; None and faults at the place of each part."""
     before = len(faults)
 
     def material(entry: Marked, part: Any) -> Material:
@@ -304,12 +311,8 @@ def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> 
 
 def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, BearingPlace]]:
     """The bearings of a rotor file with their entries, named by their number where they have no name."""
-    if node is None:
-        return []
-    if not isinstance(node.content, list):
-        faults.add(node, "bearings", "a list is needed", "each entry begins with '- '")
-        return []
-    places = [(entry, _bearing_place(entry, number, faults)) for number, entry in enumerate(node.content, 1)]
+    entries = enumerate(_listed(node, "bearings", faults), 1)
+    places = [(entry, _bearing_place(entry, number, faults)) for number, entry in entries]
     return [(entry, place) for entry, place in places if place is not None]
 
 

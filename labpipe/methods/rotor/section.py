@@ -175,7 +175,6 @@ def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
 
 
 def _radii(rig: RotorRig, speeds: FloatArray) -> FloatArray:
-    """Radii (2, n_speed) [m] of the forward and the backward circle at *speeds* (n_speed,) [Hz]."""
     return np.abs([orbit(rig.at_speed(float(speed))) for speed in speeds]).T
 
 
@@ -208,17 +207,13 @@ def orbit(rig: RotorRig) -> ComplexArray:
     """Phasors of the forward and the backward circle (2,) [m], 0-to-peak, at the rig's response node and
     speed.
     """
-    amounts: dict[int, complex] = {}
-    for part in rig.unbalances:
-        amounts[part.node] = amounts.get(part.node, 0j) + part.size * np.exp(1j * part.phase)
     outputs = rig.rotor.dofs(rig.response)
-    motion = unbalance_response(rig.rotor, rig.supports(), np.array([rig.omega]), amounts, outputs)
+    motion = unbalance_response(rig.rotor, rig.supports(), np.array([rig.omega]), rig.amounts, outputs)
     return forward_backward_motion(motion)[0]
 
 
 MM = 1e3
 HEIGHT = 2.9
-# Number and opacity of the colour of every part.
 LOOKS = {"shaft": (GREY, 0.3), "sleeve": (5, 0.8), "disc": (4, 0.8), "bearing": (0, 0.55)}
 # Where words stand, as parts of the largest radius: names of bearings, numbers of nodes, arrows of force and
 # response.
@@ -278,19 +273,13 @@ def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
 
 
 def rotor_figure(rig: Mapping[str, Any]) -> Figure:
-    """A rotor from its entries (elements, discs, sleeves, bearings.
-
-    SI units), lengths in mm, nodes numbered from 1.
-    """
-    discs = (
-        " Discs have the outline of a cylinder with their mass and moments of inertia."
-        if rig["rotor"]["discs"]
-        else ""
-    )
+    """A rotor from its entries in SI units, lengths in mm, nodes numbered from 1."""
     caption = (
         f"{rig['name']}: the rotor, its nodes numbered from the left. Diameters are drawn larger than "
-        f"lengths.{discs}"
+        "lengths."
     )
+    if rig["rotor"]["discs"]:
+        caption += " Discs have the outline of a cylinder with their mass and moments of inertia."
     return Figure(
         rotor_chart(rotor_sketch(rig)), caption, f"Drawing of the rotor {rig['name']} with its bearings"
     )
@@ -326,9 +315,6 @@ def rotor_chart(sketch: RotorSketch) -> Chart:
 
 
 def _drawn(ring: Ring) -> list[Series]:
-    """A ring's section in the colour of its part: above and below its bore, or one rectangle where it has
-    none, each with its edge.
-    """
     colour, opacity = LOOKS[ring.part]
     right = ring.left + ring.length
     series = []
@@ -339,7 +325,6 @@ def _drawn(ring: Ring) -> list[Series]:
 
 
 def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
-    """The sketch of a rotor from its entries (SI units)."""
     rotor, stations = rig["rotor"], node_positions(rig["rotor"])
     shaft = [
         _ring("shaft", left, entry["length"], entry["inner_diameter"], entry["outer_diameter"])
@@ -372,22 +357,16 @@ def _ring(part: str, left: float, length: float, inner: float, outer: float) -> 
     return Ring(part, MM * left, MM * length, MM * inner, MM * outer)
 
 
-def _sleeves(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
-    rings = []
+def _sleeves(rotor: Mapping[str, Any], stations: list[float]) -> Iterator[Ring]:
     for sleeve in rotor["sleeves"]:
         shaft, left = rotor["elements"][sleeve["element"] - 1], stations[sleeve["element"] - 1]
-        rings.append(
-            _ring("sleeve", left, shaft["length"], shaft["outer_diameter"], sleeve["outer_diameter"])
-        )
-    return rings
+        yield _ring("sleeve", left, shaft["length"], shaft["outer_diameter"], sleeve["outer_diameter"])
 
 
-def _discs(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
-    rings = []
+def _discs(rotor: Mapping[str, Any], stations: list[float]) -> Iterator[Ring]:
     for disc in rotor["discs"]:
         inner, outer, length = disc_dimensions(disc, shaft_diameter(rotor, disc["node"]))
-        rings.append(_ring("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer))
-    return rings
+        yield _ring("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer)
 
 
 def node_positions(rotor: Mapping[str, Any]) -> list[float]:
@@ -421,23 +400,16 @@ EXPLAINED = (
 
 
 def unbalance_sections(runs: UnbalanceRuns, _identification: Identification) -> tuple[Section, ...]:
-    """The section of the response to unbalance."""
     return (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),)
 
 
 def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
-    """What it means, table and figure."""
     rows = []
     for case in runs.cases:
-        (forward, _), (at, _), (backward, _), (back_at, _) = runs.values(case).values()
         wear = (f"{UM * case.depth:.4g}", f"{np.degrees(case.angle):.4g}") if case.depth else ("0", "")
-        peaks = (
-            _with_uncertainty(UM * forward, UM, case, "forward_peak"),
-            _with_uncertainty(at, 1.0, case, "forward_speed"),
-            _with_uncertainty(UM * backward, UM, case, "backward_peak"),
-            _with_uncertainty(back_at, 1.0, case, "backward_speed"),
-        )
-        rows.append((case.name, *wear, *peaks, f"{backward / forward:.3f}"))
+        peaks = (_with_uncertainty(case, name, *value) for name, value in runs.values(case).items())
+        ratio = max(case.backward) / max(case.forward)
+        rows.append((case.name, *wear, *peaks, f"{ratio:.3f}"))
     caption = (
         f"Largest radii over {len(runs.speed)} speeds from {runs.speed[0]:g} to {runs.speed[-1]:g} "
         "Hz, and backward over forward"
@@ -454,16 +426,12 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
     )
 
 
-def _with_uncertainty(value: float, factor: float, case: UnbalanceCase, name: str) -> str:
-    """A value [shown unit] with its standard uncertainty, *factor* of it [shown unit per SI unit], where it
-    has one.
-    """
-    error = case.error(name)
-    return f"{value:.4g}" if error is None else with_error(value, factor * error)
+def _with_uncertainty(case: UnbalanceCase, name: str, value: float, unit: str) -> str:
+    factor, error = UM if unit == "m" else 1.0, case.error(name)
+    return f"{factor * value:.4g}" if error is None else with_error(factor * value, factor * error)
 
 
 def unbalance_figure(runs: UnbalanceRuns) -> Figure:
-    """Forward and backward radius over speed, one line per case."""
     panels = []
     for name in ("forward", "backward"):
         radii = [UM * np.array(getattr(case, name)) for case in runs.cases]

@@ -22,13 +22,26 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matrices, carried_beyond
-from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, rank_of, runs_by_load, scales
+from labpipe.methods.run_ups.misfit import (
+    ExcitedRun,
+    LoadRuns,
+    displacement_slopes,
+    rank_of,
+    runs_by_load,
+    scales,
+)
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement
+from labpipe.methods.run_ups.rotor import (
+    COEFFICIENTS,
+    RunUpRotor,
+    as_eight,
+    as_matrices,
+    carried_beyond,
+    largest_displacement,
+)
 from labpipe.registry import nearest
 
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
@@ -172,8 +185,6 @@ def cobyqa_search(
 
 @dataclass(frozen=True)
 class _Trace:
-    """All evaluations of one COBYQA run, points as shares of its box."""
-
     points: FloatArray
     objective: FloatArray
     capped: bool
@@ -236,14 +247,11 @@ AT_BOUND = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class AmplitudeFit:
+class SpeedwiseFit:
     """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
 
     coefficients, start (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8); rank, condition (n_speed,): of the
-    amplitudes alone; objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2];
-    chi2, n_datum: over the amplitudes' own errors. Of the search: evaluations, mesh, capped (n_speed,), its
-    history; every start's factors (n_start, n_speed, 8) and objectives (n_start, n_speed), the rotor file's
-    coefficients first.
+    data alone; chi2, n_datum: sum of squares over the data's errors, real data.
     """
 
     load: float
@@ -253,10 +261,36 @@ class AmplitudeFit:
     at_bound: BoolArray
     rank: IntArray
     condition: FloatArray
-    objective: FloatArray
-    measured: FloatArray
     chi2: float
     n_datum: int
+
+    @property
+    def share_at_bound(self) -> float:
+        return float(np.mean(self.at_bound))
+
+    def at_speed(self) -> CoefficientsAtSpeed:
+        """K and C as a function of speed, linear between the points.
+
+        Beyond them K and Omega C stay constant.
+        """
+
+        def between(speed: FloatArray) -> FloatArray:
+            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
+
+        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmplitudeFit(SpeedwiseFit):
+    """A fit to amplitudes alone: objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared
+    amplitudes [m^2].
+
+    Of the search: evaluations, mesh, capped (n_speed,), its history; every start's factors (n_start, n_speed,
+    8) and objectives (n_start, n_speed), the rotor file's coefficients first.
+    """
+
+    objective: FloatArray
+    measured: FloatArray
     evaluations: IntArray
     mesh: FloatArray
     capped: BoolArray
@@ -281,33 +315,16 @@ class AmplitudeFit:
         return self.chi2 / n_redundant if n_redundant > 0 else float("nan")
 
     @property
-    def share_at_bound(self) -> float:
-        return float(np.mean(self.at_bound))
-
-    @property
     def misfit(self) -> FloatArray:
         """Computed against measured amplitudes, relative, (n_speed,) [-]."""
         return np.sqrt(self.objective / self.measured)
 
-    def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points.
-
-        Beyond them K and Omega C stay constant.
-        """
-
-        def between(speed: FloatArray) -> FloatArray:
-            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
-
-        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
-
     def spread(self, point: int) -> StartSpread:
-        """Spread of the starts at one speed, by its index."""
         speed, measured = float(self.speed[point]), float(self.measured[point])
         return StartSpread(self.load, speed, self.factors[:, point], self.objectives[:, point], measured)
 
     @property
     def statement(self) -> str:
-        """Statement on the spread of the starts over all points; empty with one start."""
         if self.objectives.shape[0] < 2:
             return ""
         worst = float(np.sqrt(np.max(self.objectives / self.measured)))
@@ -341,7 +358,6 @@ class StartSpread:
 
     @property
     def text(self) -> str:
-        """Statement on this spread, with the range of every factor."""
         ranges = ", ".join(
             f"{name} {low:.2f} to {high:.2f}"
             for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True)
@@ -483,26 +499,6 @@ class Amplitudes:
         return np.concatenate(parts, axis=1) / self.error[..., None]
 
 
-def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
-    """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m]
-    and their slopes.
-
-    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for
-    both circles f = X +- jY of the orbit.
-    """
-    planes, by = (
-        response.reshape(*response.shape[:-1], -1, 2),
-        slopes.reshape(*response.shape[:-1], -1, 2, slopes.shape[-1]),
-    )
-    derivatives = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
-    for turn in (1j, -1j):
-        circle = planes[..., 0] + turn * planes[..., 1]
-        derivatives += (
-            (circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])
-        ).real / 2
-    return derivatives
-
-
 def _error(run: RunUp) -> FloatArray:
     """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases,
     to first order.
@@ -520,7 +516,6 @@ def _error(run: RunUp) -> FloatArray:
 
 
 def perfect_but_wrong(fits: Sequence[AmplitudeFit]) -> str:
-    """One sentence on all loads: misfit of the amplitudes, share of factors at a bound, rank."""
     misfit = float(np.sqrt(np.mean(np.concatenate([fit.misfit for fit in fits]) ** 2)))
     share = float(np.mean(np.concatenate([fit.at_bound.ravel() for fit in fits])))
     ranks = sorted({int(rank) for fit in fits for rank in fit.rank})

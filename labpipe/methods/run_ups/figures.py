@@ -25,6 +25,7 @@ from labpipe.methods.run_ups.records import (
     RunUpResult,
     StartSpread,
 )
+from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.report.chart import (
     INK,
     PALETTE_SIZE,
@@ -46,7 +47,6 @@ from labpipe.report.document import Figure
 UM = 1e6
 RPM = 30 / np.pi
 SPEED = Axis("speed", "rpm")
-# Colour and line of every method, the measurement in ink.
 LOOKS = {
     "start": (4, "--"),
     "amplitudes": (3, ":"),
@@ -63,12 +63,10 @@ HIGHEST_ORDER = 3.0
 
 
 def look(method: RunUpMethod) -> tuple[int, str]:
-    """Colour and line of a method."""
     return LOOKS.get(method.name, ANY_LOOK)
 
 
 def short(method: RunUpMethod) -> str:
-    """The name in a legend."""
     return method.title.split(",")[0]
 
 
@@ -78,9 +76,6 @@ def phasor(motion: Motion) -> ComplexArray:
 
 
 def bode_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
-    """Amplitude and phase of every plane over speed: measured with 95 % bars, and each method's curve up to
-    its threshold.
-    """
     planes = list(dict.fromkeys(motion.plane for motion in run.motions))
     panels: dict[tuple[int, int], Panel] = {}
     for number, motion in enumerate(run.motions):
@@ -129,7 +124,6 @@ def _measured_bode(run: MeasuredRun, motion: Motion) -> tuple[Series, Series]:
 
 
 def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Series, Series] | None:
-    """The curves of a method up to its threshold; None where it predicts nothing for the run."""
     prediction = method.prediction(run.name)
     if prediction is None or not prediction.motions:
         return None
@@ -163,7 +157,6 @@ def _motions(method: RunUpMethod | None, run: MeasuredRun) -> RunPrediction | No
 
 
 def polar_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
-    """Every output in the complex plane, the runs side by side: dots measured, lines of one method."""
     motions = result.runs[0].motions
     rows = -(-len(motions) // 2)
     panels = tuple(_polar(result, method, number, motion) for number, motion in enumerate(motions))
@@ -190,10 +183,6 @@ def _polar(result: RunUpResult, method: RunUpMethod | None, number: int, motion:
 
 
 def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
-    """Orbits at speeds about the critical speed: solid measured, dashed by a method.
-
-    A dot where the keyphasor passes.
-    """
     panels = tuple(_orbits(run, place, method) for run in result.runs for place in orbit_places(run))
     chart = Chart(panels, len(result.runs), ORBITS, (WIDTH, 1.75 * len(result.runs) + 1.0), legend="above")
     dashed = "" if method is None else f"; dashed: {method.title}"
@@ -235,14 +224,12 @@ def _orbits(run: MeasuredRun, place: int, method: RunUpMethod | None) -> Panel:
 
 
 def _at(prediction: RunPrediction, number: int, speed: float) -> complex:
-    """The motion of an output at a speed [rad/s], between the two nearest speeds."""
     motion = prediction.motions[number]
     real, imag = (np.interp(speed, prediction.speed, part) for part in (motion.real, motion.imag))
     return complex(real + 1j * imag)
 
 
 def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[Series]:
-    """The orbit of two phasors [m] in um; a measured one with a dot where the keyphasor passes."""
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
     across, along = UM * np.real(x * turn), UM * np.real(y * turn)
     path = curve(name, across, along, colour, line)
@@ -255,7 +242,6 @@ def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[
 
 
 def speeds_figure(result: RunUpResult) -> Figure:
-    """Critical and threshold speed over the load: measured, and by every method with its 95 % bars."""
     items = (("critical_speed", "critical speed"), ("threshold", "threshold"))
     panels = [
         Panel(Axis("static load", "N"), Axis(label, "rpm"), _speed_series(result, item))
@@ -275,7 +261,6 @@ def speeds_figure(result: RunUpResult) -> Figure:
 
 
 def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
-    """One of the two speeds over the load: measured, and by every method that has it."""
     measured = _speeds(
         [(run.load, getattr(run, item)) for run in result.runs], "measured", INK, "", marker="o", size=5.0
     )
@@ -293,7 +278,6 @@ def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
 def _speeds(
     amounts: Sequence[tuple[float, Amount | None]], name: str, colour: int, line: str, **style: Any
 ) -> list[Series]:
-    """Speeds [rpm] over the load with their 95 % intervals; nothing where there is none."""
     points = sorted(
         (load, amount.value, amount.std_error or 0.0) for load, amount in amounts if amount is not None
     )
@@ -305,7 +289,6 @@ def _speeds(
 
 
 def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
-    """Spectra of a recording over the speed, each raised by its own; dashed: one and two times the speed."""
     frequency, speed = 60 * np.array(cascade.frequency), 60 * np.array(cascade.speed)
     amplitude = UM * np.array(cascade.amplitude)
     step = float(np.ptp(speed)) / max(len(speed) - 1, 1)
@@ -321,9 +304,6 @@ def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
     return Figure(
         chart, caption, f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed"
     )
-
-
-NAMES = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
 
 
 # Half width of the group of starts of a search.
@@ -354,12 +334,12 @@ def _scale(name: str) -> tuple[float, str]:
 
 
 def coefficient_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
-    """The eight coefficients over speed at one run's load, by every method, with 95 % bands where a method
-    has them.
-    """
     # Stiffness stands in the left column, damping in the right one.
     order = [row + 4 * column for row in range(4) for column in range(2)]
-    panels = [Panel(SPEED, Axis(NAMES[n], _scale(NAMES[n])[1]), _coefficient(result, run, n)) for n in order]
+    panels = [
+        Panel(SPEED, Axis(COEFFICIENTS[n], _scale(COEFFICIENTS[n])[1]), _coefficient(result, run, n))
+        for n in order
+    ]
     chart = Chart(tuple(panels), 4, 2, (WIDTH, 7.8), "x", "above")
     caption = (
         f"Coefficients at {run.load:.4g} N ({run.name}, {run.role}) by every method; shaded: 95 % "
@@ -371,7 +351,7 @@ def coefficient_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
 
 
 def _coefficient(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[Series, ...]:
-    scale, series = _scale(NAMES[number])[0], []
+    scale, series = _scale(COEFFICIENTS[number])[0], []
     for method in result.methods:
         prediction = method.prediction(run.name)
         if prediction is None or not prediction.coefficients:
@@ -389,7 +369,6 @@ def _coefficient(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[Se
 
 
 def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
-    """Objective, mesh and evaluations of one search over its iterations, and its best point."""
     steps = np.arange(len(search.objective))
     meshed = bool(np.any(np.isfinite(search.mesh)))
     panels = (
@@ -420,11 +399,12 @@ def _steps(name: str, steps: IntArray, values: tuple[float, ...] | FloatArray) -
 
 
 def _factors(series: tuple[Series, ...]) -> Panel:
-    return Panel(Axis(ticks=named_ticks(NAMES)), Axis("factor on the start value"), (*series, level(1.0)))
+    return Panel(
+        Axis(ticks=named_ticks(COEFFICIENTS)), Axis("factor on the start value"), (*series, level(1.0))
+    )
 
 
 def spread_figure(method: RunUpMethod, spread: StartSpread) -> Figure:
-    """Final factors of all starts of one search."""
     factors = np.array(spread.factors)
     shift = np.linspace(-BESIDE, BESIDE, len(factors))[:, None]
     starts = dots(
@@ -442,7 +422,6 @@ def spread_figure(method: RunUpMethod, spread: StartSpread) -> Figure:
 
 
 def spread_text(spread: StartSpread) -> str:
-    """Statement on misfit and spread of the starts."""
     wide = float(np.median(np.ptp(np.array(spread.factors), axis=0)))
     reached = f"all meet the measured amplitudes within {100 * max(spread.objective):.2g} %"
     if wide < ALIKE:
@@ -453,12 +432,11 @@ def spread_text(spread: StartSpread) -> str:
 
 
 def surface_figures(model: MetamodelResult) -> list[Figure]:
-    """Stiffness and damping over load and speed, four surfaces each."""
     return [_surfaces(model, first, quantity) for first, quantity in ((0, "stiffness"), (4, "damping"))]
 
 
 def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
-    names = NAMES[first : first + 4]
+    names = COEFFICIENTS[first : first + 4]
     scales = [_scale(name) for name in names]
     values = np.array(
         [scale * np.array(model.surface.values[first + n]) for n, (scale, _) in enumerate(scales)]

@@ -8,8 +8,8 @@ residual of the responses over their standard errors.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Generic, Protocol, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,10 +20,18 @@ from labpipe.estimation.descent import minimise, sum_of_squares
 from labpipe.estimation.statistics import Stated, combination_text, pulls_of, steps_by
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily, as_matrices
 from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds, sources_of
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import (
+    BOUND,
+    PARAMETERS,
+    PRIOR,
+    RPM,
+    FilmFamily,
+    RunUpRotor,
+    as_matrices,
+    searched_over,
+)
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
 MOST_SEARCHES = 25
@@ -203,35 +211,29 @@ STEP = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointFit:
-    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing, *covariance* (12, 12), at_bound
-    (12,).
+class RunUpFit(Generic[Family]):
+    """Parameters *values* (n_parameter,) and *covariance* (n_parameter, n_parameter) of the *family*; *loads*
+    [N]: those of the fit.
 
-    loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters
-    that the data determine against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank,
-    condition: of the data, in units of the priors; prior_dominated: combinations that the priors determine,
-    as text; known: parameters that were not estimated. systematic (n_source, 12): changes by one standard
-    uncertainty of each of the *sources*, uncertainties of the probes; chi2 is without what these explain.
+    chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the
+    priors; rank, condition: of the data, in units of the priors. systematic (n_source, n_parameter): changes
+    by one standard uncertainty of each of the *sources*, uncertainties of probes; chi2 is without what these
+    explain.
     """
 
     rig: RunUpRotor
-    family: FilmFamily
+    family: Family
     loads: tuple[float, ...]
     values: FloatArray
     covariance: FloatArray
-    at_bound: BoolArray
     chi2: float
     n_datum: int
     n_effective: float
-    threshold_chi2: float
-    n_threshold: int
     rank: int
     condition: float
-    prior_dominated: tuple[str, ...]
     steps: int
-    known: tuple[str, ...] = ()
-    sources: tuple[Uncertainty, ...] = ()
-    systematic: FloatArray = field(default_factory=lambda: np.zeros((0, len(PARAMETERS))))
+    sources: tuple[Uncertainty, ...]
+    systematic: FloatArray
 
     @property
     def chi2_per_datum(self) -> float:
@@ -245,13 +247,70 @@ class JointFit:
 
     @property
     def rejected(self) -> bool:
-        """True if chi-square rejects the family."""
         return self.chi2_p < REJECTED
 
     @property
     def widening(self) -> float:
         """Factor on all standard errors of predictions: sqrt(chi-square per datum), at least one."""
         return float(np.sqrt(max(1.0, self.chi2_per_datum)))
+
+    def at_load(self, load: float) -> CoefficientsAtSpeed:
+        """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
+        return self.family.at_load(self.values, load)
+
+    def extrapolated(self, load: float) -> str:
+        """Warning on a *load* [N] outside those of the fit; empty within."""
+        low, high = min(self.loads), max(self.loads)
+        if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
+            return ""
+        return f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): "
+
+
+def posterior(
+    problem: RunUpProblem[Family], parameters: FloatArray, steps: int
+) -> tuple[dict[str, Any], FloatArray]:
+    """Fields of a RunUpFit at a minimum, and the slopes (n_datum, n_free) [-] of its data in units of the
+    priors.
+    """
+    slopes, prior, free = problem.measured_slopes(parameters), problem.spread[problem.free], problem.free
+    free_covariance = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
+    residual = problem.residual(parameters)[: slopes.shape[0]]
+    rank, condition = rank_of(slopes * prior)
+    sources = sources_of(problem.groups)
+    changes = problem.residual_changes(sources)
+    covariance, systematic = np.zeros((free.size, free.size)), np.zeros((len(sources), free.size))
+    covariance[np.ix_(free, free)] = free_covariance
+    systematic[:, free] = steps_by(changes, slopes, free_covariance)
+    explained = pulls_of(residual, Stated.of(changes), slopes, free_covariance).explained
+    fields = {
+        "rig": problem.rig,
+        "family": problem.family,
+        "loads": tuple(dict.fromkeys(group.load for group in problem.groups)),
+        "values": problem.values(parameters),
+        "covariance": covariance,
+        "chi2": float(residual @ residual) - explained,
+        "n_datum": slopes.shape[0],
+        "n_effective": float(np.trace(free_covariance @ slopes.T @ slopes)),
+        "rank": int(rank),
+        "condition": float(condition),
+        "steps": steps,
+        "sources": sources,
+        "systematic": systematic,
+    }
+    return fields, slopes * prior
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFit(RunUpFit[FilmFamily]):
+    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing; at_bound (12,).
+
+    prior_dominated: combinations that the priors determine, as text; known: parameters that were not
+    estimated.
+    """
+
+    at_bound: BoolArray
+    prior_dominated: tuple[str, ...]
+    known: tuple[str, ...] = ()
 
     @property
     def share_at_bound(self) -> float:
@@ -279,10 +338,6 @@ class JointFit:
             return Uncertain(value, error)
         return Uncertain(float(np.exp(value)), float(np.exp(value)) * error)
 
-    def at_load(self, load: float) -> CoefficientsAtSpeed:
-        """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
-        return self.family.at_load(self.values, load)
-
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
         speed = np.asarray(speed, np.float64)
@@ -309,7 +364,7 @@ class JointFit:
     def _threshold_or_error(self, values: FloatArray, load: float) -> float:
         speed = self.rig.threshold(self.family.at_load(values, load))
         if speed is None:
-            hint = f"it is above {self.rig.search.highest * 30 / np.pi:.0f} rpm"
+            hint = f"it is above {self.rig.search.highest / RPM:.0f} rpm"
             raise FitError(
                 "the threshold speed leaves the range of the search within its own uncertainty", hint=hint
             )
@@ -323,11 +378,10 @@ class JointFit:
                 f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted "
                 "family, and no interval is given"
             )
-        low, high = min(self.loads), max(self.loads)
-        if not low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
+        if outside := self.extrapolated(load):
             parts.append(
-                f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval "
-                "holds for bearings of the fitted family only; chi-square tests the measured loads only"
+                f"{outside}the interval holds for bearings of the fitted family only; chi-square tests the "
+                "measured loads only"
             )
         return "; ".join(parts)
 
@@ -396,49 +450,19 @@ def fit_jointly(
 def _result(
     problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int, known: tuple[str, ...]
 ) -> JointFit:
-    slopes, prior = problem.measured_slopes(parameters), PRIOR[problem.free]
-    covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    free_covariance = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
-    covariance[np.ix_(problem.free, problem.free)] = free_covariance
-    residual = problem.residual(parameters)[: slopes.shape[0]]
-    rank, condition = rank_of(slopes * prior)
-    n_threshold = len(problem.thresholds)
-    sources = sources_of(problem.groups)
-    changes = problem.residual_changes(sources)
-    systematic = np.zeros((len(sources), len(PARAMETERS)))
-    systematic[:, problem.free] = steps_by(changes, slopes, free_covariance)
-    return JointFit(
-        rig=problem.rig,
-        family=problem.family,
-        loads=tuple(dict.fromkeys(group.load for group in problem.groups)),
-        values=problem.values(parameters),
-        covariance=covariance,
-        at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
-        chi2=float(residual @ residual)
-        - pulls_of(residual, Stated.of(changes), slopes, free_covariance).explained,
-        n_datum=slopes.shape[0],
-        n_effective=float(np.trace(free_covariance @ slopes.T @ slopes)),
-        threshold_chi2=float(np.sum(residual[residual.size - n_threshold :] ** 2)),
-        n_threshold=n_threshold,
-        rank=int(rank),
-        condition=float(condition),
-        prior_dominated=_prior_dominated(slopes * prior, problem.free),
-        steps=steps,
-        known=known,
-        sources=sources,
-        systematic=systematic,
-    )
-
-
-def _prior_dominated(scaled: FloatArray, free: BoolArray) -> tuple[str, ...]:
-    """Combinations (logarithms, in units of the priors) that the priors determine better than the data do,
-    the worst first.
-    """
-    names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
+    fields, scaled = posterior(problem, parameters, steps)
+    names = [name for name, is_free in zip(PARAMETERS, problem.free, strict=True) if is_free]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
-    weight = PRIOR[free]
-    return tuple(
-        combination_text(names, row * weight, 0.1)
-        for row, size in list(zip(rows, singular, strict=True))[::-1]
-        if size < 1
+    weight = PRIOR[problem.free]
+    return JointFit(
+        **fields,
+        at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
+        prior_dominated=(
+            tuple(
+                combination_text(names, row * weight, 0.1)
+                for row, size in list(zip(rows, singular, strict=True))[::-1]
+                if size < 1
+            )
+        ),
+        known=known,
     )

@@ -158,7 +158,6 @@ def measured_run(read: ReadRun, plane: str) -> tuple[MeasuredRun, str]:
 
 
 def excitation_text(run: RunUp) -> str:
-    """Excitation of a run as text: shaker force or unbalances."""
     if run.shaker is not None:
         force = f"{run.shaker.x:g} N in x, {run.shaker.y:g} N in y at {run.shaker.plane}"
         return f"shaker: {force}, {run.shaker.frequency_ratio:g} of the speed"
@@ -194,8 +193,6 @@ def column(values: FloatArray) -> tuple[float, ...]:
     """Values (n,) [any unit], rounded to eight digits for a file."""
     return tuple(float(f"{value:.8g}") for value in np.asarray(values, np.float64).tolist())
 
-
-# Run-ups from order tracks, and the vector difference of two runs.
 
 # Relative tolerance within which two speeds count as equal.
 SAME_SPEED = 1e-3
@@ -278,7 +275,6 @@ def _by_speed(
 
 
 def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
-    """Phasors and their standard deviations (n_segment, n_plane, 2) in x and y."""
     phasors, deviations = [], []
     for plane in track.planes:
         turn, columns = np.linalg.inv(plane.directions), list(plane.columns)

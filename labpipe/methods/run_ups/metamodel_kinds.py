@@ -21,10 +21,9 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.run_ups.film_family import FilmFamily
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor
 
 # Relative difference below which two loads are the same.
 SAME_LOAD = 1e-6
@@ -105,7 +104,6 @@ class Grid:
 
     @property
     def loads(self) -> tuple[float, ...]:
-        """Its different loads [N], rising."""
         distinct: list[float] = []
         for load in np.sort(self.load).tolist():
             if not distinct or load > distinct[-1] * (1 + SAME_LOAD):
@@ -116,12 +114,10 @@ class Grid:
         return np.abs(self.load / load - 1) <= SAME_LOAD
 
     def only(self, load: float) -> Grid:
-        """The points of one load."""
         chosen = self._at(load)
         return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
 
     def without(self, load: float) -> Grid:
-        """The points of all other loads."""
         chosen = ~self._at(load)
         return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
 
@@ -195,7 +191,6 @@ class ResponseSurface:
 
     @property
     def statement(self) -> str:
-        """Statement on R^2, adjusted and predicted: ranges over the eight coefficients."""
         kinds = {"R²": self.r2, "adjusted R²": self.r2_adjusted, "predicted R² (PRESS)": self.r2_predicted}
         ranges = "; ".join(
             f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items()
@@ -300,7 +295,6 @@ class PhysicalFit:
 
     @property
     def statement(self) -> str:
-        """Statement on the fit and its validation."""
         return (
             "the film's own coefficients with the parameters of the joint fit, refitted without each "
             "load in turn for the validation"

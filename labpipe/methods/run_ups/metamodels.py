@@ -25,7 +25,6 @@ from scipy import optimize
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
-from labpipe.methods.run_ups.film_family import coefficient_errors
 from labpipe.methods.run_ups.joint import LOAD_SLACK
 from labpipe.methods.run_ups.metamodel_kinds import (
     Extent,
@@ -35,6 +34,7 @@ from labpipe.methods.run_ups.metamodel_kinds import (
     fit_surface,
     physical_without,
 )
+from labpipe.methods.run_ups.rotor import coefficient_errors
 from labpipe.registry import nearest
 
 PLANE = 3.0
@@ -107,7 +107,6 @@ class GaussianProcess:
 
     @property
     def statement(self) -> str:
-        """Statement on lengths and noise of maximum marginal likelihood."""
         (first, last), (low, high) = self.extent.loads, self.extent.speeds
         load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [
             (last - first) / 2,
@@ -205,7 +204,6 @@ class Network:
 
     @property
     def statement(self) -> str:
-        """Statement on layers, repeats and convergence."""
         hidden = self.repeats[0][1].size
         ended = "all of them" if self.n_converged == len(self.repeats) else f"{self.n_converged} of them"
         return (

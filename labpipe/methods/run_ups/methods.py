@@ -9,19 +9,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
-from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.amplitudes import AmplitudeFit, fit_amplitudes, perfect_but_wrong
-from labpipe.methods.run_ups.film_family import PARAMETERS, as_eight, carried_beyond
+from labpipe.methods.rotor.rig import Unbalance
+from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_amplitudes, perfect_but_wrong
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
-from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
-from labpipe.methods.run_ups.measured import column
+from labpipe.methods.run_ups.measured import column, motions
 from labpipe.methods.run_ups.metamodel_kinds import Fitted, Queried
 from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, scales, sources_of
-from labpipe.methods.run_ups.predictions import RPM, AtLoad
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
 from labpipe.methods.run_ups.records import (
     REJECTED,
@@ -29,13 +27,139 @@ from labpipe.methods.run_ups.records import (
     TWO_SIDED,
     Amount,
     Convergence,
+    RunPrediction,
     RunUp,
     RunUpMethod,
     StartSpread,
 )
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import PARAMETERS, RPM, RunUpRotor, as_eight
 from labpipe.methods.run_ups.settings import RunUpSettings
 from labpipe.records.finding import Contribution, Parameter
+from labpipe.records.uncertain import Uncertain
+
+# Step of the speeds at which curves are drawn [rad/s].
+CURVE_STEP = 40 * RPM
+# About a peak, where the phasor turns fast: step [rad/s] and points to either side.
+PEAK_STEP, PEAK_POINTS = 8 * RPM, 16
+
+
+@dataclass(frozen=True)
+class AtLoad:
+    """Prediction of a method at one load: K and C over speed, coefficients and their errors (n_speed, 8)
+    [N/m, N s/m] at the run's speeds.
+
+    critical, threshold: with their errors, where the method has them; else they are computed from *at_speed*.
+    """
+
+    at_speed: CoefficientsAtSpeed
+    coefficients: FloatArray
+    std_error: FloatArray | None = None
+    critical: Callable[[], Uncertain] | None = None
+    threshold: Callable[[], Uncertain | None] | None = None
+    notes: tuple[str, ...] = ()
+
+
+def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
+    """The rotor with a run's unbalance; unchanged where it is the rotor file's."""
+    file_unbalance = rig.known_unbalance
+    same = run.shaker is not None or (
+        run.unbalance.keys() == file_unbalance.keys()
+        and all(
+            abs(size - file_unbalance[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items()
+        )
+    )
+    if same:
+        return rig
+    amounts = tuple(
+        Unbalance(rig.node(plane), abs(size), float(np.angle(size))) for plane, size in run.unbalance.items()
+    )
+    return replace(rig, unbalances=amounts)
+
+
+def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
+    """The rotor with the unbalance of the first of *runs* that has one, where its file states none."""
+    stated = [run for run in runs if run.shaker is None]
+    return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])
+
+
+def predict(
+    rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True
+) -> RunPrediction:
+    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the
+    run's unbalance.
+    """
+    if isinstance(solution, str):
+        return RunPrediction(run.name, None, None, notes=(solution,))
+    notes = list(solution.notes)
+    critical = (
+        _tried(lambda: _critical(rig, solution, plane), "no critical speed", notes)
+        if run.shaker is None
+        else None
+    )
+    before = len(notes)
+    threshold = _tried(lambda: _threshold(rig, solution), "no threshold", notes)
+    stable = f"no threshold below {rig.search.highest / RPM:.0f} rpm"
+    notes += [stable] if threshold is None and len(notes) == before else []
+    speed = _drawn_speeds(run, threshold, critical)
+    motion = motions(run.planes, _curve(rig, run, solution, speed)) if curves else ()
+    return RunPrediction(
+        run.name,
+        critical,
+        threshold,
+        speed=column(speed) if curves else (),
+        motions=motion,
+        coefficient_speed=column(run.speed),
+        coefficients=tuple(column(row) for row in solution.coefficients),
+        std_errors=() if solution.std_error is None else tuple(column(row) for row in solution.std_error),
+        notes=tuple(notes),
+    )
+
+
+def _tried(give: Callable[[], Amount | None], title: str, notes: list[str]) -> Amount | None:
+    try:
+        return give()
+    except FitError as error:
+        notes.append(f"{title}: {error.what}")
+        return None
+
+
+def _critical(rig: RunUpRotor, solution: AtLoad, plane: str) -> Amount:
+    if solution.critical is not None and plane in ("", rig.plane_names[-1]):
+        speed = solution.critical()
+        return Amount(speed.value, speed.std_error)
+    return Amount(rig.critical_speed(solution.at_speed, plane))
+
+
+def _threshold(rig: RunUpRotor, solution: AtLoad) -> Amount | None:
+    if solution.threshold is not None:
+        speed = solution.threshold()
+        return None if speed is None else Amount(speed.value, speed.std_error)
+    value = rig.threshold(solution.at_speed)
+    return None if value is None else Amount(value)
+
+
+def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> FloatArray:
+    last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
+    speed = np.linspace(
+        run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1)
+    )
+    if critical is None:
+        return speed
+    about = critical.value + np.arange(-PEAK_POINTS, PEAK_POINTS + 1) * PEAK_STEP
+    return np.union1d(speed, about[(about > speed[0]) & (about < speed[-1])])
+
+
+def _curve(rig: RunUpRotor, run: RunUp, solution: AtLoad, speed: FloatArray) -> ComplexArray:
+    shape = (speed.size, len(run.planes), 2)
+    bare = replace(
+        run,
+        speed=speed,
+        response=np.ones(shape) + 0j,
+        amplitude_error=np.ones(shape),
+        phase_error=np.ones(shape),
+    )
+    return np.asarray(rig.excited(bare).response(*solution.at_speed(speed)).reshape(shape))
+
 
 BOUND = 0.3
 RIDGE = 0.15
@@ -45,24 +169,12 @@ LEAST_DAMPING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointFit:
-    """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
-
-    coefficients, start, std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes; at_bound
-    (n_speed, 8): there the standard error is NaN; rank, condition (n_speed,): of the data alone; chi2,
-    n_datum, n_effective: sum of squares, real data, and parameters that the data determine.
+class PointFit(SpeedwiseFit):
+    """std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes, NaN at a bound; n_effective:
+    parameters that the data determine.
     """
 
-    load: float
-    speed: FloatArray
-    start: FloatArray
-    coefficients: FloatArray
     std_error: FloatArray
-    at_bound: BoolArray
-    rank: IntArray
-    condition: FloatArray
-    chi2: float
-    n_datum: int
     n_effective: float
 
     @property
@@ -70,20 +182,8 @@ class PointFit:
         """chi-square over degrees of freedom, at least one; near one when model and noise are right."""
         return self.chi2 / max(self.n_datum - self.n_effective, 1.0)
 
-    @property
-    def share_at_bound(self) -> float:
-        return float(np.mean(self.at_bound))
 
-    def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points.
-
-        Beyond them K and Omega C stay constant.
-        """
-
-        def between(speed: FloatArray) -> FloatArray:
-            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
-
-        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
+PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 
 
 def fit_points(
@@ -192,7 +292,6 @@ def _step(
     return np.clip(parts + step, -bound, bound)
 
 
-# Loads are the same when they agree to a millionth.
 SAME_LOAD = 1e-6
 BEYOND = "above the last measured speed K and Omega C stay constant: its threshold is extrapolated"
 WITHOUT_INTERVAL = (
@@ -219,7 +318,6 @@ class Solved:
 
 
 def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
-    """Coefficients of the rotor file's bearing: the original model of the source."""
 
     def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
         return AtLoad(run_rig.start(run.load), as_eight(*run_rig.start_coefficients(run.load, run.speed)))
@@ -228,19 +326,24 @@ def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
 
 
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
-    """(a): amplitudes alone, one search per point from the rotor file's values.
-
-    The spread of many starts at one load.
-    """
     unbalanced = [run for run in trained if run.shaker is None]
     fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
+    fit = fits[len(fits) // 2]
+    point = int(np.argmax(fit.evaluations))
+    rows = fit.history.of(point)
+    evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
+    best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
+    place = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
+    objective, mesh, counts = (
+        column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations)
+    )
     method = RunUpMethod(
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
         _determined(fits),
         predictions=(),
         **_of_points(fits),
-        convergence=(_convergence(fits[len(fits) // 2]),),
+        convergence=(Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),),
         spreads=_spreads(rig, unbalanced, settings),
         remarks=(f"{perfect_but_wrong(fits)}.", *_capped(fits)),
     )
@@ -248,7 +351,6 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
 
 
 def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
-    """(b): complex amplitudes, point by point."""
     fits = fit_points(rig, trained, settings.bound, settings.ridge)
     ridge_text = (
         f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not"
@@ -266,7 +368,6 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
 
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
-    """(c): one fit of the physical family to all responses and thresholds."""
     fit = fit_jointly(rig, trained, known=settings.known)
     return Solved(
         joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit
@@ -274,48 +375,42 @@ def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
 
 
 def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
-    """(d): the joint fit times smooth factors."""
-    joint = fit_jointly(rig, trained)
-    fit = fit_with_process(rig, trained, joint)
-    n_redundant = fit.n_datum - fit.n_effective
-    p_value = float(chdtrc(n_redundant, fit.chi2))
+    fit = fit_with_process(rig, trained, fit_jointly(rig, trained))
     method = RunUpMethod(
         "process",
         "(d) joint fit with factors",
-        REJECTED if p_value < LEAST_PROBABILITY else "not rejected",
-        predictions=(),
         unknowns=int(fit.values.size),
         rank=fit.n_determined,
-        condition=fit.condition,
-        chi2_per_datum=fit.chi2_per_datum,
-        chi2_p=p_value,
-        n_datum=fit.n_datum,
-        n_effective=fit.n_effective,
         remarks=(f"{fit.statement}.",),
+        **_of_fit(fit),
     )
-    return Solved(method, _joint_at(fit, p_value < LEAST_PROBABILITY), anywhere=fit)
+    return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
 
 
 def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
-    """The record of a joint fit, its predictions to come."""
     return RunUpMethod(
         name,
         title,
-        REJECTED if fit.rejected else "not rejected",
-        predictions=(),
         unknowns=len(PARAMETERS) - len(fit.known),
         rank=fit.rank,
-        condition=fit.condition,
         share_at_bound=fit.share_at_bound,
-        chi2_per_datum=fit.chi2_per_datum,
-        chi2_p=fit.chi2_p,
-        n_datum=fit.n_datum,
-        n_effective=fit.n_effective,
         free=fit.prior_dominated,
         parameters=tuple(
             _parameter(fit, parameter) for parameter in PARAMETERS if parameter not in fit.known
         ),
+        **_of_fit(fit),
     )
+
+
+def _of_fit(fit: JointFit | ProcessFit) -> dict[str, Any]:
+    return {
+        "verdict": REJECTED if fit.rejected else "not rejected",
+        "predictions": (),
+        **{
+            name: getattr(fit, name)
+            for name in ("condition", "chi2_per_datum", "chi2_p", "n_datum", "n_effective")
+        },
+    }
 
 
 def _parameter(fit: JointFit, name: str) -> Parameter:
@@ -386,7 +481,7 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
     return at
 
 
-def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
+def _points_at(fits: PointFits) -> Predictor:
     def at(_rig: RunUpRotor, run: RunUp) -> AtLoad | str:
         load_fit = next((fit for fit in fits if abs(fit.load / run.load - 1) < SAME_LOAD), None)
         if load_fit is None:
@@ -399,10 +494,7 @@ def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
     return at
 
 
-def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, Any]:
-    """Fields of RunUpMethod on the uncertainty of all points: lowest rank, largest condition number,
-    chi-square.
-    """
+def _of_points(fits: PointFits) -> dict[str, Any]:
     chi2, datum, effective = (
         sum(f.chi2 for f in fits),
         sum(f.n_datum for f in fits),
@@ -415,13 +507,13 @@ def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, A
         "condition": float(max(fit.condition.max() for fit in fits)),
         "share_at_bound": float(np.mean(shares)),
         "chi2_per_datum": chi2 / n_redundant if n_redundant > 0.5 else None,
-        "chi2_p": float(chdtrc(n_redundant, chi2)) if n_redundant > 0.5 else None,
+        "chi2_p": chi2_tail(chi2, n_redundant) if n_redundant > 0.5 else None,
         "n_datum": datum,
         "n_effective": float(effective),
     }
 
 
-def _determined(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> str:
+def _determined(fits: PointFits) -> str:
     return "determined" if min(int(fit.rank.min()) for fit in fits) == 8 else "not determined"
 
 
@@ -435,22 +527,7 @@ def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
     )
 
 
-def _convergence(fit: AmplitudeFit) -> Convergence:
-    point = int(np.argmax(fit.evaluations))
-    rows = fit.history.of(point)
-    evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
-    best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
-    place = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
-    objective, mesh, counts = (
-        column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations)
-    )
-    return Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best))
-
-
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:
-    """Spread of the starts at the middle load: at the speed of the largest response and at the highest
-    speed.
-    """
     if settings.starts < 2:
         return ()
     loads = sorted({run.load for run in runs})

@@ -6,8 +6,9 @@ complex equations. Only a force that does not turn with the shaft moves the jour
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,8 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.rotor.pinned import CondensedRotor
-from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matrices
 from labpipe.methods.run_ups.records import RankRow, RunUp, Shaker
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import COEFFICIENTS, RunUpRotor, as_eight, as_matrices
 from labpipe.records.uncertain import Uncertainty
 
 # Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
@@ -120,29 +120,28 @@ def sources_of(groups: Iterable[LoadRuns]) -> tuple[Uncertainty, ...]:
 
 def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
     """The runs grouped by load, in order; DataError where runs of one load share no speed."""
-    groups: dict[float, list[RunUp]] = {}
-    for run in runs:
-        groups.setdefault(run.load, []).append(run)
-    if not groups:
-        raise DataError("there is no run-up", hint="give at least one")
-    return [_grouped(rig, load, group) for load, group in groups.items()]
+    return _grouped(rig, runs, lambda run: (run.load,))
 
 
 def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
     """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share
     none.
     """
-    groups: dict[tuple[float, bytes], list[RunUp]] = {}
+    return _grouped(rig, runs, lambda run: (run.load, run.speed.tobytes()))
+
+
+def _grouped(rig: RunUpRotor, runs: Iterable[RunUp], key: Callable[[RunUp], Hashable]) -> list[LoadRuns]:
+    groups: dict[Hashable, list[RunUp]] = {}
     for run in runs:
-        groups.setdefault((run.load, run.speed.tobytes()), []).append(run)
+        groups.setdefault(key(run), []).append(run)
     if not groups:
         raise DataError("there is no run-up", hint="give at least one")
-    return [_grouped(rig, load, group) for (load, _), group in groups.items()]
+    return [_at_shared_speeds(rig, group) for group in groups.values()]
 
 
-def _grouped(rig: RunUpRotor, load: float, group: Sequence[RunUp]) -> LoadRuns:
+def _at_shared_speeds(rig: RunUpRotor, group: Sequence[RunUp]) -> LoadRuns:
     """Speeds are the same when they agree to a millionth."""
-    shared = group[0].speed
+    load, shared = group[0].load, group[0].speed
     for run in group[1:]:
         shared = shared[np.min(np.abs(shared[:, None] / run.speed - 1), axis=1) < 1e-6]
     if shared.size == 0:
@@ -183,6 +182,24 @@ def scales(start: FloatArray) -> FloatArray:
     return np.maximum(
         np.abs(start), 0.2 * np.repeat(np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]])), 4, axis=-1)
     )
+
+
+def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
+    """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m]
+    and their slopes.
+
+    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for
+    both circles f = X +- jY of the orbit.
+    """
+    planes = response.reshape(*response.shape[:-1], -1, 2)
+    by = slopes.reshape(*planes.shape, slopes.shape[-1])
+    derivatives = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
+    for turn in (1j, -1j):
+        circle = planes[..., 0] + turn * planes[..., 1]
+        derivatives += (
+            (circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])
+        ).real / 2
+    return derivatives
 
 
 def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
@@ -237,7 +254,9 @@ def rank_statements(
     shaker = _slopes(rig, place, eight, None) * unit
     both = np.concatenate([first, second])
     return (
-        _statement(AMPLITUDES, _amplitude_slopes(rig, place, eight) * unit),
+        _statement(
+            AMPLITUDES, displacement_slopes(*_response(rig, place, eight, rig.known_unbalance)) * unit
+        ),
         _statement(COMPLEX, first),
         _statement(SECOND, both, ADVICE),
         _statement(SHAKEN, np.concatenate([both, shaker])),
@@ -269,17 +288,8 @@ def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
     return RankRow(source, rank, float(condition), sentence, unseen_combinations(rows), advice)
 
 
-def _slopes(
-    rig: RunUpRotor,
-    speed: FloatArray,
-    eight: FloatArray,
-    unbalance: Mapping[str, complex] | None,
-    shaker: Shaker | None = None,
-) -> FloatArray:
-    """Of real and imaginary parts (4 n_plane, 8), under an unbalance or, without one, a force along x at the
-    first plane.
-    """
-    _, slopes = _response(rig, speed, eight, unbalance, shaker)
+def _slopes(rig: RunUpRotor, *excitation: Any) -> FloatArray:
+    _, slopes = _response(rig, *excitation)
     return np.concatenate([slopes.real, slopes.imag])
 
 
@@ -290,6 +300,7 @@ def _response(
     unbalance: Mapping[str, complex] | None,
     shaker: Shaker | None = None,
 ) -> tuple[ComplexArray, ComplexArray]:
+    """Under an unbalance or, without one, a force along x at the first plane."""
     shape = (1, len(rig.planes), 2)
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
     run = RunUp(
@@ -306,18 +317,3 @@ def _response(
     split = eight.reshape(1, 2, 2, 2)
     response, slopes = rig.excited(run).response_and_slopes(split[:, 0], split[:, 1])
     return response[0], slopes[0]
-
-
-def _amplitude_slopes(rig: RunUpRotor, speed: FloatArray, eight: FloatArray) -> FloatArray:
-    """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of
-    the orbit.
-    """
-    response, slopes = _response(rig, speed, eight, rig.known_unbalance)
-    response, slopes = response.reshape(-1, 2), slopes.reshape(-1, 2, 8)
-    derivatives = np.zeros((response.shape[0], 8))
-    for turn in (1j, -1j):
-        circle = response[:, 0] + turn * response[:, 1]
-        derivatives += (
-            (circle / np.abs(circle)).conj()[:, None] * (slopes[:, 0] + turn * slopes[:, 1])
-        ).real / 2
-    return derivatives

@@ -6,14 +6,11 @@ import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import click
 import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
-from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.measured import run_up_of
@@ -43,11 +40,6 @@ def _unit(quantity: str) -> tuple[str, float]:
 
 
 def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], quantity: str) -> Figure:
-    """Amplitude with two standard deviations and phase of every response over the speed; forward and backward
-    of every plane below.
-
-    The whole motion stands beside the amplitudes, dashed.
-    """
     across, along = _across(track)
     unit, factor = _unit(quantity)
     phases = [
@@ -81,7 +73,6 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
 
 
 def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Series]:
-    """The amplitude of every response with two standard deviations."""
     series = []
     for number, port in enumerate(track.ports):
         size = factor * np.abs(track.amplitude[:, number])
@@ -96,7 +87,6 @@ def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Se
 
 
 def _amplitude_axis(title: str, unit: str, series: Sequence[Series]) -> Axis:
-    """From zero to above the largest value, with room for the names."""
     return Axis(title, unit, low=0.0, high=LEGEND_ROOM * _largest(series))
 
 
@@ -106,7 +96,6 @@ def _largest(series: Sequence[Series]) -> float:
 
 
 def _across(track: OrderTrack) -> tuple[FloatArray, Axis]:
-    """What the run is drawn over, and its axis."""
     turning = bool(np.ptp(track.speed) > STEADY * np.max(track.speed))
     return (60 * track.speed, Axis("speed", "rpm")) if turning else (track.time, Axis("time", "s"))
 
@@ -114,9 +103,6 @@ def _across(track: OrderTrack) -> tuple[FloatArray, Axis]:
 def gap_figure(
     name: str, track: OrderTrack, circles: Sequence[OrderTrack], gap: float, limit: float
 ) -> Figure:
-    """Size of the orbit in every plane as share of the gap over the speed: the whole motion and, dashed, the
-    order's larger half axis.
-    """
     across, along = _across(track)
     series: list[Series] = []
     for number, circle in enumerate(circles):
@@ -139,10 +125,6 @@ def gap_figure(
 
 
 def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure:
-    """Orbits at stretches spread over the run: the sum of a forward and a backward circle.
-
-    A dot where the pulse comes.
-    """
     chosen = np.unique(
         np.linspace(0, circles.time.size - 1, min(MOST_ORBITS, circles.time.size)).round().astype(int)
     )
@@ -231,7 +213,6 @@ def track_run(
 
 
 def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
-    """orders.csv and the figures; their names."""
     from labpipe.document.charts import svg_file
 
     _write_table(run, output.write_path("orders.csv"))
@@ -264,7 +245,6 @@ def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[st
 
 
 def order_lines(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
-    """Terminal lines on every response, circle and plane; *shown*: from an SI value to the display *unit*."""
     rows = []
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):
@@ -283,7 +263,6 @@ def order_lines(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> 
 
 
 def _against_gap(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
-    """The largest orbit of every plane as share of the gap, and from which speed it lies beyond the limit."""
     if run.clearance is None:
         return []
     rows = []
@@ -303,9 +282,6 @@ def _against_gap(run: TrackedRun, unit: str, shown: Callable[[float], float]) ->
 
 
 def _write_table(run: TrackedRun, path: Path) -> None:
-    """A row for every stretch: amplitudes 0-to-peak [SI], phases [deg] against the tacho's pulse, standard
-    deviations, whole motion.
-    """
     columns = [("time_s", run.track.time), ("speed_hz", run.track.speed)]
     for track in (run.track, *run.circles):
         columns += _order_columns(track)
@@ -364,7 +340,6 @@ def track_and_write(
     unbalance: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    """Track a recording, write what was found, and say so."""
     if order <= 0:
         raise ConfigError("--order must be positive")
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
@@ -388,7 +363,6 @@ def track_and_write(
 
 
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
-    """Load and known unbalances of a run-up, which a recording does not hold."""
     newtons = _value("--load", load, "N")
     if newtons is None or not unbalance:
         raise ConfigError(
@@ -406,7 +380,6 @@ def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float
 
 
 def _clearance(gap: str | None, limit: str) -> Clearance | None:
-    """The gap with its limit; ConfigError for values that are no length and no share."""
     share, length = _value("--limit", limit, "1"), _value("--gap", gap, "m")
     if length is None or share is None:
         return None
@@ -422,57 +395,3 @@ def _value(option: str, text: str | None, unit: str) -> float | None:
         return parse_value(text, unit)
     except UnitError as error:
         raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
-
-
-@click.command()
-@click.argument("recording", metavar="RECORDING", type=options.PATH)
-@options.out_folder
-@click.option(
-    "-r", "--rig", "rig_path", type=options.PATH, help="Rig file (YAML); a calibrated recording needs none."
-)
-@click.option("--tacho", help="Channel with the tacho pulses.")
-@click.option(
-    "--pulses", type=click.IntRange(min=1), default=1, show_default=True, help="Pulses per revolution."
-)
-@click.option("--speed", help="Constant speed instead of a tacho, e.g. '50 Hz' or '3000 rpm'.")
-@click.option("--order", type=float, default=1.0, show_default=True, help="Multiple of the speed.")
-@click.option(
-    "--harmonics",
-    type=click.IntRange(min=1),
-    default=2,
-    show_default=True,
-    help="Multiples of the speed in the fit.",
-)
-@click.option(
-    "--revolutions",
-    type=click.IntRange(min=2),
-    default=20,
-    show_default=True,
-    help="Revolutions per segment.",
-)
-@click.option("--gap", help="Radial gap of the bearings, e.g. '0.45 mm', for comparison with the orbits.")
-@click.option(
-    "--limit", default="20 %", show_default=True, help="Share of the gap beyond which an orbit is reported."
-)
-@click.option(
-    "--save-run-up", type=options.PATH, help="Also write a run-up table (CSV) for `run_ups:` of a pipeline."
-)
-@click.option("--load", help="Static load on the bearing, for that table, e.g. '3.66 N'.")
-@click.option(
-    "--unbalance",
-    multiple=True,
-    metavar="PLANE=SIZE",
-    help="Known unbalance, for that table: 'disc 1=50 g.mm at 0 deg'.",
-)
-@options.quiet
-def orders(**settings: Any) -> None:
-    """Track an order of the shaft speed: amplitude and phase over the run, total motion, orbits, forward and
-    backward.
-
-    Responses with dofs such as front.x and front.y form a plane.
-
-    \b
-    labpipe orders run-up.parquet -r rig.yaml --tacho n --gap '0.45 mm' -o out/run-up
-    """
-
-    track_and_write(**settings)

@@ -26,23 +26,30 @@ from scipy import linalg, optimize
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
-from labpipe.estimation.statistics import Stated, pulls_of, steps_by
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.amplitudes import displacement_slopes
-from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR, FilmFamily, as_matrices
 from labpipe.methods.run_ups.joint import (
-    LOAD_SLACK,
     JointFit,
+    RunUpFit,
     RunUpProblem,
     family_about,
     measured_thresholds,
     nearby_threshold,
+    posterior,
     threshold_row,
 )
-from labpipe.methods.run_ups.misfit import rank_of, runs_by_load, sources_of
+from labpipe.methods.run_ups.misfit import displacement_slopes, runs_by_load
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement, searched_over
-from labpipe.records.uncertain import Uncertain, Uncertainty
+from labpipe.methods.run_ups.rotor import (
+    PARAMETERS,
+    PRIOR,
+    RPM,
+    FilmFamily,
+    RunUpRotor,
+    as_matrices,
+    largest_displacement,
+    searched_over,
+)
+from labpipe.records.uncertain import Uncertain
 
 # Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
 LEAST_EIGENVALUE = 1e-7
@@ -147,35 +154,16 @@ def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     ).reshape(-1, 2)
 
 
-# Half-width of the differences about a peak, as a part of its speed.
 PEAK_STEP = 5e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProcessFit:
-    """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *loads* [N]: those of
-    the fit.
-
-    chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the
-    priors; rank, condition: of the data, in units of the priors; n_determined: combinations that the data
-    determine better than the priors do. systematic (n_source, n_parameter): changes by one standard
-    uncertainty of each of the *sources*, uncertainties of probes; chi2 is without what these explain.
+class ProcessFit(RunUpFit[ProcessFamily]):
+    """A RunUpFit with smooth factors; n_determined: combinations that the data determine better than the
+    priors do.
     """
 
-    rig: RunUpRotor
-    family: ProcessFamily
-    loads: tuple[float, ...]
-    values: FloatArray
-    covariance: FloatArray
-    chi2: float
-    n_datum: int
-    n_effective: float
-    rank: int
-    condition: float
     n_determined: int
-    steps: int
-    sources: tuple[Uncertainty, ...]
-    systematic: FloatArray
 
     @property
     def kernel(self) -> SquaredExponential:
@@ -183,29 +171,14 @@ class ProcessFit:
         return self.family.field.kernel
 
     @property
-    def chi2_per_datum(self) -> float:
-        """chi-square over degrees of freedom."""
-        return self.chi2 / (self.n_datum - self.n_effective)
-
-    @property
-    def widening(self) -> float:
-        """Factor on all standard errors of predictions: sqrt(chi-square per datum), at least one."""
-        return max(1.0, float(np.sqrt(self.chi2_per_datum)))
-
-    @property
     def statement(self) -> str:
-        """Statement on the assumed factors and the combinations that the data determine."""
         kernel = self.kernel
         return (
             f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, correlated over "
-            f"{kernel.load:.2g} N and {kernel.speed * 30 / np.pi:.0f} rpm, on the joint fit; of "
+            f"{kernel.load:.2g} N and {kernel.speed / RPM:.0f} rpm, on the joint fit; of "
             f"{self.values.size} parameters the data determine {self.n_determined} combinations better than "
             "these assumptions do"
         )
-
-    def at_load(self, load: float) -> CoefficientsAtSpeed:
-        """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
-        return self.family.at_load(self.values, load)
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
@@ -259,12 +232,10 @@ class ProcessFit:
 
     def caution(self, load: float) -> str:
         """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
-        low, high = min(self.loads), max(self.loads)
-        if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
-            return ""
-        return (
-            f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the smooth factors "
-            f"are extrapolated, and the interval assumes their correlation over {self.kernel.load:.2g} N"
+        outside = self.extrapolated(load)
+        return outside and (
+            f"{outside}the smooth factors are extrapolated, and the interval assumes their correlation over "
+            f"{self.kernel.load:.2g} N"
         )
 
     def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
@@ -327,7 +298,8 @@ def fit_with_process(
         problem = problem_of(_likeliest(linear, places, ranges))
         values, more = _minimum(problem, _carried(values, linear.field, problem.family.field))
         steps += more
-    return _result(problem, values, steps)
+    fields, scaled = posterior(problem, values, steps)
+    return ProcessFit(**fields, n_determined=int(np.sum(np.linalg.svd(scaled, compute_uv=False) > 1)))
 
 
 def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
@@ -408,7 +380,6 @@ class LinearData:
 def _rows_by_place(
     problem: RunUpProblem[ProcessFamily], values: FloatArray, eight: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Residual (n_equation,) and its slopes by ln coefficients (n_equation, 8) at every place of the data."""
     rows, first = [], 0
     for group in problem.groups:
         group_eight = eight[first : first + group.speed.size]
@@ -439,30 +410,3 @@ def _likeliest(linear: LinearData, places: FloatArray, ranges: FloatArray) -> Sq
     search = optimize.minimize(cost, np.zeros(3), method="Nelder-Mead", options=options)
     likeliest = _kernel(np.log(median) + deviation * search.x, ranges)
     return SquaredExponential(likeliest.size, CAUTION * likeliest.load, CAUTION * likeliest.speed)
-
-
-def _result(problem: RunUpProblem[ProcessFamily], values: FloatArray, steps: int) -> ProcessFit:
-    slopes, spread = problem.measured_slopes(values), problem.spread
-    covariance = np.linalg.inv(slopes.T @ slopes + np.diag(spread**-2.0))
-    residual = problem.residual(values)[: slopes.shape[0]]
-    rank, condition = rank_of(slopes * spread)
-    singular = np.linalg.svd(slopes * spread, compute_uv=False)
-    sources = sources_of(problem.groups)
-    changes = problem.residual_changes(sources)
-    return ProcessFit(
-        rig=problem.rig,
-        family=problem.family,
-        loads=tuple(group.load for group in problem.groups),
-        values=values,
-        covariance=covariance,
-        chi2=float(residual @ residual)
-        - pulls_of(residual, Stated.of(changes), slopes, covariance).explained,
-        n_datum=slopes.shape[0],
-        n_effective=float(np.trace(covariance @ slopes.T @ slopes)),
-        rank=int(rank),
-        condition=float(condition),
-        n_determined=int(np.sum(singular > 1)),
-        steps=steps,
-        sources=sources,
-        systematic=steps_by(changes, slopes, covariance),
-    )

@@ -388,5 +388,4 @@ class RunUpResult:
 
 
 def findings(result: RunUpResult) -> tuple[tuple[str, Finding], ...]:
-    """Every finding with its origin."""
     return tuple(("run-ups", finding) for finding in result.findings)

@@ -9,7 +9,6 @@ import numpy as np
 
 from labpipe.display import with_error, written
 from labpipe.methods.run_ups.figures import (
-    NAMES,
     RPM,
     best_method,
     bode_figure,
@@ -33,10 +32,10 @@ from labpipe.methods.run_ups.records import (
     RunUpMethod,
     RunUpResult,
 )
+from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.records.identification import Identification
 from labpipe.report.document import Block, Paragraph, Section, Table
 
-# Short names of columns.
 SHORT = {
     "start": "original",
     "amplitudes": "(a) amplitudes",
@@ -55,36 +54,15 @@ ADVICE_WORDS = (
     "A round shaft under any unbalance moves its journal along the same vector: a second unbalance run adds "
     "no rank; a run under a shaker, whose force does not turn with the shaft, does."
 )
-# Rows of the table of coefficients: as many speeds.
 MOST_SPEEDS = 7
 
 
 def rpm_text(amount: Amount | None) -> str:
-    """A speed with its standard error."""
     if amount is None or not math.isfinite(amount.value):
         return "none"
     if amount.std_error is None:
         return f"{RPM * amount.value:.1f}"
     return with_error(RPM * amount.value, RPM * amount.std_error)
-
-
-def measured_table(result: RunUpResult) -> Table:
-    """Every run with load, role, excitation, and measured speeds."""
-    header = (
-        "run",
-        "load [N]",
-        "role",
-        "known unbalance or force",
-        "speeds [rpm]",
-        "critical speed [rpm]",
-        "threshold [rpm]",
-    )
-    rows = tuple(_measured_row(run) for run in result.runs)
-    caption = (
-        f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one "
-        "standard error"
-    )
-    return Table(header, rows, caption, (1, 5, 6))
 
 
 def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
@@ -140,7 +118,6 @@ def _heading(column: RunUpMethod | MetamodelResult) -> str:
 
 
 def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
-    """Runs with such a speed, by measurement or by a method; one run per load for a threshold."""
     selected: list[MeasuredRun] = []
     for run in result.runs:
         predictions = [method.prediction(run.name) for method in result.methods]
@@ -224,7 +201,6 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
 
 
 def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Rank, condition, bounds and chi-square of every method."""
     fitted = [method for method in result.methods if method.rank is not None]
     header = (
         "method",
@@ -276,7 +252,6 @@ def _p_text(p_value: float | None) -> str:
 
 
 def _rank_blocks(result: RunUpResult) -> list[Block]:
-    """Rank by kind of data, and undetermined combinations of the measured runs."""
     if not result.ranks:
         return []
     place = f"{result.rank_load:.3g} N and {RPM * result.rank_speed:.0f} rpm"
@@ -300,9 +275,6 @@ def _rank_blocks(result: RunUpResult) -> list[Block]:
 
 
 def parameter_table(method: RunUpMethod) -> Table:
-    """The physical parameters of a joint fit: factors on the rotor file's values, exponents for the
-    slopes.
-    """
     rows = []
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
@@ -318,7 +290,6 @@ def parameter_table(method: RunUpMethod) -> Table:
 
 
 def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
-    """The eight coefficients of a method at some of a run's speeds, with their standard deviations."""
     prediction = method.prediction(run.name)
     if prediction is None or not prediction.coefficients:
         return None
@@ -327,7 +298,7 @@ def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
     rows = tuple(
         (f"{RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place)) for place in chosen
     )
-    units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in NAMES)
+    units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in COEFFICIENTS)
     caption = (
         f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; "
         "every speed in identification.json"
@@ -351,7 +322,6 @@ def _with_deviation(value: float, error: float | None) -> str:
 
 
 def validation_table(models: Sequence[MetamodelResult]) -> Table:
-    """Leave-one-load-out errors of every metamodel."""
     loads = dict.fromkeys(validation.load for model in models for validation in model.left_out)
     rows = []
     for model in models:
@@ -365,7 +335,10 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
         "the others"
     )
     return Table(
-        ("metamodel", "load [N]", "of the others", *NAMES, "all"), tuple(rows), caption, tuple(range(3, 12))
+        ("metamodel", "load [N]", "of the others", *COEFFICIENTS, "all"),
+        tuple(rows),
+        caption,
+        tuple(range(3, 12)),
     )
 
 
@@ -377,7 +350,6 @@ FRAME = (
 
 
 def cover_facts(result: RunUpResult) -> dict[str, str]:
-    """The rotor, and its runs with their loads."""
     return {
         "rig": result.rotor,
         "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for run in result.runs),
@@ -385,9 +357,6 @@ def cover_facts(result: RunUpResult) -> dict[str, str]:
 
 
 def run_up_sections(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
-    """Sections on measurements, both speeds, identifiability, coefficients, metamodels, and the response of
-    every run.
-    """
     searches: list[Block] = []
     for method in result.methods:
         searches += [convergence_figure(method, search) for search in method.convergence]
@@ -408,9 +377,23 @@ def _measured(result: RunUpResult) -> tuple[Block, ...]:
     method = best_method(result)
     description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
+    header = (
+        "run",
+        "load [N]",
+        "role",
+        "known unbalance or force",
+        "speeds [rpm]",
+        "critical speed [rpm]",
+        "threshold [rpm]",
+    )
+    rows = tuple(_measured_row(run) for run in result.runs)
+    caption = (
+        f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one "
+        "standard error"
+    )
     return (
         Paragraph(description),
-        measured_table(result),
+        Table(header, rows, caption, (1, 5, 6)),
         polar_figure(result, method),
         orbit_figure(result, method),
         *cascades,

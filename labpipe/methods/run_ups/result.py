@@ -7,21 +7,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from labpipe.errors import LabpipeError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.run_ups.film_family import carried_beyond
 from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
 from labpipe.methods.run_ups.joint import JointFit
 from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
 from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, physical_without
 from labpipe.methods.run_ups.metamodels import Metamodel, caution, fit_metamodel, leave_one_load_out
-from labpipe.methods.run_ups.methods import BEYOND, Predictor, Solved, solve_start
+from labpipe.methods.run_ups.methods import (
+    BEYOND,
+    AtLoad,
+    Predictor,
+    Solved,
+    excited_as,
+    predict,
+    solve_start,
+    with_unbalance_of,
+)
 from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
-from labpipe.methods.run_ups.predictions import RPM, AtLoad, excited_as, predict, with_unbalance_of
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     REJECTED,
@@ -37,7 +43,7 @@ from labpipe.methods.run_ups.records import (
     RunUpResult,
     Surface,
 )
-from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, carried_beyond, searched_over
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter
@@ -88,11 +94,21 @@ def metamodels(
             (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
         )
         predictions = tuple(_prediction(model, rig, run, settings.plane, uncertainty) for run in runs)
+        loads = [run.load for run in runs]
+        load, speed = (
+            np.linspace(min(loads), max(loads), SURFACE_LOADS),
+            np.linspace(*model.extent.speeds, SURFACE_SPEEDS),
+        )
+        values = np.stack([model.predict(one_load, speed) for one_load in load])
         results.append(
             MetamodelResult(
                 name,
                 TITLES[name],
-                _surface(model, runs),
+                Surface(
+                    column(load),
+                    column(speed),
+                    tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)),
+                ),
                 rows,
                 predictions,
                 (f"{model.statement}.",),
@@ -141,19 +157,6 @@ def _prediction(
     )
 
 
-def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
-    """Coefficients over all loads, held-out loads included, and the speeds of the fit."""
-    loads = [run.load for run in runs]
-    load, speed = (
-        np.linspace(min(loads), max(loads), SURFACE_LOADS),
-        np.linspace(*model.extent.speeds, SURFACE_SPEEDS),
-    )
-    values = np.stack([model.predict(one_load, speed) for one_load in load])
-    return Surface(
-        column(load), column(speed), tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8))
-    )
-
-
 Tell = Callable[[str], None]
 
 
@@ -178,7 +181,10 @@ def run_up_result(
     ]
     if settings.metamodels:
         tell("run-ups   metamodels")
-    ranks = _ranks(rig, trained)
+    loads = sorted({run.load for run in trained})
+    load = loads[len(loads) // 2]
+    load_runs = [run for run in trained if run.load == load]
+    speed = float(load_runs[0].speed[load_runs[0].n_speed // 2])
     result = RunUpResult(
         rig.name,
         settings.plane or rig.plane_names[-1],
@@ -190,7 +196,10 @@ def run_up_result(
             (item.title for item in methods if settings.metamodels and item.name == settings.metamodels_of),
             "",
         ),
-        **ranks,
+        ranks=rank_statements(rig, load, speed),
+        rank_load=load,
+        rank_speed=speed,
+        measured_rank=measured_statement(rig, load_runs, load, speed),
         source=settings.source,
     )
     return _with_findings(result, [reason for _, reason in measured if reason], read)
@@ -208,7 +217,6 @@ def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunU
 def prediction(
     predictor: Predictor, rig: RunUpRotor, run: RunUp, plane: str, curves: bool = True
 ) -> RunPrediction:
-    """Prediction of a method for a run."""
     run_rig = with_unbalance_of(rig, run)
     return predict(run_rig, run, predictor(run_rig, run), plane, curves)
 
@@ -222,21 +230,6 @@ def _bearing_text(rig: RunUpRotor) -> str:
         f"{1e6 * bearing.clearance:.4g} um"
     )
     return f"journal bearing '{rig.place.name}': {size}, viscosity {bearing.viscosity:.4g} Pa s"
-
-
-def _ranks(rig: RunUpRotor, trained: Sequence[RunUp]) -> dict[str, Any]:
-    """Rank statements at the middle load and speed, and the rank of the measured runs there."""
-    loads = sorted({run.load for run in trained})
-    load = loads[len(loads) // 2]
-    load_runs = [run for run in trained if run.load == load]
-    first = load_runs[0]
-    speed = float(first.speed[first.n_speed // 2])
-    return {
-        "ranks": rank_statements(rig, load, speed),
-        "rank_load": load,
-        "rank_speed": speed,
-        "measured_rank": measured_statement(rig, load_runs, load, speed),
-    }
 
 
 def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]) -> RunUpResult:

@@ -93,7 +93,6 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
 
 
 def _head(path: Path) -> dict[str, tuple[str, str]]:
-    """Key -> (text, place) of the comment lines; DataError for a misspelt or repeated key."""
     entries: dict[str, tuple[str, str]] = {}
     with (
         open_unpacked(path) as stream,
@@ -116,7 +115,6 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
 
 
 def _refuse_misspelt(key: str, where: str) -> None:
-    """DataError for a key similar to a known one."""
     if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
         raise DataError(f"unknown entry '{key}'", where=where, hint=nearest(key, PLAIN_KEYS))
 
@@ -148,7 +146,6 @@ def _speed_column(table: CsvTable) -> str:
 
 
 def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
-    """A column in its SI unit; DataError where it has no unit, another dimension, or a missing number."""
     check_columns(table, [column])
     unit = table.units.get(column)
     if unit is None:
@@ -202,7 +199,6 @@ def _errors(
     what: str,
     amplitude: FloatArray,
 ) -> FloatArray:
-    """Standard errors from their columns, or from the value above the table (of the amplitude, relative)."""
     if any(quantity == what for _, _, quantity in columns):
         return _stack(table, columns, planes, what)
     if what not in head:
@@ -309,7 +305,6 @@ def write_run_up_csv(path: Path, run: RunUp) -> None:
 
 
 def _common_errors(run: RunUp) -> tuple[float | None, float | None]:
-    """Errors of amplitude (relative) and phase [rad] that are constant over the run, else None."""
     parts = (run.amplitude_error / np.abs(run.response), run.phase_error)
     constants = [float(np.mean(part)) if np.ptp(part) <= 1e-9 * np.mean(part) else None for part in parts]
     return constants[0], constants[1]

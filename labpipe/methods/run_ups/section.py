@@ -86,7 +86,6 @@ def _tabled(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
 
 
 def _stated(settings: RunSettings, run: RunUp) -> RunUp:
-    """The run with load, unbalance and threshold of the pipeline instead of the table's."""
     threshold = settings.threshold
     return replace(
         run,
@@ -161,9 +160,6 @@ Tell = Callable[[str], None]
 
 
 def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
-    """The section run_ups: every run read, all methods fitted to the trained runs and compared on every
-    run.
-    """
     return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
 
 
@@ -211,7 +207,10 @@ class _Address:
 def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
-        return _warnings(rule, result)
+        codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
+        wanted = rule.bound.removeprefix("not ").strip()
+        passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
+        return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
     match = _ADDRESS.match(rule.item)
     if match is None:
         raise _fault(rule, "is no address", "write run_ups.joint[held-out].critical_speed")
@@ -221,20 +220,22 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
             rule, f"there is no run '{address.run}'", nearest(address.run, [run.name for run in result.runs])
         )
     if address.item in SPEEDS:
-        return _speed(rule, address, result, compare_number)
+        if address.attribute and address.attribute not in ATTRIBUTES:
+            raise _fault(
+                rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES)
+            )
+        runs = [run for run in result.runs if address.run in ("", run.name)]
+        candidates = [(run, _amount(rule, address, result, run)) for run in runs]
+        selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
+        outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
+        return RuleOutcome(
+            rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
+        )
     return _of_method(rule, address, result, compare_number)
 
 
 def _fault(rule: Rule, what: str, hint: str) -> ConfigError:
     return ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
-
-
-def _warnings(rule: Rule, result: RunUpResult) -> RuleOutcome:
-    """A code that must be there, "not CODE" that must not, "none" for none at all."""
-    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
-    wanted = rule.bound.removeprefix("not ").strip()
-    passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
-    return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
 
 
 def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]:
@@ -245,7 +246,6 @@ def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]
 def _of_method(
     rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
-    """Rank, condition, chi-square, share at bounds, verdict of a method."""
     predictors = _predictors(result)
     if address.method not in predictors:
         raise _fault(
@@ -271,19 +271,6 @@ def _of_method(
 
 def _rms(errors: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
-    """A critical or threshold speed of one run, or of every run that has it."""
-    if address.attribute and address.attribute not in ATTRIBUTES:
-        raise _fault(rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
-    runs = [run for run in result.runs if address.run in ("", run.name)]
-    candidates = [(run, _amount(rule, address, result, run)) for run in runs]
-    selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
-    outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
-    return RuleOutcome(
-        rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
-    )
 
 
 def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:
@@ -318,7 +305,6 @@ def _attribute(
 
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
-    """Critical and threshold speed of every run, measured and by every method, in rpm."""
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
     names = [
         "measured",

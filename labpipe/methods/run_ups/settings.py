@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ConfigError
-from labpipe.methods.run_ups.film_family import PARAMETERS
 from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, ProbeError
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import PARAMETERS, RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Settings, quantity, setting

@@ -20,9 +20,8 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.film_family import BOUND, FilmFamily, as_eight, as_matrices
 from labpipe.methods.run_ups.records import RunUp, Shaker
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import BOUND, FilmFamily, RunUpRotor, as_eight, as_matrices
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate.virtual_rigs import (
@@ -281,9 +280,6 @@ def _threshold(
 
 
 def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
-    """Per load: the true critical speed and threshold [rad/s], and the eight coefficients at the run-up's
-    speeds [N/m, N s/m].
-    """
     rig, loads = virtual.nominal, {}
     for name, load in virtual.load_of_run.items():
         if name.endswith(("-second", "-shaker")):

@@ -1,7 +1,4 @@
-"""Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al.
-
-2017), each with its uncertainty.
-"""
+"""Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017)."""
 
 from __future__ import annotations
 
@@ -34,8 +31,7 @@ from labpipe.estimation.statistics import (
 )
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.wear.measured import MISFITS, Misfit, WornReceptance, worn_receptance
-from labpipe.methods.wear.model import WornModel, worn_model
+from labpipe.methods.wear.model import MISFITS, Misfit, WornModel, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.search import (
     LEAST_INFORMATION,
     Interval,
@@ -67,7 +63,6 @@ DISPLAY = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg"), "Pa": (1e-5, "bar")}
 
 
 def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
-    """Names of the parameters at a bound."""
     model = misfit.model
     margin = AT_BOUND * (model.high - model.low)
     at = (best.parameters <= model.low + margin) | (best.parameters >= model.high - margin)
@@ -75,7 +70,6 @@ def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
 
 
 def bound_findings(names: Sequence[str]) -> list[Finding]:
-    """One finding per parameter at its bound."""
     findings = []
     for name in names:
         reason = {
@@ -89,7 +83,6 @@ def bound_findings(names: Sequence[str]) -> list[Finding]:
 
 
 def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
-    """Further minima within RIVAL of the lowest chi-square."""
     best = minima[0]
     rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
     if not rivals or DEPTH not in misfit.model.names:
@@ -110,7 +103,6 @@ def _place(misfit: Misfit, minimum: Minimum) -> str:
 
 
 def angle_findings(identifiable: bool) -> list[Finding]:
-    """A finding where the angle is not identifiable."""
     if identifiable:
         return []
     message = (
@@ -120,7 +112,6 @@ def angle_findings(identifiable: bool) -> list[Finding]:
 
 
 def is_identifiable(interval: Interval) -> bool:
-    """False if the profile interval covers the whole range."""
     return not (interval.open_low and interval.open_high)
 
 
@@ -138,7 +129,6 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
 
 
 def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
-    """Starts, minima and meshes of the search, as a note; *mesh*: of the films that refine a minimum."""
     total = sum(minimum.starts for minimum in minima)
     best = minima[0]
     cells = f"{mesh.around} x {mesh.across}"
@@ -174,7 +164,6 @@ class _Solved:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the scaled parameters, (n, n): by the noise and by the cells of the oil films."""
         return self.noise_covariance + self.film_covariance
 
     @property
@@ -259,10 +248,6 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
 
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
-    """Search on the tables, refine on the films.
-
-    An unknown noise is estimated from the residual and the search repeated.
-    """
     misfit = MISFITS[wear.objective](worn_model(wear, measured.frequency), measured)
     n_response = misfit.residual(start_mesh(wear, misfit)[0]).size - misfit.n_prior
     if n_response <= len(misfit.model.names) - misfit.n_prior:
@@ -300,9 +285,6 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
 
 
 def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
-    """The minima, those of nearly the same chi-square refined on the films, the lowest first with its
-    misfit.
-    """
     near = [
         candidate
         for candidate in candidates[:MOST_RIVALS]
@@ -362,7 +344,6 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
 
 
 def _intervals(solved: _Solved) -> dict[str, Interval]:
-    """Profile intervals of depth and angle, widened by the error of the films' mesh."""
     model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
     noise, film = (
         np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance)
@@ -403,7 +384,6 @@ def _parameter(
 
 
 def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list[Finding]:
-    """Findings on the estimate; collinear nuisance parameters are left out, their prior determines them."""
     names = [solved.misfit.model.names[number] for number in _sensitive_parameters(solved)]
     findings = [
         *estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
@@ -419,7 +399,6 @@ def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list
 
 
 def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
-    """Indices of parameters off their bounds with non-zero sensitivity."""
     misfit, best = solved.misfit, solved.best
     lengths = np.linalg.norm(misfit.jacobian(best.parameters), axis=0)
     at = bounds_reached(misfit, best)
@@ -445,10 +424,6 @@ def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region,
 
 
 def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
-    """Measured and fitted receptance in the fit's frame, all terms, between the lines too.
-
-    Of a tuning also the model before it.
-    """
     receptance = measured.measured
     variance = None
     if receptance.covariance is not None:
@@ -476,6 +451,5 @@ def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
 
 
 def _untuned(model: WornModel) -> ComplexArray:
-    """The response at the prior means, on the films themselves."""
     mean = np.array(model.prior.mean) / model.scale
     return model.refined(mean, with_slopes=False).response(mean)[0]

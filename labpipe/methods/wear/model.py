@@ -4,13 +4,18 @@ and shaft damping.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import FitError
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.estimation.measured import Measured, matrix_errors, measured_part
+from labpipe.estimation.model import labels
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.weights import equal_weights, has_noise, weight_uncertainty, whitened, whitener
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig
@@ -24,6 +29,12 @@ from labpipe.methods.wear.tables import (
     response_with_slopes,
     tabled,
 )
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.uncertain import MatrixError
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, directions
+from labpipe.spectra.damping import half_power
+from labpipe.spectra.matrices import without_rounding
 
 # Range of a nuisance parameter about its prior mean, in prior standard deviations.
 REACH = 4.0
@@ -174,7 +185,6 @@ def _centred(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
 def _reach(
     settings: WearSettings, prior: Gaussian, rig: RotorRig
 ) -> tuple[Ranges, dict[str, tuple[float, float]]]:
-    """The tables' ranges and the bounds of all parameters, SI units."""
     box = {DEPTH: (0.0, settings.depth_limit), ANGLE: (-settings.angle_limit, settings.angle_limit)}
     for name, mean, std in zip(prior.names, prior.mean, prior.std, strict=True):
         low, high = box.get(name, (-np.inf, np.inf))
@@ -196,3 +206,270 @@ def _factor(prior: Gaussian, box: dict[str, tuple[float, float]], name: str) -> 
         return 1.0
     mean = prior.mean[prior.names.index(name)]
     return TABLE_MARGIN * max(box[name][1] / mean, mean / box[name][0])
+
+
+# Terms of the matrix in row-major order: yy yz zy zz, or ff fb bf bb.
+PLACES = {"full": (0, 1, 2, 3), "direct": (0, 3), "cross": (1, 2)}
+NAMES = {"FRF": ("y", "z"), "dFRF": FORWARD_BACKWARD}
+# Step of the central differences by a direction [rad].
+SMALL_ANGLE = 1e-5
+
+
+@dataclass(frozen=True)
+class WornReceptance:
+    """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of
+    the terms used.
+
+    *errors*: what sources of systematic error do to it, in the same frame.
+    """
+
+    measured: Measured
+    places: tuple[int, ...]
+    names: tuple[str, str]
+    errors: tuple[MatrixError, ...] = ()
+
+    @property
+    def frequency(self) -> FloatArray:
+        """(n_line,) [Hz]."""
+        return self.measured.omega / (2 * np.pi)
+
+    def terms(self, matrix: ComplexArray) -> ComplexArray:
+        """Terms used, (..., n_line, n_term, 1) [m/N], of matrices (..., n_line, 2, 2) [m/N]."""
+        flat = matrix.reshape(*matrix.shape[:-2], 4)
+        return flat[..., list(self.places)][..., None]
+
+    @property
+    def chosen(self) -> Measured:
+        """The measured terms as one column, with their covariance."""
+        measured, index = self.measured, list(self.places)
+        covariance = None if measured.covariance is None else measured.covariance[:, index][:, :, index]
+        return replace(measured, matrix=self.terms(measured.matrix), covariance=covariance)
+
+
+def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornReceptance:
+    """Lines, frame and terms of a fit.
+
+    ConfigError where they do not fit the response, FitError where nothing is left.
+    """
+    left, right = _turn(response, wear.response)
+    lines = _lines(response, settings.band, wear)
+    measured = measured_part(response, [0, 1], [0, 1], lines)
+    turn = np.kron(left, right.T)
+    covariance = (
+        None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
+    )
+    turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
+    errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
+    errors += _of_directions(response, wear.response, measured.matrix)
+    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response], tuple(errors))
+
+
+def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
+    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has an
+    uncertainty.
+    """
+    errors = []
+    for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
+        for number, port in enumerate(ports):
+            for calibration in port.uncertainties:
+                if calibration.effect == "direction" and port.angle is not None:
+                    ahead, behind = (
+                        _turn(_with_angle(response, of_forces, number, step), frame)
+                        for step in (SMALL_ANGLE, -SMALL_ANGLE)
+                    )
+                    slope = (ahead[0] @ matrix @ ahead[1] - behind[0] @ matrix @ behind[1]) / (
+                        2 * SMALL_ANGLE
+                    )
+                    errors.append(
+                        MatrixError(calibration.uncertainty, calibration.uncertainty.std_error * slope)
+                    )
+    return errors
+
+
+def _with_angle(response: FrequencyResponse, of_forces: bool, number: int, step: float) -> FrequencyResponse:
+    ports = response.inputs if of_forces else response.outputs
+    port = ports[number]
+    turned = (*ports[:number], replace(port, angle=(port.angle or 0.0) + step), *ports[number + 1 :])
+    return replace(response, inputs=turned) if of_forces else replace(response, outputs=turned)
+
+
+def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, ComplexArray]:
+    """L and R of L H R, from the response's own frame to the fit's."""
+    if len(response.outputs) != 2 or len(response.inputs) != 2:
+        ports = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
+        raise ConfigError(
+            f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z"
+        )
+    left = np.linalg.inv(_sensing(response.outputs))
+    right = np.linalg.inv(
+        FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
+    )
+    if frame == "dFRF":
+        return np.linalg.inv(FROM_DIRECTIONAL) @ left, right @ FROM_DIRECTIONAL
+    return left, right
+
+
+def _sensing(ports: tuple[Port, ...]) -> ComplexArray:
+    """P of (responses) = P (y, z): directions of the sensors, or A^-1 of forward and backward."""
+    if _is_directional(ports):
+        return np.linalg.inv(FROM_DIRECTIONAL)
+    return _in_yz(ports, "responses")
+
+
+def _is_directional(ports: tuple[Port, ...]) -> bool:
+    return tuple(port.label for port in ports) == FORWARD_BACKWARD
+
+
+def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
+    """Rows (part along y, part along z): of dofs named y and z, else by angle, from horizontal (x, 0 deg) to
+    up (y, 90 deg).
+    """
+    dofs = tuple(port.dof for port in ports)
+    if set(dofs) == {"y", "z"}:
+        return np.array([[dof == "y", dof == "z"] for dof in dofs], np.complex128)
+    try:
+        return directions(ports, role).astype(np.complex128)
+    except DataError as error:
+        raise ConfigError(
+            error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal"
+        ) from None
+
+
+def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
+    inside = lines_in(response.frequency, band)
+    if wear.lines:
+        nearest = np.array([int(np.argmin(np.abs(response.frequency - line))) for line in wear.lines])
+        spacing = float(np.median(np.diff(response.frequency))) if response.frequency.size > 1 else 0.0
+        for line, line_hz in zip(wear.lines, response.frequency[nearest], strict=True):
+            if abs(line - line_hz) > 0.51 * spacing:
+                raise ConfigError(
+                    f"there is no line near {line:g} Hz; the nearest is {line_hz:g} Hz",
+                    hint="is it masked or out of the band?",
+                )
+        chosen = np.zeros(response.frequency.shape, bool)
+        chosen[nearest] = True
+        return chosen
+    if wear.half_power:
+        size = np.sqrt(np.sum(np.abs(response.matrix) ** 2, axis=(1, 2)))
+        peaks = [
+            half_power(response.frequency, size.astype(np.complex128), around) for around in wear.half_power
+        ]
+        inside &= np.any([lines_in(response.frequency, (peak.low, peak.high)) for peak in peaks], axis=0)
+    if not np.any(inside):
+        raise FitError("no frequency line is left", hint="widen the band")
+    return inside
+
+
+# From (modelled terms, their slopes) to (residual, its slopes), both as real columns.
+Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
+
+
+@dataclass
+class Misfit:
+    """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once
+    *size* is known.
+
+    size: standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known.
+    The prior's rows stand last.
+    """
+
+    model: WornModel
+    receptance: WornReceptance
+    _: KW_ONLY
+    compared: Compared
+    weighted: bool
+    size: float = 1.0
+    excess: float = 1.0
+    evaluations: int = 0
+    _last: tuple[bytes, FloatArray, FloatArray] | None = field(default=None, repr=False)
+
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """Weighted residual (n_equation,) [1] at scaled parameters (n,), the prior's rows last."""
+        return self._at(parameters)[0]
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """Derivatives of the residual by the scaled parameters, (n_equation, n) [1]."""
+        return self._at(parameters)[1]
+
+    def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [1] at scaled parameters (n,), the prior's rows included."""
+        residual = self.residual(parameters)
+        return float(residual @ residual)
+
+    @property
+    def n_prior(self) -> int:
+        return len(self.model.prior.names)
+
+    def sized(self, size: float) -> Misfit:
+        """The misfit in units of another standard deviation."""
+        return replace(self, size=size, _last=None)
+
+    def _at(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        key = np.asarray(parameters, float).tobytes()
+        if self._last is None or self._last[0] != key:
+            self.evaluations += 1
+            response, slopes = self.model.response(parameters)
+            residual, jacobian = self.compared(self.receptance.terms(response), self.receptance.terms(slopes))
+            rows, mean = _prior_rows(self.model)
+            joined = np.concatenate([residual / self.size, rows @ parameters - mean])
+            self._last = (key, joined, np.concatenate([jacobian / self.size, rows]))
+        return self._last[1], self._last[2]
+
+
+def _prior_rows(model: WornModel) -> tuple[FloatArray, FloatArray]:
+    """R and r of the prior's rows R p - r, of unit variance."""
+    prior = model.prior
+    if not prior.names:
+        return np.zeros((0, len(model.names))), np.zeros(0)
+    root = np.linalg.inv(np.linalg.cholesky(np.array(prior.covariance)))
+    rows = np.zeros((len(prior.names), len(model.names)))
+    first = len(model.names) - len(prior.names)
+    rows[:, first:] = root * model.scale[first:]
+    return rows, root @ np.array(prior.mean)
+
+
+def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
+    """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance; equal weights
+    where no noise is known.
+
+    A covariance estimated from few averages inflates the residual: it is scaled back so that its weight
+    beside the prior is right. Equation (wear-complex).
+    """
+    chosen = measured.chosen
+    weighted = has_noise(chosen)
+    weights = whitener(chosen) if weighted else equal_weights(chosen)
+    uncertainty = (
+        weight_uncertainty(measured.measured, max(chosen.n_equation - len(model.names), 1))
+        if weighted
+        else None
+    )
+
+    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        return whitened(weights, response - chosen.matrix), whitened(weights, slopes).T
+
+    size, excess = (
+        (1.0, 1.0)
+        if uncertainty is None
+        else (float(np.sqrt(uncertainty.inflation)), uncertainty.excess / uncertainty.inflation)
+    )
+    return Misfit(model, measured, compared=compared, weighted=weighted, size=size, excess=excess)
+
+
+def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
+    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017).
+
+    Equation (wear-log).
+    """
+    matrix = measured.chosen.matrix
+
+    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        residual = np.log10(np.abs(response) / np.abs(matrix)).reshape(-1)
+        return residual, ((slopes / response).real / np.log(10)).reshape(slopes.shape[0], -1).T
+
+    return Misfit(model, measured, compared=compared, weighted=False)
+
+
+MISFITS: dict[str, Callable[[WornModel, WornReceptance], Misfit]] = {
+    "complex": complex_misfit,
+    "log": log_misfit,
+}

@@ -15,9 +15,6 @@ from labpipe.report.wording import fit_title, unit_text
 
 
 def region_figure(fit: Fit, region: Region) -> Figure:
-    """The outline of the joint confidence region around the estimate, with the intervals of each parameter
-    alone.
-    """
     parameters = [fit.parameter(name) for name in region.names]
     factors = [scale_of(parameter.unit) for parameter in parameters]
     x, y = (np.vstack([region.outline, region.outline[:1]]) * factors).T

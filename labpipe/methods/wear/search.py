@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_quantile
 from labpipe.errors import FitError
-from labpipe.methods.wear.measured import Misfit
+from labpipe.methods.wear.model import Misfit
 from labpipe.methods.wear.settings import ANGLE, DEPTH, WearSettings
 
 # Least depth of a start [m]: at zero depth the response does not depend on depth (to first order) or angle.
@@ -127,7 +127,6 @@ def _continued(misfit: Misfit, minimum: Minimum) -> Minimum:
 
 
 def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
-    """The minima in their order, those at the same place merged."""
     distinct: list[Minimum] = []
     for candidate in candidates:
         near = next(
@@ -146,7 +145,6 @@ def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
 
 
 def _is_same(first: FloatArray, second: FloatArray) -> bool:
-    """True if depth and angle agree; below SHALLOW the angle is ignored."""
     apart = np.abs(first - second)[:2]
     return bool(apart[0] < SAME and (np.max(apart) < SAME or max(first[0], second[0]) < SHALLOW))
 
@@ -211,7 +209,6 @@ def profile_interval(
 def _end(
     misfit: Misfit, best: Minimum, number: int, side: int, std_error: float, limit: float
 ) -> tuple[float, bool]:
-    """One end of the interval, and True if it is the bound."""
     here = float(best.parameters[number])
     bound = float((misfit.model.low if side < 0 else misfit.model.high)[number])
     room = abs(bound - here)
@@ -317,7 +314,6 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
 
 
 def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
-    """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
     return np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[:2, :2]
 

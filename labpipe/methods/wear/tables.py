@@ -78,7 +78,6 @@ def response_with_slopes(
 
 
 def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
-    """Derivatives (n, 2, 2) of several bearings side by side, (n, 4 n_bearing)."""
     return np.concatenate([of_one.reshape(-1, 4) for of_one in slopes], axis=1)
 
 
@@ -156,7 +155,6 @@ class Ranges:
 
     @property
     def wide(self) -> bool:
-        """True if viscosity, clearance or cavitation pressure varies."""
         return self.viscosity_factor > 1 or self.clearance_factor > 1 or self.cavitation_pressure < 0
 
     def of_table(self, worn: bool) -> TableRange:
@@ -207,7 +205,6 @@ def film_slopes(film: JournalEquilibrium, names: Collection[str]) -> dict[str, F
 
 
 def _difference(film: JournalEquilibrium, name: str) -> FloatArray:
-    """The derivative (2, 2, 2) by one parameter, from one film on either side."""
     here = float(getattr(film.bearing, name))
     step = STEPS[name] * (here if name in ("viscosity", "clearance") else 1.0)
     ends = [here + step, here - step]

@@ -83,11 +83,9 @@ class VirtualJournalRig(Settings):
 
     @property
     def runs(self) -> tuple[str, ...]:
-        """Every state under a force in y, then in z."""
         return tuple(f"{state}-{axis}" for state, _ in self.states for axis in AXES)
 
     def wear(self, run: str) -> Wear:
-        """The wear of the bearing in a run."""
         return dict(self.states)[run.rpartition("-")[0]]
 
     @property
@@ -139,7 +137,6 @@ def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
 
 
 def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Recording:
-    """Force f along one axis, displacements y and z [SI], turning from y to z; with independent noise."""
     assert virtual.rig is not None
     n, axis, h = virtual.n_sample, name[-1], _response(virtual, virtual.wear(name))
     spectrum, at_lines = np.zeros(n // 2 + 1, np.complex128), np.zeros((n // 2 + 1, 2), np.complex128)
@@ -157,7 +154,6 @@ def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Rec
 
 
 def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
-    """True parameters of the bearings, and wear depth [m] and angle [rad] of every state."""
     rig = true_rig(virtual, 0.0, 0.0)
     bearing = rig.place(virtual.bearing).bearing
     states = {state: {"wear_depth": wear.depth, "wear_angle": wear.angle} for state, wear in virtual.states}

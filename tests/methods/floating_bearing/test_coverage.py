@@ -13,8 +13,8 @@ import pytest
 from labpipe.estimation.statistics import student_limit
 from labpipe.methods.floating_bearing.fit import compared, least_squares
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
-from labpipe.methods.floating_bearing.given import Baseline, Given, balance_of
 from labpipe.methods.floating_bearing.likelihood import Noise, estimate
+from labpipe.methods.floating_bearing.settings import Baseline, Given, balance_of
 from labpipe.methods.floating_bearing.stator import stator_of
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain

@@ -9,8 +9,8 @@ import pytest
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.floating_bearing.forms import FORMS, SYMMETRIES, StiffnessModel, banded
-from labpipe.methods.floating_bearing.given import Baseline, Given, balance_of
 from labpipe.methods.floating_bearing.likelihood import ErrorsInVariables, Noise, estimate
+from labpipe.methods.floating_bearing.settings import Baseline, Given, balance_of
 from labpipe.methods.floating_bearing.stator import stator_of
 from labpipe.records.uncertain import Uncertain
 from tests.methods.floating_bearing.floating_rig import JOURNAL, SEAL, FloatingRig, complex_normal, kcm

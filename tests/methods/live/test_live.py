@@ -21,8 +21,8 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
-from labpipe.methods.live.command import Page
 from labpipe.methods.live.sources import Folder, GrowingHdf5, GrowingTable, GrowingText, GrowingWav
+from labpipe.methods.live.view import Page
 from labpipe.report.document import Document, Paragraph, Section
 from tests.conftest import Command
 

@@ -17,7 +17,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.methods.magnetic_bearing.certificate import certificate
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
 from labpipe.methods.magnetic_bearing.loop import margins
-from labpipe.methods.magnetic_bearing.loop_matrix import per_injection, sensitivity_matrix
+from labpipe.methods.magnetic_bearing.sensitivity import per_injection, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.stability import open_loop
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter

@@ -12,9 +12,8 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.loop import controller, dynamic_stiffness
-from labpipe.methods.magnetic_bearing.virtual_loop import LOOP_RUNS
 from labpipe.methods.magnetic_bearing.virtual_mechanics import Noise
-from labpipe.methods.magnetic_bearing.virtual_rig import RUNS, simulate
+from labpipe.methods.magnetic_bearing.virtual_rig import LOOP_RUNS, RUNS, simulate
 from labpipe.project.simulate import load_virtual_rig
 
 ROOT = Path(__file__).parents[3]

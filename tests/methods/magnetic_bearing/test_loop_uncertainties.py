@@ -23,10 +23,15 @@ from labpipe.methods.magnetic_bearing.certificate import certificate
 from labpipe.methods.magnetic_bearing.comparisons import prediction
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
 from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, identifiability_findings, loop_fit
-from labpipe.methods.magnetic_bearing.loop_matrix import per_injection, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, View, receptance, with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
-from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, measured_sensitivity, peak_of
+from labpipe.methods.magnetic_bearing.sensitivity import (
+    loop_sensitivity,
+    measured_sensitivity,
+    peak_of,
+    per_injection,
+    sensitivity_matrix,
+)
 from labpipe.methods.magnetic_bearing.stability import sensitivity
 from labpipe.project.judging import compare_number, comparison_outcome
 from labpipe.project.rules import Rule

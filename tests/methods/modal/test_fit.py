@@ -15,7 +15,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.likelihood import Lines
 from labpipe.methods.modal.model_error import phase_collinearity
-from labpipe.methods.modal.number import kept_modes, refine_with_terms
+from labpipe.methods.modal.poles import kept_modes, refine_with_terms
 from labpipe.methods.modal.report import modal_blocks
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import DETAILS, Modes

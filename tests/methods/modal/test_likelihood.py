@@ -10,8 +10,7 @@ from scipy.optimize import least_squares
 
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, refine
 from labpipe.methods.modal.model_error import modal_parameters
-from labpipe.methods.modal.number import refine_with_terms
-from labpipe.methods.modal.poles import normal_equations, similarity, stabilisation
+from labpipe.methods.modal.poles import normal_equations, refine_with_terms, similarity, stabilisation
 from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 
 

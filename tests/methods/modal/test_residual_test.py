@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.modal.number import LineNoise
+from labpipe.methods.modal.poles import LineNoise
 
 
 def test_power_of_lines_that_share_their_noise() -> None:

@@ -11,11 +11,11 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.campaigns import ONE_BY_ONE
-from labpipe.methods.planning.expectation import Earlier, Expected, spread, spread_notes
 from labpipe.methods.planning.model import relative_errors, sdof
 from labpipe.methods.planning.plan import make_plan, time_needed
 from labpipe.methods.planning.search import LEAST_CREST, flat
 from labpipe.methods.planning.settings import NoiseSettings, PlanSettings
+from labpipe.methods.planning.uncertainty import Earlier, Expected, spread, spread_notes
 from labpipe.records.uncertain import Budget, Uncertainty
 from tests.methods.planning.rigs import PEDESTAL
 from tests.methods.planning.test_search import planned_rig

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.planning.expectation import Excitation, Identifiability, identifiability
 from labpipe.methods.planning.model import (
     Noise,
     PlannedModel,
@@ -15,6 +14,7 @@ from labpipe.methods.planning.model import (
     sensitivities,
     vector_information,
 )
+from labpipe.methods.planning.uncertainty import Excitation, Identifiability, identifiability
 from tests.methods.planning.rigs import PEDESTAL, ROTOR, pedestal, rig_rotor, seal
 
 AXES = np.eye(2, dtype=complex)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from labpipe.methods.planning.campaigns import Campaign
-from labpipe.methods.planning.expectation import Earlier
 from labpipe.methods.planning.model import sdof
 from labpipe.methods.planning.uncertainty import (
+    Earlier,
     Goals,
     aims,
     beside_earlier,

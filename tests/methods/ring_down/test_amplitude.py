@@ -14,8 +14,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.ring_down.amplitude_law import amplitude, fitted_law, over_amplitude, travelled
 from labpipe.methods.ring_down.fit import peak_decrement, trace
-from labpipe.methods.ring_down.likelihood import most_likely, pieces_of
-from labpipe.methods.ring_down.residual_test import judged, portmanteau
+from labpipe.methods.ring_down.likelihood import judged, most_likely, pieces_of, portmanteau
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from tests.methods.ring_down.records_of_decay import RATE, motion, record, times
 

@@ -11,7 +11,7 @@ import pytest
 from scipy import integrate
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rolling_bearing.shaft import BendingShaft, damping_without_shaft, without_shaft
+from labpipe.methods.rolling_bearing.loads import BendingShaft, damping_without_shaft, without_shaft
 from labpipe.records.uncertain import Uncertain
 
 BEAM = BendingShaft(2.1e11, 37e-3, 0.20, 7800, ends=0.06)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rolling_bearing.shaft import RigidShaft, bent_transfer_matrix, in_series, transfer_matrix
+from labpipe.methods.rolling_bearing.loads import RigidShaft, bent_transfer_matrix, in_series, transfer_matrix
 
 SHAFT = RigidShaft(2.45, 1.24e-2, 1.24e-2)
 K = np.diag([2.1e8, 2.2e8, 1.7e7, 7.5e3, 7.6e3])

@@ -13,6 +13,7 @@ from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rolling_bearing.bearing import BALL, ROLLER, rolling_coefficients, rolling_response
 from labpipe.methods.rolling_bearing.equilibrium import equilibrium, load_vector
+from labpipe.methods.rolling_bearing.loads import sdof_stiffness
 from labpipe.methods.rolling_bearing.settings import (
     BallBearingSettings,
     BallGeometrySettings,
@@ -21,7 +22,6 @@ from labpipe.methods.rolling_bearing.settings import (
     RollerBearingSettings,
     ShaftSettings,
 )
-from labpipe.methods.rolling_bearing.shaft import sdof_stiffness
 
 GIVEN = BallBearingSettings(
     kind="ball-bearing",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.methods.rolling_bearing.shaft import without_shaft
+from labpipe.methods.rolling_bearing.loads import without_shaft
 from labpipe.records.uncertain import Uncertain
 from tests.validation.rolling import PRINTED, preloaded
 

@@ -12,7 +12,7 @@ from scipy import optimize
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rolling_bearing.equilibrium import equilibrium, load_vector
-from labpipe.methods.rolling_bearing.shaft import (
+from labpipe.methods.rolling_bearing.loads import (
     RigidShaft,
     modes,
     sdof_stiffness,

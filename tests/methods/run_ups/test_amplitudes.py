@@ -14,13 +14,11 @@ from labpipe.methods.run_ups.amplitudes import (
     AmplitudeFit,
     Amplitudes,
     SearchLimits,
-    displacement_slopes,
     fit_amplitudes,
     perfect_but_wrong,
 )
-from labpipe.methods.run_ups.film_family import as_eight, as_matrices
-from labpipe.methods.run_ups.misfit import runs_by_load, scales
-from labpipe.methods.run_ups.rotor import largest_displacement
+from labpipe.methods.run_ups.misfit import displacement_slopes, runs_by_load, scales
+from labpipe.methods.run_ups.rotor import as_eight, as_matrices, largest_displacement
 from labpipe.methods.run_ups.virtual_rig import run_ups, true_coefficients
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
 from tests.methods.run_ups.test_pattern_search import NEWER

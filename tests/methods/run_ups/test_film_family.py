@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.methods.run_ups.film_family import (
+from labpipe.methods.run_ups.rotor import (
     PARAMETERS,
     PRIOR,
     FilmFamily,

@@ -14,7 +14,6 @@ from scipy import stats
 
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.run_ups import metamodels
-from labpipe.methods.run_ups.film_family import as_eight, coefficient_errors
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.metamodel_kinds import (
     TERMS,
@@ -36,6 +35,7 @@ from labpipe.methods.run_ups.metamodels import (
     leave_one_load_out,
 )
 from labpipe.methods.run_ups.methods import fit_points
+from labpipe.methods.run_ups.rotor import as_eight, coefficient_errors
 from labpipe.methods.run_ups.virtual_rig import true_coefficients
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
 

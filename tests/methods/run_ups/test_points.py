@@ -11,9 +11,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from labpipe.errors import ConfigError, DataError
-from labpipe.methods.run_ups.film_family import as_eight
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.misfit import ExcitedRun, runs_by_load, scales
+from labpipe.methods.run_ups.rotor import as_eight
 from labpipe.methods.run_ups.virtual_rig import run_ups, true_coefficients
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.methods.run_ups.predictions import PEAK_STEP, AtLoad, predict, with_unbalance_of
+from labpipe.methods.run_ups.methods import PEAK_STEP, AtLoad, predict, with_unbalance_of
 from labpipe.methods.run_ups.records import Shaker
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv

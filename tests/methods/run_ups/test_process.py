@@ -11,7 +11,6 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import FitError
-from labpipe.methods.run_ups.film_family import PRIOR, FilmFamily, as_eight, as_matrices, coefficient_errors
 from labpipe.methods.run_ups.joint import JointFit, RunUpProblem, fit_jointly, nearby_threshold
 from labpipe.methods.run_ups.misfit import runs_by_load
 from labpipe.methods.run_ups.process import (
@@ -24,6 +23,7 @@ from labpipe.methods.run_ups.process import (
     fit_with_process,
     places_of,
 )
+from labpipe.methods.run_ups.rotor import PRIOR, FilmFamily, as_eight, as_matrices, coefficient_errors
 from labpipe.methods.run_ups.virtual_rig import true_coefficients
 from labpipe.records.uncertain import Uncertain
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from labpipe.estimation.statistics import combination_text
-from labpipe.methods.run_ups.film_family import as_eight
 from labpipe.methods.run_ups.misfit import (
     ADVICE,
     measured_statement,
@@ -17,6 +16,7 @@ from labpipe.methods.run_ups.misfit import (
     scales,
     unseen_combinations,
 )
+from labpipe.methods.run_ups.rotor import as_eight
 from labpipe.methods.run_ups.virtual_rig import run_ups
 from tests.methods.run_ups.run_up_cases import RIG, virtual
 

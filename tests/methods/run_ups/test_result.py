@@ -10,8 +10,7 @@ import pytest
 
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import ReadRun
-from labpipe.methods.run_ups.methods import _joint_at, joint_method
-from labpipe.methods.run_ups.predictions import excited_as, predict
+from labpipe.methods.run_ups.methods import _joint_at, excited_as, joint_method, predict
 from labpipe.methods.run_ups.process import fit_with_process
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.report import speed_blocks

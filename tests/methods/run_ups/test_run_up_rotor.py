@@ -11,8 +11,8 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.run_ups.film_family import as_eight
 from labpipe.methods.run_ups.metamodel_kinds import Grid, ResponseSurface, fit_surface
+from labpipe.methods.run_ups.rotor import as_eight
 from labpipe.methods.run_ups.rotor_file import files_of, load_run_up_rotor
 from labpipe.project.simulate import load_virtual_rig
 

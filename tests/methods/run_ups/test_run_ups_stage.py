@@ -14,7 +14,7 @@ import pytest
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import ConfigError, DataError
-from labpipe.methods.run_ups.predictions import with_unbalance_of
+from labpipe.methods.run_ups.methods import with_unbalance_of
 from labpipe.methods.run_ups.records import RunUp, RunUpResult
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.run_ups.film_family import as_eight, coefficient_errors
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
+from labpipe.methods.run_ups.rotor import as_eight, coefficient_errors
 from labpipe.methods.run_ups.virtual_rig import true_coefficients
 from tests.methods.run_ups.run_up_cases import RIG, per_cent_rms, trained, virtual
 

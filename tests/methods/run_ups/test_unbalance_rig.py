@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.film_family import as_eight
+from labpipe.methods.run_ups.rotor import as_eight
 from labpipe.methods.run_ups.virtual_rig import (
     HIGHEST_FACTOR,
     LOWEST_FACTOR,

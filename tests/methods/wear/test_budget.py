@@ -10,7 +10,7 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.measured import matrix_errors
 from labpipe.methods.rotor.rig import UncertainBearing
-from labpipe.methods.wear.measured import worn_receptance
+from labpipe.methods.wear.model import worn_receptance
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from tests.methods.wear.worn_cases import RIG, fit_settings, measured, wear_settings, worn_rig

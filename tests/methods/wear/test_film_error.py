@@ -10,7 +10,7 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.wear.measured import Misfit
+from labpipe.methods.wear.model import Misfit
 from labpipe.methods.wear.search import (
     Interval,
     Minimum,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError, LabpipeError
-from labpipe.methods.wear.measured import WornReceptance, worn_receptance
+from labpipe.methods.wear.model import WornReceptance, worn_receptance
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.spectra.convert import directional
 from tests.methods.wear.worn_cases import PORTS, Y, Z, fit_settings, turned, wear_settings

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labpipe.methods.wear.measured import Misfit
-from labpipe.methods.wear.model import WornModel
+from labpipe.methods.wear.model import Misfit, WornModel
 from labpipe.methods.wear.search import (
     Minimum,
     _peak_share,

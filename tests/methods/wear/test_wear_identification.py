@@ -18,8 +18,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.wear.measured import MISFITS, worn_receptance
-from labpipe.methods.wear.model import worn_model
+from labpipe.methods.wear.model import MISFITS, worn_model, worn_receptance
 from labpipe.methods.wear.search import minima, refined, start_mesh
 from labpipe.methods.wear.settings import WearSettings, posterior
 from labpipe.methods.wear.virtual_rig import receptance

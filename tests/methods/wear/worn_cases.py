@@ -13,8 +13,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.wear.measured import MISFITS, Misfit, WornReceptance, worn_receptance
-from labpipe.methods.wear.model import worn_model
+from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.settings import WearSettings
 from labpipe.methods.wear.virtual_rig import receptance
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated

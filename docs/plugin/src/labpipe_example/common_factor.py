@@ -13,12 +13,10 @@ from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.film_family import as_eight
-from labpipe.methods.run_ups.methods import Solved
+from labpipe.methods.run_ups.methods import AtLoad, Solved
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load
-from labpipe.methods.run_ups.predictions import AtLoad
 from labpipe.methods.run_ups.records import TWO_SIDED, RunUp, RunUpMethod
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import RunUpRotor, as_eight
 from labpipe.methods.run_ups.settings import RunUpSettings
 from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertain

@@ -1,0 +1,64 @@
+"""labpipe orders RECORDING -o DIR"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from labpipe.cli import options
+
+
+@click.command()
+@click.argument("recording", metavar="RECORDING", type=options.PATH)
+@options.out_folder
+@click.option(
+    "-r", "--rig", "rig_path", type=options.PATH, help="Rig file (YAML); a calibrated recording needs none."
+)
+@click.option("--tacho", help="Channel with the tacho pulses.")
+@click.option(
+    "--pulses", type=click.IntRange(min=1), default=1, show_default=True, help="Pulses per revolution."
+)
+@click.option("--speed", help="Constant speed instead of a tacho, e.g. '50 Hz' or '3000 rpm'.")
+@click.option("--order", type=float, default=1.0, show_default=True, help="Multiple of the speed.")
+@click.option(
+    "--harmonics",
+    type=click.IntRange(min=1),
+    default=2,
+    show_default=True,
+    help="Multiples of the speed in the fit.",
+)
+@click.option(
+    "--revolutions",
+    type=click.IntRange(min=2),
+    default=20,
+    show_default=True,
+    help="Revolutions per segment.",
+)
+@click.option("--gap", help="Radial gap of the bearings, e.g. '0.45 mm', for comparison with the orbits.")
+@click.option(
+    "--limit", default="20 %", show_default=True, help="Share of the gap beyond which an orbit is reported."
+)
+@click.option(
+    "--save-run-up", type=options.PATH, help="Also write a run-up table (CSV) for `run_ups:` of a pipeline."
+)
+@click.option("--load", help="Static load on the bearing, for that table, e.g. '3.66 N'.")
+@click.option(
+    "--unbalance",
+    multiple=True,
+    metavar="PLANE=SIZE",
+    help="Known unbalance, for that table: 'disc 1=50 g.mm at 0 deg'.",
+)
+@options.quiet
+def orders(**settings: Any) -> None:
+    """Track an order of the shaft speed: amplitude and phase over the run, total motion, orbits, forward and
+    backward.
+
+    Responses with dofs such as front.x and front.y form a plane.
+
+    \b
+    labpipe orders run-up.parquet -r rig.yaml --tacho n --gap '0.45 mm' -o out/run-up
+    """
+    from labpipe.methods.run_ups.orders import track_and_write
+
+    track_and_write(**settings)
