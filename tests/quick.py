@@ -4,21 +4,22 @@
     python -m tests.quick FOLDER [options of pytest]   the tests of a folder but the slow ones
     python -m tests.quick --record                     run all tests, note time and lines of each, choose anew
 
-The choice is tests/quick.txt, one test a line. A line of the package that a second and a third test reach
-counts half and a quarter of what it counts for the first: a test that reaches a line need not look at what it
-does. The slow ones are tests/slow.txt, one function a line.
+The choice is tests/quick.txt, one test a line below its file. A line of the package that a second and a third
+test reach counts half and a quarter of what it counts for the first: a test that reaches a line need not look
+at what it does. The slow ones are tests/slow.txt, one function a line below its file.
 """
 
 from __future__ import annotations
 
 import heapq
+import itertools
 import json
 import os
 import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -33,7 +34,7 @@ SELECTION, SLOW = (Path(__file__).with_name(name) for name in ("quick.txt", "slo
 NOTES = "LABPIPE_TEST_NOTES"
 # Seconds of the processor for the selection, as noted: the notes cost time too, and two processes share it
 # after ten seconds of beginning.
-SECONDS = 45.0
+SECONDS = 50.0
 # A test is slow beyond so many seconds of the processor, in the mean of its cases.
 SLOW_SECONDS = 0.25
 # A function's lines are noted for its first calls in a test: those in the inner loops of a fit come by the
@@ -170,8 +171,8 @@ def record() -> None:
             name: Noted(name, max(one.seconds, tests[name].seconds), one.lines) for name, one in alone.items()
         }
         names = chosen(tests.values())
-    SELECTION.write_text("\n".join(names) + "\n", encoding="utf-8")
-    SLOW.write_text("\n".join(slow(tests.values())) + "\n", encoding="utf-8")
+    write_names(SELECTION, names)
+    write_names(SLOW, slow(tests.values()))
 
 
 def slow(tests: Iterable[Noted]) -> list[str]:
@@ -182,14 +183,32 @@ def slow(tests: Iterable[Noted]) -> list[str]:
     return sorted(name for name, taken in seconds.items() if sum(taken) > SLOW_SECONDS * len(taken))
 
 
+def write_names(path: Path, names: Iterable[str]) -> None:
+    """Names of tests below those of their files."""
+    lines: list[str] = []
+    for file, of_file in itertools.groupby(sorted(names), lambda name: name.partition("::")[0]):
+        lines += [file, *(" " + name.partition("::")[2] for name in of_file)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_names(path: Path) -> Iterator[str]:
+    """The whole names that `write_names` wrote."""
+    file = ""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith(" "):
+            yield f"{file}::{line[1:]}"
+        else:
+            file = line
+
+
 def selected() -> list[str]:
     """The recorded names."""
-    return SELECTION.read_text(encoding="utf-8").splitlines()
+    return list(read_names(SELECTION))
 
 
 def without_slow() -> list[str]:
     """Options of pytest that leave out the slow tests."""
-    return [f"--deselect={name}" for name in SLOW.read_text(encoding="utf-8").splitlines()]
+    return [f"--deselect={name}" for name in read_names(SLOW)]
 
 
 def main() -> int:
