@@ -277,7 +277,7 @@ def main() -> int:
             first = ""
             if arguments.quick and outcome not in (SURVIVES, LATE):
                 first = noticed(copy, short, arguments.seconds)
-                by_quick += bool(first)
+                by_quick += bool(first) and first != LATE
             path.write_text(original, "utf-8")
             os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
             outcomes[outcome] += 1
