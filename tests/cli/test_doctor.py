@@ -26,10 +26,10 @@ def test_a_missing_package_is_named_and_is_a_fault(labpipe, monkeypatch: pytest.
     found = importlib.import_module
 
     def without(missing: str) -> None:
-        def importing(name: str) -> object:
+        def importing(name: str, package: str | None = None) -> object:
             if name == missing:
                 raise ImportError(f"No module named '{name}'")
-            return found(name)
+            return found(name, package)
 
         monkeypatch.setattr("importlib.import_module", importing)
 

@@ -27,8 +27,8 @@ def rows_of(name: str, draws: int, cases: int) -> list[Row]:
 @pytest.mark.parametrize(
     ("name", "draws", "cases"),
     [
-        ("budget", 200, 1),
-        ("radial-two-directions", 200, 1),
+        ("budget", 120, 1),
+        ("radial-two-directions", 120, 1),
         ("floating-bearing", 120, 1),
         ("levitated-magnet", 200, 1),
     ],
@@ -56,14 +56,10 @@ def test_combined_uncertainties_are_those_of_drawn_worlds(name: str, draws: int,
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "draws"), [("preload-calibration", 300), ("magnetic-gains", 60), ("repeatability", 20)]
-)
+@pytest.mark.parametrize(("name", "draws"), [("preload-calibration", 300), ("repeatability", 20)])
 @pytest.mark.filterwarnings("ignore")
 def test_results_beside_fits_scatter_as_they_say(name: str, draws: int) -> None:
-    """Lines of calibrations, unknowns of a loop under three gains, and what repeats give, within three
-    deviations of so many draws.
-    """
+    """Lines of calibrations, and what repeats give, within three deviations of so many draws."""
     rows = rows_of(name, draws, 1)
     assert rows
     assert not [row for row in rows if not row.is_good]

@@ -35,6 +35,7 @@ def test_exact_with_pure_phase_error_where_ls_is_not(sdof_response, rng, mass, p
     assert max(abs(by_ls.parameter(name).value / TRUTH[name] - 1) for name in ("k", "c")) > 5e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("weight", ["none", "noise"])
 def test_standard_errors_are_the_scatter(sdof_response, weight: str) -> None:
     settings = replace(SDOF, mass=0.79, weight=weight)

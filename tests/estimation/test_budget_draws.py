@@ -139,7 +139,7 @@ def check(worlds: Worlds, draws: int) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("mass_known", [True, False])
 def test_the_pedestal_s_budget_holds(rng, mass_known: bool) -> None:
-    draws = 2000 if mass_known else 1000
+    draws = 600
     worlds = pedestal(rng, draws, mass_known)
     check(worlds, draws)
     # Noise alone holds the stiffness in a few worlds only.
@@ -148,8 +148,8 @@ def test_the_pedestal_s_budget_holds(rng, mass_known: bool) -> None:
 
 @pytest.mark.long
 def test_the_rotor_s_budget_holds(rng) -> None:
-    worlds = rotor(rng, 600)
-    check(worlds, 600)
+    worlds = rotor(rng, 300)
+    check(worlds, 300)
     assert np.mean(np.mean(worlds.by_noise, axis=0)) < 0.4
 
 

@@ -45,6 +45,7 @@ def test_two_directions_are_not(coupled_response, estimator: str, noise: float) 
     )
 
 
+@pytest.mark.long
 def test_intervals_of_all_eight_coefficients_hold_the_truth(coupled_response) -> None:
     """60 repeats x 8 coefficients: a 95 % interval holds the truth in 95 % +- 2 % of 480 cases (two sigma,
     binomial).
@@ -133,7 +134,7 @@ def test_correlated_columns_that_do_no_harm_are_no_warning(three_dof_response, s
     """k and m of a resonance, and the entries of K, stand on columns alike (condition above 100) but are
     known well.
     """
-    directions = 100
+    directions = 30
     (resonance,) = identify(sdof_response(1e-7, np.random.default_rng(1)), FitSettings("sdof"))
     (three,) = identify(
         three_dof_response(0.05, np.random.default_rng(1)),

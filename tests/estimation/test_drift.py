@@ -79,7 +79,7 @@ def test_a_single_coefficient_is_named(coupled_response) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("stated", "runs"), [(1.0, 300), (4.0, 300), (0.25, 60)])
+@pytest.mark.parametrize(("stated", "runs"), [(1.0, 120), (4.0, 120), (0.25, 25)])
 def test_noise_alone_is_no_drift_however_wrong_its_stated_size(
     coupled_response, stated: float, runs: int
 ) -> None:

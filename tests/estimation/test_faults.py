@@ -71,11 +71,10 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
 
 @pytest.mark.long
 def test_sound_runs_are_left_alone() -> None:
-    """At most 5 %, and its chance: of 60 runs at most 6 with 95 %.
-
-    Drift, mass and model-mismatch are tests of 1 % each.
+    """Drift, mass and model-mismatch are tests of 1 % each: of 40 runs at most two, which 1 % exceeds once in
+    130 and 10 % in 78 of 100.
     """
-    runs = 60
+    runs = 40
     codes, _, error = counted(range(1000, 1000 + runs))
     assert error < 2
     for code in ("drift", "mass", "model-mismatch"):
@@ -86,12 +85,15 @@ def test_sound_runs_are_left_alone() -> None:
     ("fault", "looks_like", "runs"),
     [
         ({"gain": 0.03}, "the gain of x1", 2),
-        pytest.param({"gain": 0.03}, "the gain of x1", 40, marks=pytest.mark.long),
-        pytest.param({"stiffness": -0.06}, "all stiffness", 40, marks=pytest.mark.long),
+        pytest.param({"stiffness": -0.06}, "all stiffness", 15, marks=pytest.mark.long),
     ],
-    ids=["gain", "gain, long", "softer"],
+    ids=["gain", "softer"],
 )
 def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> None:
+    """14 of 15: a rate of 99 % fails once in 100, one of 70 % passes once in 28.
+
+    The rate of the gain is among those of test_warning_rates.
+    """
     codes, shapes, error = counted(range(runs), **fault)
     assert error > 3
     assert codes["drift"] >= 0.9 * runs
@@ -104,10 +106,12 @@ def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("share", "runs"), [(0.05, 6), (0.01, 20)])
-def test_a_mode_just_above_the_band_is_a_mismatch(share: float, runs: int) -> None:
-    """A mode at 60 Hz, with 1 % and 5 % of the static compliance: model-mismatch, and no drift."""
-    codes, _, _ = counted(range(runs), hidden=(60.0, 0.01, share))
+def test_a_mode_just_above_the_band_is_a_mismatch() -> None:
+    """A mode at 60 Hz with 1 % of the static compliance: model-mismatch, and no drift; with 5 % it is among
+    the rates of test_warning_rates. All of 8: a rate of 70 % passes once in 17.
+    """
+    runs = 8
+    codes, _, _ = counted(range(runs), hidden=(60.0, 0.01, 0.01))
     assert codes["model-mismatch"] >= 0.9 * runs
     assert codes["drift"] <= max(1, 0.05 * runs)
 
@@ -122,7 +126,8 @@ def test_cubic_springs_are_named_between_two_levels(cubic: float, least: float, 
     One level alone looks like noise.
     """
     conditions = {"quiet": {"level": "5 N"}, "loud": {"level": "10 N"}}
-    runs = 20
+    # Nine of ten named, or at most one of ten: rates of 70 and of 30 % pass once in seven.
+    runs = 10
     quiet, loud = (fits(range(runs), cubic=cubic, force=force, length=100.0) for force in (5.0, 10.0))
     named = [
         _level_finding(replace(low, test="quiet"), replace(high, test="loud"), conditions)

@@ -137,6 +137,7 @@ def blocks_of_white_noise(rng: np.random.Generator, n: int, n_block: int) -> np.
     return np.sum(cut[1] * cut[0].conj(), axis=0) / np.sum(np.abs(cut[0]) ** 2, axis=0)
 
 
+@pytest.mark.long
 def test_leakage_scatters_as_predicted(rng: np.random.Generator) -> None:
     # 400 records of 40 blocks of 853 samples (two lines in the half-power width).
     n, n_block = 853, 40

@@ -42,6 +42,7 @@ def test_it_is_the_weighted_sum_over_pairs_of_lines() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shared", [0.0, 0.3])
 def test_it_is_the_scatter_of_repeats_where_neighbours_share_noise_and_noise_grows(shared: float) -> None:
     """A straight line through 200 lines whose noise grows fivefold and is common to neighbours, 2000 repeats:

@@ -64,17 +64,17 @@ def fitted(response: FrequencyResponse, **settings: object) -> Fit:
 @pytest.mark.long
 @pytest.mark.parametrize("hidden", [0.0, 0.03])
 def test_means_hold_the_structure_that_moves_between_recordings(hidden: float) -> None:
-    """20 tests of 6 recordings, with and without a hidden mode in all of them: of 40 intervals of f_n and
-    zeta at 95 % 34 or more hold but once in 2000.
+    """10 tests of 6 recordings, with and without a hidden mode in all of them: of 20 intervals of f_n and
+    zeta at 95 % 16 or more hold but once in 400; where 70 % do, three in four fail.
     """
     held = []
-    for seed in range(20):
+    for seed in range(10):
         fit = fitted(repeated(6, seed, hidden=hidden))
         for name, truth in (("f_n", F_N), ("zeta", ZETA)):
             parameter = fit.parameter(name)
             assert parameter.repeats.n == 6 and len(parameter.repeats.values) == parameter.repeats.used
             held.append(parameter.ci95[0] <= truth <= parameter.ci95[1])
-    assert sum(held) >= 34
+    assert sum(held) >= 16
 
 
 def test_the_mean_and_its_parts() -> None:

@@ -91,7 +91,14 @@ def rotor(seed: int, noise: float = 2e-4, *, known: bool = True) -> tuple[Fit, d
 
 
 @pytest.mark.parametrize("world", [support, rotor])
-@pytest.mark.parametrize(("noise", "known"), [(2e-4, True), (2e-6, True), (2e-4, False)])
+@pytest.mark.parametrize(
+    ("noise", "known"),
+    [
+        (2e-4, True),
+        pytest.param(2e-6, True, marks=pytest.mark.long),
+        pytest.param(2e-4, False, marks=pytest.mark.long),
+    ],
+)
 def test_worlds_within_what_was_stated_are_no_mismatch(world, noise: float, known: bool) -> None:
     """Also where noise is so far below the stated uncertainties that these do not act linearly, and where it
     is not known.

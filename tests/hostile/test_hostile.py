@@ -239,6 +239,7 @@ def test_a_bad_result_is_refused_or_shown(archive: Path, labpipe: Command, name:
 # what hangs or hoards
 
 
+@pytest.mark.long
 def test_aliases_of_aliases_are_counted(tmp_path: Path, labpipe: Command) -> None:
     """500 bytes that stand for 9^11 entries."""
     letters = "abcdefghijkl"

@@ -35,11 +35,10 @@ def lab(tmp_path: Path) -> Path:
 
 @pytest.mark.long
 @needs_proc
-@pytest.mark.parametrize("processes", [1, 2])
-def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path, processes: int) -> None:
+def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
     """`python -m tests.machine.kills --count 100 --processes 2` does more of them."""
     prepared(tmp_path)
-    assert kills(1, alone(processes), tmp_path, seed=processes) == []
+    assert kills(1, alone(2), tmp_path, seed=2) == []
 
 
 @pytest.mark.long
@@ -219,6 +218,7 @@ def test_a_disk_that_fails_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert not (tmp_path / "out/a").exists()
 
 
+@pytest.mark.long
 def test_two_runs_and_a_list_at_once_on_one_folder(lab: Path, labpipe: Command) -> None:
     done(lab / "pipeline.yaml", lab / "whole")
     command = [sys.executable, "-m", "labpipe.cli.main"]

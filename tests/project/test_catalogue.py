@@ -212,6 +212,7 @@ def test_what_is_no_index_of_ours_does_not_stop_a_list(tmp_path: Path, campaign:
     assert len(found(campaign)) == 4
 
 
+@pytest.mark.long
 def test_several_processes_build_the_index_at_once(campaign: Path) -> None:
     """Three of them once ended in `database is locked`."""
     command = [sys.executable, "-m", "labpipe.cli.main", "list", str(campaign), "-p", "k"]

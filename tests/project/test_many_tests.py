@@ -192,6 +192,7 @@ def hears_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@pytest.mark.long
 def test_ctrl_c_on_several_processes_leaves_only_whole_tests(project: Path) -> None:
     for preload in range(500, 560):
         (project / f"runs/{preload}N-up.csv").write_text(recording(preload))
@@ -344,6 +345,7 @@ def test_a_cluster_gives_the_same_bytes(
     assert contents(project / "one") == contents(project / "two")
 
 
+@pytest.mark.long
 def test_a_killed_worker_loses_nothing(project: Path, scheduler: str) -> None:
     """The worker that begins the second test is killed; another one does the test, and the third is named."""
     pipeline = load_pipeline(project / "pipeline.yaml")
@@ -365,6 +367,7 @@ adapt: {minimum: 1, maximum: 2}
 """
 
 
+@pytest.mark.long
 def test_a_described_cluster_is_started_and_takes_batches(
     project: Path, labpipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -128,6 +128,7 @@ def test_results_of_no_run_and_changed_ones_show(record: Path) -> None:
     ]
 
 
+@pytest.mark.long
 def test_runs_at_the_same_time_add_their_lines_one_by_one(tmp_path: Path) -> None:
     begin(tmp_path)
     context = multiprocessing.get_context("spawn")

@@ -194,6 +194,7 @@ def test_tables_that_are_refused(tmp_path: Path, content: str, number: str, what
     assert what in caught.value.what
 
 
+@pytest.mark.long
 def test_damaged_certificates_are_refused_or_state_the_same_numbers() -> None:
     refused, same, others = judged(300, seed=41)
     assert others == [] and refused > 50 and same > 50

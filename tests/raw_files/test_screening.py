@@ -31,6 +31,7 @@ def faulty(seed: int) -> np.ndarray:
     return samples
 
 
+@pytest.mark.long
 @settings(derandomize=True, max_examples=40, deadline=None)
 @given(block=st.integers(1, 300), seed=st.integers(0, 5))
 def test_block_size_changes_nothing(block: int, seed: int) -> None:

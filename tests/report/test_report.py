@@ -176,6 +176,7 @@ def test_a_parameter_without_an_error_shows_none() -> None:
     assert row == ("linear_range", "0.2", "", "none", "none", "", "derived", "")
 
 
+@pytest.mark.long
 def test_the_pdf_has_pages_with_numbers_and_is_the_same_each_time() -> None:
     from labpipe.document.pdf import pdf_report
 

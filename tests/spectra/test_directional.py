@@ -80,6 +80,7 @@ def test_backward_is_forward_at_negative_frequency(rng: np.random.Generator) -> 
     np.testing.assert_array_equal(forward[frequency > 0], response.matrix[:, 0])
 
 
+@pytest.mark.long
 def test_the_covariance_goes_along(rng: np.random.Generator) -> None:
     # Recipe: variance over 200 simulated measurements of the same rotor against the mean of the predicted
     # ones.

@@ -67,7 +67,7 @@ def fitted(rng: np.random.Generator, zeta: float, decay: float, block: float, hi
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.long
 def test_intervals_hold_the_truth(rng: np.random.Generator, case: tuple[float, float, float, int]) -> None:
-    runs, zeta = 250, case[0]
+    runs, zeta = 100, case[0]
     truth = {"k": W_N**2, "c": 2 * zeta * W_N}
     fits = [fitted(rng, *case) for _ in range(runs)]
     for name, value in truth.items():

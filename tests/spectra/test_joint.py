@@ -165,6 +165,7 @@ def test_a_rotor_left_alone_shows_minus_the_inverse_of_its_controller() -> None:
     assert np.median(np.abs(response.matrix[:, 0, 0] / limit - 1)) < 0.03
 
 
+@pytest.mark.long
 def test_two_axes_by_two_references() -> None:
     """The 2 x 2 FRF of the coupled axes meets the rig's matrices within its covariance.
 

@@ -1,7 +1,7 @@
 """Intervals of closed loops over many draws: FRF by the reference and the coefficients fitted to it, on
 virtual levitated rotors.
 
-Expected are the parameters of the rig; 50 draws of 8 s at each of two levels of disturbance.
+Expected are the parameters of the rig; 24 draws of 8 s at each of two levels of disturbance.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
 pytestmark = pytest.mark.long
-DRAWS = 50
+DRAWS = 24
 EXCITED = {
     "random": FrfSettings("random", block=1.0, band=(10.0, 300.0)),
     "multisine-": FrfSettings("periodic", period=1.0, band=(10.0, 300.0), skip=0),
@@ -45,7 +45,8 @@ def rig(axes: str, disturbance: float) -> LevitatedRig:
 @pytest.mark.parametrize("disturbance", [1.0, 4.0])
 @pytest.mark.parametrize("run", list(EXCITED))
 def test_intervals_hold_the_truth(run: str, disturbance: float, axes: str) -> None:
-    """95 % intervals: of lines 93.5-96.5 %, of k and c 90-99 % (three standard errors of the count), neither
+    """95 % intervals: of lines 93.5-96.5 %, of k and c 20 of 24 or more (by chance once in 170;
+    where 70 % hold, nine in ten fail), neither
     biased by half a sigma.
     """
     made = rig(axes, disturbance)
@@ -67,5 +68,5 @@ def test_intervals_hold_the_truth(run: str, disturbance: float, axes: str) -> No
     assert np.mean(lines) == pytest.approx(0.95, abs=0.015)
     if axes == "x":
         held = np.mean(np.abs(apart) < 1.96, axis=0)
-        assert np.all(held >= 0.87)
-        assert np.all(np.abs(np.mean(apart, axis=0)) < 0.5)
+        assert np.all(held >= 20 / 24)
+        assert np.all(np.abs(np.mean(apart, axis=0)) < 0.2 + 3 / np.sqrt(DRAWS))

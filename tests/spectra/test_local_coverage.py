@@ -104,9 +104,8 @@ def test_a_peak_too_narrow_for_the_polynomials_is_warned_of(degree: int, lines: 
     )
 
 
-@pytest.mark.parametrize(
-    ("lines", "n_block", "draws"), [(8.0, 4, 16), pytest.param(8.0, 4, 150, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("lines", "n_block", "draws"), [(8.0, 4, 60)])
 def test_intervals_are_narrower_and_hold_the_truth(lines: float, n_block: int, draws: int) -> None:
     errors, sizes, holds = fits(LOCAL, lines, n_block, draws)
     hann_errors, hann_sizes, _ = fits({}, lines, n_block, draws)

@@ -34,6 +34,7 @@ def measured(
     return FrequencyResponse(FREQUENCY[:n], matrix, PORTS, PORTS, covariance=covariance, covariance_dof=dof)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dof", [np.inf, 12.0])
 def test_p_values_are_spread_evenly_where_reciprocity_holds(dof: float) -> None:
     rng = np.random.default_rng(21)

@@ -96,6 +96,7 @@ def test_without_noise_the_frf_is_the_closed_form(sweep: Sweep) -> None:
     assert response.frequency[0] >= BAND[0] and response.frequency[-1] <= BAND[1] * 1.01
 
 
+@pytest.mark.long
 def test_the_equation_of_motion_solved_in_time_gives_the_same_frf() -> None:
     """Independent of any transform: y'' + 2 zeta w y' + w^2 y = f by scipy.signal.lsim, 24 points per sample,
     no noise.

@@ -67,22 +67,22 @@ def test_a_shaft_speed_line_leaves_the_parameters_within_their_intervals(
 
 @pytest.mark.long
 def test_intervals_hold_the_truth_as_often_as_they_say(rig: WhiteNoiseRig) -> None:
-    # Sensor noise above the window's leakage; 60 runs of 8 parameters: 95 % +- 1 %, rms 1 +- 0.03.
+    # Sensor noise above the window's leakage; 25 runs of 8 parameters: 95 % +- 1.5 %, rms 1 +- .05.
     noisy = replace(rig, noise=SensorNoise(30e-6, 0.05))
     settings = replace(SETTINGS, band=(20.0, 160.0))
-    fits = [fitted(noisy, settings, seed) for seed in range(60)]
+    fits = [fitted(noisy, settings, seed) for seed in range(25)]
     errors = np.array([normal_errors(fit, noisy) for fit in fits])
-    assert 0.93 < np.mean(np.abs(errors) < 1.96) < 0.98
-    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1, abs=0.09)
+    assert 0.90 < np.mean(np.abs(errors) < 1.96) < 0.995
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1, abs=0.15)
     assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1, abs=0.02)
     assert np.mean([(fit.gof.chi2_p or 0.0) < 0.05 for fit in fits]) < 0.15
 
 
 @pytest.mark.long
 def test_where_leakage_is_the_noise_intervals_are_as_wide_as_the_scatter(rig: WhiteNoiseRig) -> None:
-    # 40 runs: at least 95 % - 3 %, rms 1 +- 0.15, three standard deviations each.
-    fits = [fitted(rig, SETTINGS, seed) for seed in range(40)]
+    # 20 runs of 8 parameters: at least 95 % - 5 %, rms 1 +- .17, three standard deviations each.
+    fits = [fitted(rig, SETTINGS, seed) for seed in range(20)]
     errors = np.array([normal_errors(fit, rig) for fit in fits])
-    assert np.mean(np.abs(errors) < 1.96) > 0.92
-    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(np.abs(errors) < 1.96) > 0.90
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.17)
     assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1, abs=0.02)

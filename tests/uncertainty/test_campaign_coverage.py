@@ -1,7 +1,5 @@
-"""The preload pipeline's ratio on the virtual ball-bearing rig, 30 times: its 95 % interval must hold the
-rig's truth in 90-99 %.
-
-Thirty repeats are marked `long`; by default six of them must not contradict the stated errors.
+"""The preload pipeline's ratio on the virtual ball-bearing rig, 16 times: its 95 % interval must hold the
+rig's truth.
 
 Source: labpipe.methods.rolling_bearing.virtual_rig with the shipped configuration, new noise, new settings of
 the preload and, since the pipeline knows the shaft's stiffness to 1 % only, a new bending stiffness in every
@@ -28,8 +26,7 @@ from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings
 
 ROOT = Path(__file__).parents[2]
-REPEATS = 30
-FEW = 6
+REPEATS = 16
 TRUTH, BETA = 1.12, 20e-6
 WAYS = ("radial", "axial", "tilt")
 
@@ -37,11 +34,6 @@ WAYS = ("radial", "axial", "tilt")
 @pytest.fixture(scope="module")
 def campaigns() -> list[dict[str, Comparison]]:
     return repeated(REPEATS)
-
-
-@pytest.fixture(scope="module")
-def few() -> list[dict[str, Comparison]]:
-    return repeated(FEW)
 
 
 def repeated(repeats: int) -> list[dict[str, Comparison]]:
@@ -85,16 +77,16 @@ def _compared(settings: CompareSettings, evidence: Evidence, theories) -> Compar
 
 
 @pytest.mark.long
-def test_six_repeats_do_not_contradict_the_stated_errors(few) -> None:
-    """Squared deviations in standard errors are chi-square; the mean of six within four of its own.
+def test_repeats_do_not_contradict_the_stated_errors(campaigns) -> None:
+    """Squared deviations in standard errors are chi-square; their mean within four of its own.
 
     Each fails by chance once in 10000.
     """
     for item, truth in (("ratio", TRUTH), ("beta", BETA)):
         kind = "ratio" if item == "ratio" else "rayleigh"
-        amounts = [[repeat[f"{way}-{kind}"].amount(item) for repeat in few] for way in WAYS]
+        amounts = [[repeat[f"{way}-{kind}"].amount(item) for repeat in campaigns] for way in WAYS]
         deviations = np.array([[(one.value - truth) / one.std_error for one in row] for row in amounts])
-        assert np.all(np.abs(np.mean(deviations, axis=1)) < 4 / np.sqrt(FEW)), item
+        assert np.all(np.abs(np.mean(deviations, axis=1)) < 4 / np.sqrt(REPEATS)), item
         low, high = stats.chi2.ppf([5e-5, 1 - 5e-5], deviations.size)
         assert low < np.sum(deviations**2) < high, item
         inside = sum(one.ci95[0] <= truth <= one.ci95[1] for row in amounts for one in row)
@@ -111,24 +103,24 @@ def test_the_ratio_is_unbiased_and_its_error_true(campaigns, name: str) -> None:
 
 
 @pytest.mark.long
-def test_the_intervals_hold_the_truth_in_90_to_99_per_cent(campaigns) -> None:
-    """30 repeats in three directions: 81 to 89 of 90."""
+def test_the_intervals_hold_the_truth(campaigns) -> None:
+    """16 repeats in three directions: 41 of 48 and 13 of 16 at least, by chance once in 400 and in 140; where
+    80 % hold, 77 of 100 fail.
+    """
     hits = {
         name: sum(
             low <= TRUTH <= high for low, high in (repeat[name].amount("ratio").ci95 for repeat in campaigns)
         )
         for name in ("radial-ratio", "axial-ratio", "tilt-ratio")
     }
-    total = sum(hits.values())
-    assert 0.90 <= total / (3 * REPEATS) <= 0.99, hits
-    assert all(count >= 0.90 * REPEATS for count in hits.values()), hits
+    assert sum(hits.values()) >= 41 and min(hits.values()) >= 13, hits
 
 
 @pytest.mark.long
 def test_one_ratio_holds_for_all_preloads_and_damping_is_proportional_but_for_one_case_in_twenty(
     campaigns,
 ) -> None:
-    """180 tests at 5 %: at most 9 + 3.5 binomial standard deviations reject."""
+    """96 tests at 5 %: at most 4.8 + 3.5 binomial standard deviations reject."""
     scatter = [
         repeat[f"{way}-ratio"].amount("scatter_p").value
         for repeat in campaigns
@@ -139,7 +131,7 @@ def test_one_ratio_holds_for_all_preloads_and_damping_is_proportional_but_for_on
         for repeat in campaigns
         for way in ("radial", "axial", "tilt")
     ]
-    assert np.sum(np.array([*scatter, *damping]) < 0.05) <= 9 + 3.5 * np.sqrt(180 * 0.05 * 0.95)
+    assert np.sum(np.array([*scatter, *damping]) < 0.05) <= 4.8 + 3.5 * np.sqrt(96 * 0.05 * 0.95)
 
 
 @pytest.mark.long

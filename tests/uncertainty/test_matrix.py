@@ -80,6 +80,7 @@ def test_repeats_apart_are_named_and_their_mean_widened() -> None:
     assert matrix.amount("repeats_apart").value == 1
 
 
+@pytest.mark.long
 def test_sound_repeats_are_rarely_called_apart(rng) -> None:
     """300 matrices of 6 points with 5 repeats: at most 5 % + 3.5 binomial standard deviations have any
     finding.

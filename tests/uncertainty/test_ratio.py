@@ -105,6 +105,7 @@ def test_with_a_theory_its_beta_counts() -> None:
     assert found.amount("beta").value == pytest.approx(3e-5, rel=1e-9)
 
 
+@pytest.mark.long
 def test_chance_alone_is_not_proportional_in_one_case_of_twenty(rng) -> None:
     """600 series of four tests with independent c: 5 % within 4 binomial standard deviations."""
     wrong = 0

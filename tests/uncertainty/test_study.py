@@ -86,7 +86,7 @@ def test_run_and_check_hold_the_study_against_its_rules(labpipe, pipeline: Path,
 def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, tmp_path: Path) -> None:
     override = (
         "--set",
-        "study.repeats=20",
+        "study.repeats=10",
         "--set",
         "study.noise=2 %",
         "--set",

@@ -56,6 +56,7 @@ def test_the_setting_s_error_widens_the_exponent_s(campaign, rng) -> None:
     assert np.mean(found) == pytest.approx(0.7, abs=4 * np.std(found) / 20)
 
 
+@pytest.mark.long
 def test_noise_alone_is_no_trend_at_the_stated_level(campaign, rng) -> None:
     """1000 series without a trend: 5 % are called one, within 3.5 binomial standard deviations of 7.2 %, the
     rate with Birge's ratio.

@@ -131,6 +131,7 @@ def test_the_uncertainty_of_a_given_number_is_what_a_fit_with_another_number_sho
         assert p.ci95[1] - p.ci95[0] == pytest.approx(2 * 1.96 * p.full_error, rel=5e-3)
 
 
+@pytest.mark.long
 def test_chi_square_allows_given_numbers_their_uncertainty() -> None:
     """A mass 2 % too large is a mismatch if it is exact, and none if it is known to 2 %: chi-square is then
     the least of chi-square at other numbers plus their distance squared, here from the parabola through three

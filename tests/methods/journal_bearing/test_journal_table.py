@@ -35,6 +35,7 @@ def worn(depth: float, degrees: float, **change: float) -> JournalBearing:
     return dataclasses.replace(BEARING, wear_depth=depth * 1e-6, wear_angle=np.deg2rad(degrees), **change)
 
 
+@pytest.mark.long
 def test_between_its_nodes_the_table_is_the_film(wear_table: JournalTable, rng: np.random.Generator) -> None:
     """Root mean square .5 % of the largest coefficient at this coarse mesh, whose films are the rougher part
     of it.

@@ -228,6 +228,7 @@ def test_frames_on_standard_input(bench):
     assert low < STIFFNESS < high
 
 
+@pytest.mark.long
 def test_frames_without_a_header_are_refused(bench):
     ran = by_pipe(bench, b"1,2,3\n4,5,6\n")
     assert ran.returncode == 2 and b"begins with no header" in ran.stderr
@@ -408,7 +409,7 @@ def test_killed_at_any_moment_and_taken_up_again_it_gives_the_same(bench):
     command += ["--json", "--idle", "0.3"]
     whole = subprocess.run(command, capture_output=True, check=True).stdout
     rng = np.random.default_rng(9)
-    for _ in range(10):
+    for _ in range(6):
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         time.sleep(rng.uniform(0.1, 1.5))
         child.kill()

@@ -14,7 +14,7 @@ from labpipe.methods.magnetic_bearing.settings import MagnetSettings
 from tests.methods.magnetic_bearing.levitated import COUPLED, Rotor
 
 pytestmark = pytest.mark.long
-DRAWS = 400
+DRAWS = 200
 
 
 def bound(rotor: Rotor) -> np.ndarray:
@@ -49,6 +49,7 @@ def test_estimates_are_efficient_and_intervals_hold(rotor: Rotor, periods: int) 
         errors.append(best.values - truth)
         held.append(np.abs(errors[-1]) <= student_limit(best.dof) * np.sqrt(np.diag(best.covariance)))
     ratio, coverage = np.sqrt(np.mean(np.square(errors), axis=0)) / bound(rotor), np.mean(held, axis=0)
-    assert np.max(ratio) <= 1.1
-    assert np.all((coverage >= 0.915) & (coverage <= 0.98))
-    assert 0.935 <= np.mean(coverage) <= 0.965
+    one = np.sqrt(0.95 * 0.05 / DRAWS)
+    assert np.max(ratio) <= 1.1 + 2.5 / np.sqrt(2 * DRAWS)
+    assert np.all(np.abs(coverage - 0.95) <= 3.2 * one)
+    assert 0.93 <= np.mean(coverage) <= 0.97

@@ -68,9 +68,9 @@ def test_a_stated_pull_takes_the_place_of_the_inferred_one() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("averages", [0, pytest.param(5, marks=pytest.mark.long)])
+@pytest.mark.parametrize("averages", [0, 5])
 def test_intervals_hold_the_true_values_in_95_of_100_cases(averages: int, rng: np.random.Generator) -> None:
-    """Gap and delay over 200 noises, the support drawn within its uncertainty; from 5 periods the noise
+    """Gap and delay over 100 noises, the support drawn within its uncertainty; from 5 periods the noise
     itself is estimated.
 
     The count of each unknown is held against the binomial distribution of 95 %, at 1 in 1000 to either side.
@@ -79,17 +79,18 @@ def test_intervals_hold_the_true_values_in_95_of_100_cases(averages: int, rng: n
     start = with_unknowns(file, {"gap": 0.47e-3, "delay": 60e-6})
     truth = {"gap": 0.45e-3, "delay": 75e-6}
     held = dict.fromkeys(truth, 0)
-    for _ in range(200):
+    for _ in range(100):
         view = replace(measured(file, rng, averages=averages), file=start)
         fitted = loop_fit([view], tuple(truth))
         assert fitted.converged and fitted.determined
         for parameter in fitted.parameters:
             assert parameter.ci95 is not None
             held[parameter.name] += parameter.ci95[0] <= truth[parameter.name] <= parameter.ci95[1]
-    low, high = stats.binom.ppf([0.001, 0.999], 200, 0.95)
+    low, high = stats.binom.ppf([0.001, 0.999], 100, 0.95)
     assert all(low <= count <= high for count in held.values()), held
 
 
+@pytest.mark.long
 def test_errors_are_those_of_the_scatter(rng: np.random.Generator) -> None:
     file = bearing("hmb-geometry")
     fits = [loop_fit([measured(file, rng)], ("delay",)).parameters[0] for _ in range(50)]

@@ -430,7 +430,8 @@ def test_unknowns_of_a_sensitivity_follow_the_channels() -> None:
             np.testing.assert_allclose(told / sizes, expected / sizes, atol=2e-3, err_msg=f"{label}.{effect}")
 
 
-@pytest.mark.parametrize("before", ["before", pytest.param("", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("before", ["before", ""])
 def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     """Unknowns, margins, modes and measured peak; with both sides of the sum, and per recorded excitation."""
     plain = of_signals(None, 1e-3, LATER)
@@ -461,6 +462,7 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     assert all(0 < whole.amount(f"probability_{name}").value <= 1 for name in limits)
 
 
+@pytest.mark.long
 def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded() -> None:
     """Nor do gain and delay of the recorded excitation count; without *before* both do."""
     plain = thinned(of_signals(np.random.default_rng(2), 0.02, LATER), 4)

@@ -43,7 +43,7 @@ def drawn(lines: np.ndarray, noise: float, rng: np.random.Generator) -> dict[str
 @pytest.mark.parametrize("noise", [0.003, 0.02])
 @pytest.mark.parametrize("lines", [SPARSE, SPARSE[::2], np.arange(3, 450)], ids=["53", "27", "447"])
 def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: float) -> None:
-    """60 draws: the mean within half a standard error of the closed form, 95 % intervals hold it in 85 % or
+    """40 draws: the mean within half a standard error of the closed form, 95 % intervals hold it in 33 or
     more (the binomial quantile at 0.1 %).
 
     A parabola over eleven lines is 1.6 to 15 standard errors off for the phase margin. The place of the peak
@@ -53,11 +53,11 @@ def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: flo
     s = 2j * np.pi * np.geomspace(30, 90, 100_000)
     place = float(np.abs(s[np.argmin(np.abs(1 + AXIS.loop(s)))]))
     truth = {"peak": AXIS.peak(), "phase": AXIS.phase_margin(), "place": place}
-    found = [drawn(lines, noise, rng) for _ in range(60)]
+    found = [drawn(lines, noise, rng) for _ in range(40)]
     for name, true in truth.items():
         away = np.array([(one[name][0] - true) / one[name][1] for one in found])
         assert abs(np.mean(away)) < (1.2 if name == "place" else 0.5)
-        assert np.mean(np.abs(away) < 1.96) >= 0.85
+        assert np.mean(np.abs(away) < 1.96) >= 33 / 40
 
 
 @pytest.mark.parametrize(("noise", "told"), [(0.003, True), (0.02, False)])
@@ -101,8 +101,8 @@ def test_every_line_has_the_degrees_of_freedom_that_are_said(tmp_path: Path) -> 
 
 @pytest.mark.long
 def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None:
-    """150 records of 53 lines and 20 periods: every amount in 89 % or more (the binomial quantile of 95 % at
-    0.1 %), all together in 93 % or more; before, .86 for the delay.
+    """60 records of 53 lines and 20 periods: every amount in 51 or more (the binomial quantile of 95 % at
+    0.1 %; 80 % falls below it in 79 of 100), all together in 92 % or more.
     """
     pole = AXIS.pole()
     truth = {
@@ -117,7 +117,7 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
         "phase_margin": AXIS.phase_margin(),
         "measured_phase_margin": AXIS.phase_margin(),
     }
-    held = np.zeros((150, len(truth)))
+    held = np.zeros((60, len(truth)))
     for seed in range(len(held)):
         columns = AXIS.record(np.random.default_rng(seed))
         pipeline = certificate_pipeline(written(tmp_path, AXIS, columns), AXIS, certificate=ASKED)
@@ -126,8 +126,8 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
             low, high = amounts[name].ci95
             held[seed, number] = low <= true <= high
     coverage = held.mean(axis=0)
-    assert np.all(coverage >= 0.89), dict(zip(truth, coverage, strict=True))
-    assert np.mean(coverage) >= 0.93
+    assert np.all(coverage >= 51 / 60), dict(zip(truth, coverage, strict=True))
+    assert np.mean(coverage) >= 0.92
 
 
 @pytest.mark.parametrize(("gain_x", "gain_i"), [(0.006, 0.0), (-0.006, -0.006), (0.0, 0.006)])

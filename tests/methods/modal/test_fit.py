@@ -107,14 +107,14 @@ def test_coverage_with_known_noise() -> None:
     f, zeta, _ = chain_truth()
     clean = chain_response(np.linspace(5, 120, 300))
     inside = []
-    for seed in range(40):
+    for seed in range(20):
         fit = modal(with_known_noise(clean, 5e-8, seed))
         for number in (1, 2):
             for name, truth in ((f"f_n_{number}", f), (f"zeta_{number}", zeta)):
                 low, high = fit.parameter(name).ci95 or (np.nan, np.nan)
                 inside.append(low < truth[number - 1] < high)
-    # 160 draws of 95 %: 4 standard deviations are 7 %.
-    assert np.mean(inside) > 0.88
+    # 80 draws of 95 %: 4 standard deviations are 10 %; 80 % is below them in 88 of 100.
+    assert np.mean(inside) > 0.85
 
 
 def test_roving_hammer_is_the_same_structure() -> None:
@@ -247,7 +247,7 @@ def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
     }
     std = 0.01 * np.sqrt(np.mean(np.abs(exact.matrix) ** 2))
     errors, wider = [], []
-    for seed in range(10):
+    for seed in range(5):
         noise = np.random.default_rng(seed).normal(size=(2, *exact.matrix.shape)) * std / np.sqrt(2)
         response = replace(exact, matrix=exact.matrix + noise[0] + 1j * noise[1])
         if known:
@@ -266,8 +266,8 @@ def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
         wider.append(
             (free.parameter("f_n_1").std_error or np.nan) / (real.parameter("f_n_1").std_error or np.nan)
         )
-    # 40 values: the root mean square of standard normal ones has the standard deviation .11.
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.33)
+    # 20 values: the root mean square of standard normal ones has the standard deviation .16.
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.48)
     assert np.mean(wider) == pytest.approx(np.sqrt(2), rel=0.05)
 
 

@@ -117,11 +117,12 @@ def test_residual_terms_are_taken_out_of_the_data() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("level", [0.01, 0.05])
-def test_fifty_draws_reach_the_bound(level: float) -> None:
+def test_draws_reach_the_bound(level: float) -> None:
+    """20 draws of 18 parameters: three deviations of a share of 95 % are 3.4 %, of the rms .11."""
     structure = nine_modes()
     omega = 2 * np.pi * structure.frequency
     errors, alike = [], []
-    for seed in range(50):
+    for seed in range(20):
         matrix = structure.noisy(level, seed)
         modes = stabilisation(normal_equations(omega, matrix, 60), (omega[0], omega[-1]), 60).modes
         assert modes.values.size == 9, f"seed {seed}"
@@ -131,6 +132,6 @@ def test_fifty_draws_reach_the_bound(level: float) -> None:
         errors.append([(p.value - t) / p.std_error for p, t in zip(parameters, truth, strict=True)])
         alike.append(np.diag(similarity(refined.shapes.T, structure.shapes)).min())
     scaled = np.array(errors)
-    assert np.sqrt(np.mean(scaled**2)) < 1.1
-    assert 0.93 < np.mean(np.abs(scaled) < 1.96) < 0.97
+    assert np.sqrt(np.mean(scaled**2)) < 1.11
+    assert 0.916 < np.mean(np.abs(scaled) < 1.96) < 0.984
     assert min(alike) > (0.9999 if level == 0.01 else 0.999)

@@ -54,9 +54,8 @@ def likeness(fit: Fit) -> np.ndarray:
     return np.abs(np.sum(shapes.conj() * SHAPES, axis=1)) ** 2 / size
 
 
-@pytest.mark.parametrize("pull", [1.0, 2.0])
-def test_as_many_modes_as_there_are_and_the_structure_without_what_moves(pull: float) -> None:
-    fit = fitted(roving(1, pull), moving_mass=0.008)
+def test_as_many_modes_as_there_are_and_the_structure_without_what_moves() -> None:
+    fit = fitted(roving(1, 2.0), moving_mass=0.008)
     assert len(fit.detail(Modes).frequency) == 3 and np.min(likeness(fit)) > 0.999
     held = [fit.parameter(f"f_n_{n}").ci95 for n in (1, 2, 3)]
     assert sum(low < f_n < high for (low, high), f_n in zip(held, MODES, strict=True)) >= 2
@@ -86,9 +85,11 @@ def test_a_close_pair_stays_two_and_what_stands_still_is_as_it_was() -> None:
 
 @pytest.mark.long
 def test_the_frequency_without_what_moves_is_held() -> None:
-    """Three modes of 8 plates at three pulls: of 72 intervals at 95 % fewer than 62 hold once in 500."""
+    """Three modes of 4 plates at three pulls: of 36 intervals at 95 % fewer than 30 hold once in 500, at
+    70 % in 95 of 100.
+    """
     held, right = 0, 0
-    for seed in range(8):
+    for seed in range(4):
         for pull in (0.3, 1.0, 2.0):
             fit = fitted(roving(seed, pull), moving_mass=0.008)
             right += len(fit.detail(Modes).frequency) == 3 and bool(np.min(likeness(fit)) > 0.99)
@@ -97,5 +98,4 @@ def test_the_frequency_without_what_moves_is_held() -> None:
                     (p for p in fit.parameters if p.name.startswith("f_n")), key=lambda p: abs(p.value - f_n)
                 )
                 held += near.ci95[0] < f_n < near.ci95[1]
-    print(right, held)
-    assert right >= 23 and held >= 62
+    assert right >= 11 and held >= 30

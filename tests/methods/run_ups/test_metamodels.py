@@ -332,6 +332,7 @@ def test_a_kind_that_cannot_do_without_a_load_says_so() -> None:
     assert all("three loads" in row.failed and np.isnan(row.rms) for row in rows)
 
 
+@pytest.mark.long
 def test_the_physical_fit_predicts_a_load_it_never_saw_best() -> None:
     """On the rig outside its family: against the coefficients of the joint fit of all loads, and at the
     held-out load against the truth.

@@ -243,6 +243,7 @@ def test_coefficients_are_nearer_to_the_truth_and_their_errors_say_how_near(
     assert np.sqrt(np.mean(np.square(better))) < 0.6 * np.sqrt(np.mean(np.square(worse)))
 
 
+@pytest.mark.long
 def test_errors_of_predictions_are_those_of_drawn_parameters(
     found: ProcessFit, rng: np.random.Generator
 ) -> None:
@@ -290,6 +291,7 @@ def test_it_needs_no_joint_fit_and_no_threshold() -> None:
     assert alone.n_datum == sum(8 * run.n_speed for run in trained("factors")[1:3])
 
 
+@pytest.mark.long
 def test_twice_the_unbalance_is_refused() -> None:
     """No smooth factor of some ten per cent makes up for that."""
     run = trained("factors")[1]

@@ -97,6 +97,7 @@ def test_healthy_bearing_is_called_healthy(healthy: Fit) -> None:
     assert "angle not identifiable" in texts and "probably healthy" in texts
 
 
+@pytest.mark.long
 def test_frf_and_dfrf_hold_the_same_information() -> None:
     response = measured(worn_rig(40.19, 8.0), 0.02, np.random.default_rng(5))
     plain, forward = (fitted(fit_settings(response=frame), response) for frame in ("FRF", "dFRF"))

@@ -192,6 +192,7 @@ def test_no_wear_that_is_out_of_the_question_is_not_refined(monkeypatch: pytest.
     assert healthy.chi2 > best.chi2 + 6000 and healthy_probability(misfit, best, healthy.chi2) == 0
 
 
+@pytest.mark.long
 def test_both_ways_to_the_probability_agree_where_they_meet(noisy: tuple[Misfit, Minimum]) -> None:
     """Laplace's formula for a narrow peak against a plain sum over a fine mesh around it."""
     misfit, best = noisy
