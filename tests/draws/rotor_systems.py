@@ -173,7 +173,7 @@ def from_raw(n_draw: int, seed: int) -> tuple[Held, int]:
     """Every test recorded, the pipeline run as it stands."""
     import labpipe
     from labpipe.artefacts.writing import output_folder
-    from labpipe.methods.rotor_system.virtual_rig import _world
+    from labpipe.methods.rotor_system.virtual_rig import world_of
     from labpipe.project.simulate import load_virtual_rig, simulate_files
 
     held: Held = defaultdict(list)
@@ -185,7 +185,7 @@ def from_raw(n_draw: int, seed: int) -> tuple[Held, int]:
             rig = load_virtual_rig(ROOT / "configs/virtual-rotor.yaml", [f"truth={1000 * seed + draw + 1}"])
             with output_folder(folder / "sample_data/rotor-system") as output:
                 simulate_files(rig, draw, None, output)
-            world = _world(rig)
+            world = world_of(rig)
             values, model = world.values, world.built.model
             shaft = model.matrices(values, 0.0, supported=False).mass[
                 0 : model.n_shaft : 4, 0 : model.n_shaft : 4

@@ -244,7 +244,10 @@ class _Builder:
         factors: dict[int, tuple[tuple[int, ...], float]] = {}
         for name, (elements, mean, error) in self.system.sleeves.items():
             numbers = self.unknown(f"sleeve {name}", error, mean)
-            factors |= {element: (numbers, 1.0 if numbers else float(np.exp(mean))) for element in elements}
+            constant = 1.0 if numbers else float(np.exp(mean))
+            for place in elements:
+                others, before = factors.get(place, ((), 1.0))
+                factors[place] = ((*others, *numbers), before * constant)
         beta, error = self.system.internal
         internal = self.unknown("internal damping", error if beta else 0.0, nominal=beta, nominal_unit="s")
         for number, element in enumerate(rotor.elements, 1):
@@ -253,8 +256,8 @@ class _Builder:
             self.add("mass", dofs, mass)
             self.add("gyroscopic", dofs, gyroscopic)
             sleeve, constant = factors.get(number, ((), 1.0))
-            own = self.unknown(f"element {number}", self.small.elements, group="elements")
-            acting = (*young[element.material], *sleeve, *own)
+            local = self.unknown(f"element {number}", self.small.elements, group="elements")
+            acting = (*young[element.material], *sleeve, *local)
             plane = constant * plane_stiffness(element)
             self.add("stiffness", dofs, in_both_planes(plane), acting)
             if rotor.alpha or rotor.beta:
@@ -322,29 +325,27 @@ class _Builder:
             ("damping", "c", "N.s/m", bearing.damping, bearing.damping_error),
         )
         for matrix, letter, unit, values, errors in matrices:
-            common: tuple[int, ...] = ()
+            numbers: dict[str, tuple[int, ...]] = {}
             for place, label in enumerate(COEFFICIENTS):
                 row, column = divmod(place, 2)
                 value, error = float(values[row, column]), float(errors[row, column])
                 if not value:
                     continue
-                if letter == "c" and bearing.common and place and common:
-                    factors = common
-                else:
-                    shown = letter if letter == "c" and bearing.common else f"{letter}_{label}"
-                    factors = self._with_running(name, shown, error, value, unit)
-                    common = factors
-                one = np.zeros((2, 2))
-                one[row, column] = value
-                block = spread * np.tile(one, (len(dofs) // 2,) * 2)
-                self.add(matrix, dofs, block, factors, support=True)
+                alike = letter == "c" and bearing.common and row == column
+                shown = letter if alike else f"{letter}_{label}"
+                if shown not in numbers:
+                    numbers[shown] = self._with_running(name, shown, error, value, unit)
+                entry = np.zeros((2, 2))
+                entry[row, column] = value
+                block = spread * np.tile(entry, (len(dofs) // 2,) * 2)
+                self.add(matrix, dofs, block, numbers[shown], support=True)
 
     def _with_running(self, name: str, shown: str, error: float, value: float, unit: str) -> tuple[int, ...]:
-        own = self.unknown(f"{name} {shown}", error, nominal=value, nominal_unit=unit)
+        factor = self.unknown(f"{name} {shown}", error, nominal=value, nominal_unit=unit)
         running = self.unknown(
             f"{name} {shown} running", self.small.bearings, tests=self.running, group="bearings"
         )
-        return (*own, *running, *self.together.get(shown[0], ()))
+        return (*factor, *running, *self.together.get(shown[0], ()))
 
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
         """The coefficients of a bearing model over the speed, with its uncertain inputs x (standardised) as
@@ -353,8 +354,8 @@ class _Builder:
         rig = self.system.rig
         load = rig.static_loads()[place.name]
         inputs = [
-            (one, self.unknown(f"{place.name} {one.uncertainty.source}", 1.0, unit="u"))
-            for one in place.uncertainties
+            (entry, self.unknown(f"{place.name} {entry.uncertainty.source}", 1.0, unit="u"))
+            for entry in place.uncertainties
         ]
         for matrix, letter in (("stiffness", "k"), ("damping", "c")):
             running = self.unknown(
@@ -363,9 +364,9 @@ class _Builder:
             running = (*running, *self.together.get(letter, ()))
             curve = partial(_block, load, matrix, spread, len(dofs) // 2)
             self.add(matrix, dofs, curve(((place.bearing, 1.0),)), running, support=True)
-            for one, (number,) in inputs:
-                slope = ((one.above, 0.5), (one.below, -0.5))
-                bend = ((one.above, 0.5), (place.bearing, -1.0), (one.below, 0.5))
+            for entry, (number,) in inputs:
+                slope = ((entry.above, 0.5), (entry.below, -0.5))
+                bend = ((entry.above, 0.5), (place.bearing, -1.0), (entry.below, 0.5))
                 self.add(matrix, dofs, curve(slope), running, amount=number, support=True)
                 self.add(matrix, dofs, curve(bend), running, amount=number, power=2, support=True)
 
@@ -400,16 +401,16 @@ def _block(
     weights: Sequence[tuple[Bearing, float]],
 ) -> Curve:
     """The weighted sum of the coefficients of bearings over the spin speed, (..., k, k)."""
-    known: dict[float, FloatArray] = {}
+    at_speeds: dict[float, FloatArray] = {}
 
     def at(spin: FloatArray) -> FloatArray:
         for speed in np.ravel(spin):
-            if float(speed) not in known:
-                known[float(speed)] = np.sum(
+            if float(speed) not in at_speeds:
+                at_speeds[float(speed)] = np.sum(
                     [w * _coefficients_at(bearing, load, float(speed))[matrix] for bearing, w in weights],
                     axis=0,
                 )
-        each = np.array([known[float(speed)] for speed in np.ravel(spin)])
+        each = np.array([at_speeds[float(speed)] for speed in np.ravel(spin)])
         blocks = spread * np.tile(each, (1, repeats, repeats))
         return np.asarray(blocks.reshape(*np.shape(spin), *spread.shape))
 

@@ -13,6 +13,7 @@ from scipy import stats
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
+from labpipe.methods.rotor.theory import LEAST_DECREMENT
 from labpipe.methods.rotor_system.build import (
     PEDESTALS,
     TOGETHER,
@@ -63,7 +64,7 @@ from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.section import run_as_measured
 from labpipe.project.work import Work
 from labpipe.quantities import UnitError
-from labpipe.records.finding import Finding, note
+from labpipe.records.finding import NORMAL, Finding, note
 from labpipe.records.fit_details import Modes
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
@@ -74,7 +75,6 @@ DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 SPEEDS = 41
 # Share of the critical speed up to which one more run-up would go.
 NEARER = 0.95
-LEAST_DECREMENT = 0.1
 # Runs looked at beside the weights themselves, and the draws behind them.
 LOOKED = 60
 
@@ -144,11 +144,11 @@ def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors
 
 
 def _response(test: SystemTest, work: Work) -> FrequencyResponse:
-    found = next((response for response in work.responses if response.name == test.test), None)
-    if found is None:
+    response = next((each for each in work.responses if each.name == test.test), None)
+    if response is None:
         names = [response.name for response in work.responses]
         raise ConfigError(f"test '{test.name}': no FRF '{test.test}'", hint=nearest(test.test, names))
-    return found
+    return response
 
 
 def _evidence(
@@ -193,11 +193,18 @@ def _modes(test: SystemTest, work: Work) -> FreeModes:
             names = [fit.name for fit in work.fits if fit.detail(Modes) is not None]
             what = f"test '{test.name}': there is no modal fit '{test.fit}'"
             raise ConfigError(what, hint=nearest(test.fit, names))
-        errors = {parameter.name: parameter.full_error for parameter in fit.parameters}
-        n = modes.frequency.size
+        # By the interval: it holds the model error as well.
+        errors = {
+            parameter.name: (parameter.ci95[1] - parameter.ci95[0]) / (2 * NORMAL)
+            for parameter in fit.parameters
+            if parameter.ci95 is not None
+        }
         frequency, damping = np.array(modes.frequency), np.array(modes.damping_ratio)
-        f_error = np.array([errors.get(f"f_{m}") or np.nan for m in range(1, n + 1)], float)
-        d_error = np.array([errors.get(f"zeta_{m}") or np.nan for m in range(1, n + 1)], float)
+        f_error, d_error = (
+            np.array([errors.get(f"{name}_{mode}", np.nan) for mode in range(1, frequency.size + 1)])
+            for name in ("f_n", "zeta")
+        )
+        damping = np.where(np.isfinite(d_error), damping, np.nan)
         if not np.all(np.isfinite(f_error)):
             raise DataError(f"test '{test.name}': a mode of fit '{test.fit}' has no interval")
     else:
@@ -497,12 +504,12 @@ def _next_tests(
                     measured=np.zeros((speed.size, len(test.outputs)), complex),
                     whitener=run_up_whitener(noise, 0.0),
                 )
-    found = {"as it is": float(posterior.gradient_error(gradient))}
+    errors = {"as it is": float(posterior.gradient_error(gradient))}
     for name, test in candidates.items():
         _, jacobian = test.residual(model, posterior.values)
         covariance = np.linalg.inv(information + jacobian.T @ jacobian)
-        found[name] = float(np.sqrt(gradient @ covariance @ gradient))
-    return found
+        errors[name] = float(np.sqrt(gradient @ covariance @ gradient))
+    return errors
 
 
 def _balance(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
@@ -563,7 +570,7 @@ def _next_weights(
     sets = {f"a weight at node {node}": {node: trial + 0j} for node in built.planes}
     sets["the weights themselves"] = dict(zip(built.planes, weights, strict=True))
     noise = np.median(1 / np.linalg.norm(test.whitener, axis=2))
-    found = {}
+    expected = {}
     for name, added in sets.items():
         run = replace(
             test,
@@ -574,5 +581,5 @@ def _next_weights(
         narrowed = replace(posterior, covariance=np.linalg.inv(information + jacobian.T @ jacobian))
         each = [influence(built, test, values) for values in narrowed.draws(LOOKED)]
         chosen = best_weights(each)
-        found[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
-    return found
+        expected[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
+    return expected

@@ -59,14 +59,14 @@ class FreeModes:
         shaft = np.arange(model.n_shaft)
         plane = np.sort(np.concatenate([shaft[0::4], shaft[3::4]]))
         roots = model.roots(values, 0.0, int(self.numbers.max()), dofs=plane, supported=False)
-        found, slopes = roots.values[self.numbers - 1], roots.slopes[self.numbers - 1]
-        size = np.abs(found)
-        if np.any(found.real >= 0):
+        eigenvalues, slopes = roots.values[self.numbers - 1], roots.slopes[self.numbers - 1]
+        size = np.abs(eigenvalues)
+        if np.any(eigenvalues.real >= 0):
             raise FitError("a free mode has no damping", hint="name the shaft's damping as unknown")
-        of_size = (found.conj()[:, None] * slopes).real / size[:, None] ** 2
-        of_damping = slopes.real / found.real[:, None] - of_size
+        of_size = (eigenvalues.conj()[:, None] * slopes).real / size[:, None] ** 2
+        of_damping = slopes.real / eigenvalues.real[:, None] - of_size
         return (
-            np.concatenate([np.log(size / (2 * np.pi)), np.log(-found.real / size)]),
+            np.concatenate([np.log(size / (2 * np.pi)), np.log(-eigenvalues.real / size)]),
             np.concatenate([of_size, of_damping]),
         )
 
@@ -75,8 +75,8 @@ class FreeModes:
         ln, slopes = self.predicted(model, values)
         measured = np.log(np.concatenate([self.frequency, self.damping]))
         error = np.concatenate([self.frequency_error, self.damping_error])
-        known = np.isfinite(measured)
-        return ((measured - ln) / error)[known], (-slopes / error[:, None])[known]
+        measured_there = np.isfinite(measured)
+        return ((measured - ln) / error)[measured_there], (-slopes / error[:, None])[measured_there]
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> FreeModes:  # noqa: ARG002
         """At *values* (n_unknown,) [SI units], see Evidence."""
@@ -126,10 +126,10 @@ class Responses:
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
         modelled, slopes = self.predicted(model, values)
-        known = np.isfinite(self.error)
-        weight = 1 / self.error[known]
-        residual = as_real((self.measured - modelled)[known] * weight)
-        jacobian = as_real((-slopes[:, known] * weight).T)
+        measured_there = np.isfinite(self.error)
+        weight = 1 / self.error[measured_there]
+        residual = as_real((self.measured - modelled)[measured_there] * weight)
+        jacobian = as_real((-slopes[:, measured_there] * weight).T)
         return residual, jacobian * model.acting(self.name)
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Responses:
@@ -246,10 +246,13 @@ class Deflections:
         if self.measured.size:
             forces = np.eye(model.n_dof)[:, list(self.inputs)]
             motion, slopes, _ = model.response(acting, np.zeros(1), np.zeros(1), forces, self.outputs)
-            known = np.isfinite(self.measured)
-            error = self.error[known]
+            measured_there = np.isfinite(self.measured)
+            error = self.error[measured_there]
             parts.append(
-                ((self.measured - motion[0].real)[known] / error, -(slopes[:, 0].real[:, known] / error).T)
+                (
+                    (self.measured - motion[0].real)[measured_there] / error,
+                    -(slopes[:, 0].real[:, measured_there] / error).T,
+                )
             )
         if np.isfinite(self.mass):
             rigid = np.zeros((1, model.n_dof))

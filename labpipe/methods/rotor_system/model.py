@@ -193,8 +193,9 @@ class SystemModel:
             coupled = np.zeros((self.n_dof, self.n_dof), dtype=bool)
             for term in self.terms:
                 if (supported or not term.support) and (turning or not POWERS[term.matrix][1]):
-                    block = term.at(1.0) if callable(term.block) else term.block
-                    coupled[np.ix_(term.dofs, term.dofs)] |= block != 0
+                    shape = (len(term.dofs),) * 2
+                    couples = np.ones(shape, bool) if callable(term.block) else term.block != 0
+                    coupled[np.ix_(term.dofs, term.dofs)] |= couples
             number, of_dof = sparse.csgraph.connected_components(sparse.csr_array(coupled), directed=False)
             parts = (np.flatnonzero(of_dof == n) for n in range(number))
             self._known_parts[key] = tuple(part for part in parts if coupled[part].any())
@@ -338,14 +339,14 @@ class SystemModel:
         slowest = np.sort(np.abs(roots))[0 if supported else 2 * RIGID * n // (self.n_shaft // 2)]
         chosen = np.flatnonzero((roots.imag > LEAST_OSCILLATION * np.abs(roots)) & (np.abs(roots) >= slowest))
         chosen = chosen[np.argsort(np.abs(roots[chosen]))][: most or None]
-        found = roots[chosen]
+        eigenvalues = roots[chosen]
         shapes = np.zeros((self.n_dof, chosen.size), np.complex128)
         shapes[kept] = vectors[-1][:n, chosen]
         if not slopes:
-            return Roots(found, shapes, np.zeros((chosen.size, 0), np.complex128))
+            return Roots(eigenvalues, shapes, np.zeros((chosen.size, 0), np.complex128))
         adjoint = np.zeros_like(shapes)
         adjoint[kept] = linalg.lu_solve(inverse, vectors[0][n:, chosen])
         rows, columns = adjoint.conj().T[:, None, :], shapes.T[:, :, None]
-        moved = self.slopes(values, spin, rows, columns, found, supported)[:, :, 0, 0]
-        middle = 2 * found[:, None, None] * whole.mass + whole.at_speed(spin)
-        return Roots(found, shapes, -(moved / (rows @ middle @ columns)[:, 0, 0]).T)
+        moved = self.slopes(values, spin, rows, columns, eigenvalues, supported)[:, :, 0, 0]
+        middle = 2 * eigenvalues[:, None, None] * whole.mass + whole.at_speed(spin)
+        return Roots(eigenvalues, shapes, -(moved / (rows @ middle @ columns)[:, 0, 0]).T)

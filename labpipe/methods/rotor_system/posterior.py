@@ -1,8 +1,7 @@
 """One posterior from all tests of a rotor: start, descent, sizes of the small errors, priors that give way,
 conflicts between tests, and what no test tells.
 
-Source: METHODS of this page and its references (Kennedy and O'Hagan 2001, MacKay 1992, Hausman 1978, Chen and
-Oliver 2012).
+Sources: Kennedy and O'Hagan 2001 (small errors), MacKay 1992 (evidence), Hausman 1978 (conflicts).
 """
 
 from __future__ import annotations
@@ -195,10 +194,10 @@ def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes:
                 size = np.sqrt((amount + 2 * declared[group] ** 2) / (members.sum() + 2))
                 sizes[group] = float(np.clip(size, declared[group], MOST_SIZE * declared[group]))
                 errors[members] = sizes[group]
-        own = np.array([not unknown.group for unknown in model.unknowns])
+        single = np.array([not unknown.group for unknown in model.unknowns])
         off = values - model.means
-        far = own & (np.abs(off) > GIVES_WAY * model.errors)
-        errors[own] = model.errors[own]
+        far = single & (np.abs(off) > GIVES_WAY * model.errors)
+        errors[single] = model.errors[single]
         errors[far] = np.sqrt((STUDENT * model.errors[far] ** 2 + off[far] ** 2) / (STUDENT + 1))
         if np.all(np.abs(errors / before - 1) < SETTLED):
             break
@@ -310,7 +309,7 @@ def pulls(posterior: Posterior) -> list[Pull]:
     """What each test does to what the others say: theta_-t - theta = (F - F_t)^-1 J_t^T r_t, J_t of the
     residual r_t, is N(0, V_-t - V) where all is well (Hausman 1978). Equation (system-pull).
     """
-    model, found = posterior.model, []
+    model, all_pulls = posterior.model, []
     information = np.linalg.inv(posterior.covariance)
     for test in posterior.tests:
         residual, jacobian = test.residual(model, posterior.values)
@@ -319,15 +318,15 @@ def pulls(posterior: Posterior) -> list[Pull]:
         change = without - posterior.covariance
         spread = np.sqrt(np.maximum(np.diag(change), 1e-30))
         # Rounding makes anything of unknowns that the test does not move; small errors are named by group.
-        own = np.array([not unknown.group for unknown in model.unknowns])
-        z = np.where(own & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
+        single = np.array([not unknown.group for unknown in model.unknowns])
+        z = np.where(single & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
         worst = int(np.argmax(np.abs(z)))
         scale = np.sqrt(np.diag(without))
         parts, vectors = np.linalg.eigh(change / np.outer(scale, scale))
         kept = parts > 0.01
         chi2 = float(np.sum((vectors[:, kept].T @ (shift / scale)) ** 2 / parts[kept]))
-        found.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), chi2, int(kept.sum())))
-    return found
+        all_pulls.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), chi2, int(kept.sum())))
+    return all_pulls
 
 
 # Draws by which the normal posterior is held against the tests.

@@ -67,16 +67,16 @@ def campbell(posterior: Posterior, speeds: FloatArray) -> Campbell:
     acting = model.acting(RUNNING)
     each, roots = [], []
     for speed in speeds:
-        found = model.roots(values, 2 * np.pi * float(speed), 2 * MOST_MODES)
-        shaft = found.shapes[: model.n_shaft].reshape(-1, 4, found.values.size)
-        each.append(Modes(2 * np.pi * float(speed), found.values, shaft[:, :2].transpose(2, 0, 1)))
-        roots.append(found)
+        solution = model.roots(values, 2 * np.pi * float(speed), 2 * MOST_MODES)
+        shaft = solution.shapes[: model.n_shaft].reshape(-1, 4, solution.values.size)
+        each.append(Modes(2 * np.pi * float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
+        roots.append(solution)
     order = followed(each)
     frequency, f_error, decrement, d_error, whirl = (np.full(order.shape, np.nan) for _ in range(5))
-    for number, (found, modes) in enumerate(zip(roots, each, strict=True)):
+    for number, (solution, modes) in enumerate(zip(roots, each, strict=True)):
         there = order[number] >= 0
         chosen = order[number, there]
-        root, slopes = found.values[chosen], np.where(acting, found.slopes[chosen], 0.0)
+        root, slopes = solution.values[chosen], np.where(acting, solution.slopes[chosen], 0.0)
         frequency[number, there] = root.imag / (2 * np.pi)
         f_error[number, there] = posterior.gradient_error(slopes.imag) / (2 * np.pi)
         delta = -2 * np.pi * root.real / root.imag
@@ -97,8 +97,8 @@ def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
     model, values = posterior.model, at_speed(posterior.model, posterior.values)
 
     def growth(speed: float) -> float:
-        found = model.roots(values, 2 * np.pi * speed, slopes=False).values
-        return float(np.max(found.real)) if found.size else -1.0
+        eigenvalues = model.roots(values, 2 * np.pi * speed, slopes=False).values
+        return float(np.max(eigenvalues.real)) if eigenvalues.size else -1.0
 
     low = lowest
     for _ in range(MOST_STEPS):
@@ -111,21 +111,21 @@ def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
     if growth(low) > 0:
         return lowest, 0.0
     speed = float(optimize.brentq(growth, low, high, rtol=1e-9))
-    found = model.roots(values, 2 * np.pi * speed)
-    mode = int(np.argmax(found.values.real))
+    roots = model.roots(values, 2 * np.pi * speed)
+    mode = int(np.argmax(roots.values.real))
     step = 1e-4
     rise = (growth(speed * (1 + step)) - growth(speed * (1 - step))) / (2 * step)
-    slope = np.where(model.acting(RUNNING), found.slopes[mode].real, 0.0) / rise
+    slope = np.where(model.acting(RUNNING), roots.slopes[mode].real, 0.0) / rise
     return speed, posterior.widened * float(posterior.gradient_error(slope))
 
 
 class _Reduced:
-    """Unbalance response in a fixed basis of the lowest modes of (K, M) and the static shapes of bearing and
-    unbalance dofs.
+    """Unbalance response in a fixed basis of the lowest modes of (K, M), K at a *spin* speed [rad/s], and the
+    static shapes of bearing and unbalance dofs.
     """
 
-    def __init__(self, model: SystemModel, values: FloatArray, forced: Sequence[int]) -> None:
-        whole = model.matrices(values, 0.0)
+    def __init__(self, model: SystemModel, values: FloatArray, forced: Sequence[int], spin: float) -> None:
+        whole = model.matrices(values, spin)
         n = model.n_dof
         # As 1 / w^2, largest first: the stiffness is positive definite, the mass need not be.
         first = max(0, n - BASIS)
@@ -211,7 +211,7 @@ def critical_speeds(
     model = posterior.model
     values = at_speed(model, posterior.values)
     forced = [dof for first, _, _ in built.planes.values() for dof in (first, first + 1)]
-    reduced = _Reduced(model, values, forced)
+    reduced = _Reduced(model, values, forced, 2 * np.pi * float(np.sqrt(band[0] * band[1])))
     coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
     amplitude = reduced.amplitudes(
         values, 2 * np.pi * coarse, unbalance_forces(built, posterior.values), outputs
@@ -227,11 +227,11 @@ def critical_speeds(
     speeds = np.log([peak.speed for peak, _ in distinct])
     # A peak of a draw is the same one where it is nearer to it than to any other.
     rooms = [min([*(abs(at - other) / 2 for other in speeds if other != at), AROUND]) for at in speeds]
-    found = [
+    criticals = [
         _critical(reduced, built, peak, dof, draws, operating, room)
         for (peak, dof), room in zip(distinct, rooms, strict=True)
     ]
-    return sorted(found, key=lambda critical: critical.speed)
+    return sorted(criticals, key=lambda critical: critical.speed)
 
 
 def _critical(

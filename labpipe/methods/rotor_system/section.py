@@ -8,7 +8,8 @@ import numpy as np
 
 from labpipe.display import amount_text, number, plain_text, with_error
 from labpipe.errors import ConfigError
-from labpipe.methods.rotor_system.evaluate import LEAST_DECREMENT, run_rotor_system
+from labpipe.methods.rotor.theory import LEAST_DECREMENT
+from labpipe.methods.rotor_system.evaluate import run_rotor_system
 from labpipe.methods.rotor_system.records import CriticalResult, RotorSystemResult, Row, UnknownResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.project.judging import CompareNumber

@@ -236,11 +236,20 @@ class RotorSystemSettings(Settings):
                 if not 1 <= node <= n_node:
                     what = f"test '{test.name}': node {node}, the rotor has nodes 1 to {n_node}"
                     raise ConfigError(what, field="tests")
-        if (self.balance_speeds or any(test.kind == RUN_UP for test in self.tests)) and not any(
-            error for _, _, error in system.unbalances
-        ):
+        if self.balance_speeds or any(test.kind == RUN_UP for test in self.tests):
             hint = "write unbalances: [{node: 5, size: 0 g.mm +- 200 g.mm}] in the rotor file"
-            raise ConfigError("a run-up needs an unknown unbalance", hint=hint, field="rotor")
+            if not system.unbalances:
+                raise ConfigError("a run-up needs an unknown unbalance", hint=hint, field="rotor")
+            for node, _, error in system.unbalances:
+                if not error:
+                    what = f"the unbalance at node {node} has no uncertainty"
+                    raise ConfigError(what, hint=hint, field="rotor")
+        film = next((place.name for place in system.rig.bearings if place.is_film), "")
+        for test in self.tests:
+            resting = test.kind == RESPONSE and not test.free and not test.speed
+            if film and (resting or test.deflections):
+                what = f"test '{test.name}' is at rest, where bearing '{film}' has no oil film"
+                raise ConfigError(what, hint="free: true, or speed: as it turned", field="tests")
 
     @property
     def band(self) -> tuple[float, float]:

@@ -122,17 +122,17 @@ def _taken(node: Marked | None, key: str, name: str, unit: str, faults: Faults) 
 def _pedestals(node: Marked | None, faults: Faults) -> list[Pedestal]:
     if node is not None and not isinstance(node.content, list):
         faults.add(node, "pedestals", "a list is needed", "each entry begins with '- '")
-    found = []
+    pedestals = []
     for number, entry in enumerate(_listed(node), 1):
         settings = read_settings(PedestalSettings, entry, f"pedestals.{number}", faults)
         if settings is not None:
             stiffness = settings.stiffness
-            found.append(
+            pedestals.append(
                 Pedestal(
                     settings.bearing, settings.mass, stiffness.value, settings.damping, _relative(stiffness)
                 )
             )
-    return found
+    return pedestals
 
 
 def _internal(node: Marked | None, faults: Faults) -> tuple[float, float]:
@@ -213,13 +213,13 @@ def _sleeves(
     rig: RotorRig, node: Marked | None, taken: Mapping[str, Uncertain], default: float
 ) -> dict[str, tuple[tuple[int, ...], float, float]]:
     """Sleeves by name, their elements, ln of the stiffening and its uncertainty."""
-    found: dict[str, tuple[tuple[int, ...], float, float]] = {}
+    sleeves: dict[str, tuple[tuple[int, ...], float, float]] = {}
     for number, (entry, ring) in enumerate(zip(_listed(node), rig.rotor.sleeves, strict=True), 1):
         name = entry.content["name"].text if "name" in entry.content else str(number)
         error = _relative(taken[str(number)]) if str(number) in taken else default
-        elements, _, before = found.get(name, ((), 0.0, 0.0))
-        found[name] = ((*elements, ring.element), float(np.log(ring.stiffening)), max(error, before))
-    return found
+        elements, _, before = sleeves.get(name, ((), 0.0, 0.0))
+        sleeves[name] = ((*elements, ring.element), float(np.log(ring.stiffening)), max(error, before))
+    return sleeves
 
 
 def _settings_of(place: BearingPlace) -> object:
@@ -230,8 +230,9 @@ def _linear(place: BearingPlace, stiffness_error: float, damping_error: float) -
     """The bearing with the uncertainties of its coefficients, those of `estimate` where it has none."""
     settings = _settings_of(place)
     assert isinstance(settings, LinearBearingSettings)
-    own = {
-        one.uncertainty.source.rpartition(": ")[2]: one.uncertainty.std_error for one in place.uncertainties
+    stated = {
+        entry.uncertainty.source.rpartition(": ")[2]: entry.uncertainty.std_error
+        for entry in place.uncertainties
     }
 
     def errors(letter: str, values: FloatArray, default: float) -> FloatArray:
@@ -243,7 +244,7 @@ def _linear(place: BearingPlace, stiffness_error: float, damping_error: float) -
         flat = values.ravel()
         return np.array(
             [
-                own[name] / abs(value) if name in own and value else (default if value else 0.0)
+                stated[name] / abs(value) if name in stated and value else (default if value else 0.0)
                 for name, value in zip(names, flat, strict=True)
             ]
         ).reshape(2, 2)

@@ -6,7 +6,7 @@ Its truth is drawn from what the rotor file declares, the small errors that are 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 from scipy import interpolate
@@ -64,7 +64,7 @@ class RotorTestRig(Settings):
 
 
 @dataclass(frozen=True)
-class _World:
+class World:
     """A rig with its true values."""
 
     rig: RotorTestRig
@@ -76,18 +76,19 @@ class _World:
         return [dof for node in names for dof in self.system.rig.rotor.dofs(int(node))]
 
 
-def _world(rig: RotorTestRig) -> _World:
+def world_of(rig: RotorTestRig) -> World:
+    """The rig with values drawn from what its rotor file declares."""
     assert rig.system is not None
     labels = tuple(f"{int(node)} {axis}" for node in rig.probes for axis in ("x", "y"))
     built = build(rig.system, SmallErrors(), {RUN_UP: Sensors(labels, rig.gain, True, True)})
     model = built.model
     drawn = np.random.default_rng(rig.truth).standard_normal(len(model.unknowns)) if rig.truth else 0.0
-    return _World(rig, rig.system, built, model.means + model.errors * drawn)
+    return World(rig, rig.system, built, model.means + model.errors * drawn)
 
 
 def true_values(rig: RotorTestRig) -> dict[str, float]:
     """The unknowns by name: logarithms of factors, and amounts in their units."""
-    world = _world(rig)
+    world = world_of(rig)
     return {
         unknown.name: float(value)
         for unknown, value in zip(world.built.model.unknowns, world.values, strict=True)
@@ -96,11 +97,11 @@ def true_values(rig: RotorTestRig) -> dict[str, float]:
 
 def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
     """A run of the rig: a shaken one is in its steady state, a run-up is quasi-steady."""
-    world = _world(rig)
+    world = world_of(rig)
     return _run_up(world, rng) if name == RUN_UP else _shaken(world, name, rng)
 
 
-def _shaken(world: _World, name: str, rng: np.random.Generator) -> Recording:
+def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     """Random-phase multisine at one node in y or z; free on strings, or in the bearings."""
     rig, model = world.rig, world.built.model
     low, high = rig.band
@@ -130,7 +131,7 @@ def _shaken(world: _World, name: str, rng: np.random.Generator) -> Recording:
     return Recording(tuple(channels), samples, rig.sample_rate, name)
 
 
-def _vectors(world: _World, speed: FloatArray) -> ComplexArray:
+def _vectors(world: World, speed: FloatArray) -> ComplexArray:
     """1x vectors (n_speed, n_probe) [m] at *speed* [rad/s]."""
     outputs = world.nodes(world.rig.probes)
     test = RunUpVectors(
@@ -146,7 +147,7 @@ def _vectors(world: _World, speed: FloatArray) -> ComplexArray:
     return test.readings(world.built.model, world.values)[0]
 
 
-def _run_up(world: _World, rng: np.random.Generator) -> Recording:
+def _run_up(world: World, rng: np.random.Generator) -> Recording:
     """y(t) = Re(z(Omega(t)) exp(j phi(t))), a pulse of the tacho at every whole turn."""
     rig = world.rig
     low, high = (2 * np.pi * end for end in rig.speeds)
@@ -193,6 +194,11 @@ ROTOR_RIG = VirtualRigKind(
     runs=lambda _rig: RUNS,
     simulate=_simulate,
     parameters=lambda rig, _runs: true_values(rig),
-    noisy=lambda rig, _level: rig,
+    noisy=lambda rig, level: replace(
+        rig,
+        acceleration_noise=level * rig.acceleration_noise,
+        force_noise=level * rig.force_noise,
+        probe_noise=level * rig.probe_noise,
+    ),
     recordings=rotor_runs,
 )

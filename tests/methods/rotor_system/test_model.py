@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.rotor.response import modes
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Sleeve, Support
 from labpipe.methods.rotor_system.build import LinearBearing, RotorSystem, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import FreeModes
+from labpipe.methods.rotor_system.system_file import load_system
 from tests.methods.rotor_system.two_discs import (
     STEEL,
     built,
@@ -117,6 +122,56 @@ def test_the_same_rotor_as_the_plain_model() -> None:
     found = model.roots(np.zeros(0), 300.0, slopes=False).values
     for value in reference.eigenvalues[:6]:
         assert np.abs(found - value).min() < 1e-8 * abs(value)
+
+
+def test_two_sleeves_on_one_element_and_one_damping_in_both_directions() -> None:
+    """The factors of both act; c_yz has a number of its own where c_yy and c_zz share one."""
+    shaft = Rotor(tuple(ShaftElement(0.1, 0.04, STEEL) for _ in range(2)))
+    places = tuple(BearingPlace(str(node), node, None, "linear-bearing") for node in (1, 3))  # type: ignore[arg-type]
+    damping, errors = np.array([[9e3, 1e3], [0.0, 9e3]]), np.full((2, 2), 0.2)
+    bearing = LinearBearing(1e6 * np.eye(2), damping, np.zeros((2, 2)), errors, True)
+    sleeves = {"A": ((1,), 0.2, 0.1), "B": ((1,), 0.3, 0.1)}
+    rig = RotorRig("small", shaft, speed=50.0, bearings=places)
+    system = RotorSystem(rig, sleeves=sleeves, linear={"1": bearing, "3": bearing})
+    model = build(system, SmallErrors(0, 0, 0, 0, 0), {}).model
+    names = [unknown.name for unknown in model.unknowns]
+    assert names == ["sleeve A", "sleeve B", "1 c", "1 c_yz", "3 c", "3 c_yz"]
+    plain, stiff = (model.matrices(values, 0.0, False).stiffness for values in (np.zeros(6), model.means))
+    assert stiff[0, 0] == pytest.approx(np.exp(0.5) * plain[0, 0])
+
+
+def test_an_oil_film_s_clearance_is_an_unknown(tmp_path: Path) -> None:
+    """Its coefficients follow the speed, and at one standard uncertainty above are those of that clearance;
+    the derivatives hold by differences.
+    """
+    text = """speed: 50 Hz
+elements: [{length: 200 mm, diameter: 25 mm, count: 2}]
+discs: [{node: 2, mass: 5 kg, polar_inertia: 0.01 kg.m^2, transverse_inertia: 0.006 kg.m^2}]
+bearings:
+  - {kind: journal-bearing, name: left, node: 1, diameter: 30 mm, length: 15 mm, clearance: 90 um +- 5 um,
+     viscosity: 0.05 Pa.s}
+  - {kind: linear-bearing, name: right, node: 3, k_yy: 8 MN/m, c: 5 kN.s/m}
+unbalances: [{node: 2, size: 0 g.mm +- 20 g.mm}]
+"""
+    (tmp_path / "rotor.yaml").write_text(text)
+    system = load_system(tmp_path / "rotor.yaml")
+    model = build(system, SmallErrors(0, 0, 0, 0, 0), {}).model
+    (number,) = [n for n, unknown in enumerate(model.unknowns) if "clearance" in unknown.name]
+    values, spin = np.zeros(len(model.unknowns)), 2 * np.pi * 40.0
+    values[number] = 1.0
+    load = system.rig.static_loads()["left"]
+    film = replace(system.rig.place("left").film("a test"), clearance=95e-6)
+    reference = journal_equilibrium(film, load, spin).stiffness
+    free = model.matrices(values, spin, supported=False).stiffness[:2, :2]
+    assert model.matrices(values, spin).stiffness[:2, :2] - free == pytest.approx(reference, rel=1e-6)
+    speeds, forces = np.array([200.0, 300.0]), np.eye(model.n_dof)[:, [4]]
+    motion, slopes, _ = model.response(values, speeds, speeds, forces, [4, 5])
+    step = np.zeros(values.size)
+    step[number] = 1e-4
+    ends = [model.response(values + sign * step, speeds, speeds, forces, [4, 5])[0] for sign in (1, -1)]
+    assert (ends[0] - ends[1]) / 2e-4 == pytest.approx(
+        slopes[number], rel=1e-5, abs=1e-6 * np.abs(motion).max()
+    )
 
 
 def test_damping_that_turns_with_the_shaft_makes_it_unstable_above_the_critical_speed() -> None:

@@ -113,6 +113,47 @@ def test_faults_of_a_rotor_file(tmp_path: Path, labpipe, text: str, said: str) -
     assert ended.code == 2 and said in ended.err
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("unbalances: [{node: 5, size: 20 g.mm}]", "the unbalance at node 5 has no uncertainty"),
+        (
+            "bearings: [{kind: journal-bearing, name: left, node: 2, diameter: 40 mm, length: 20 mm, "
+            "clearance: 90 um, viscosity: 0.05 Pa.s}, "
+            "{kind: linear-bearing, name: right, node: 12, k_yy: 9 MN/m}]",
+            "test 'shaken y' is at rest, where bearing 'left' has no oil film",
+        ),
+    ],
+)
+def test_what_tests_of_a_rotor_cannot_take_is_refused(tmp_path: Path, labpipe, text: str, said: str) -> None:
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text()) | yaml.safe_load(text)
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
+    pipeline = yaml.safe_load((ROOT / "pipelines/rotor-system.yaml").read_text().replace("../", f"{ROOT}/"))
+    pipeline["rotor_system"]["rotor"] = "rotor.yaml"
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump(pipeline, sort_keys=False))
+    ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 2 and said in ended.err
+
+
+def test_modes_of_a_modal_fit_are_a_test(tmp_path: Path) -> None:
+    """The rotor on strings by a modal fit in place of its responses: the same free modes."""
+    import labpipe
+
+    pipeline = yaml.safe_load((ROOT / "pipelines/rotor-system.yaml").read_text().replace("../", f"{ROOT}/"))
+    pipeline["tests"] = pipeline["tests"][:1]
+    strings = {"model": "modal", "band": "60-290 Hz", "test": "free"}
+    pipeline["identify"] = {"strings": strings}
+    modes = {"name": "hammer", "kind": "modes", "fit": "strings"}
+    pipeline["rotor_system"]["tests"] = [modes, *pipeline["rotor_system"]["tests"][3:]]
+    pipeline["rotor_system"]["draws"] = 20
+    del pipeline["expect"]
+    pipeline["report"] = {"formats": []}
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump(pipeline, sort_keys=False))
+    result = labpipe.run(tmp_path / "p.yaml", tmp_path / "out").sections["rotor_system"]
+    hammer = next(test for test in result.tests if test.name == "hammer")
+    assert hammer.n >= 2 and hammer.probability > 1e-4
+
+
 def test_a_rotor_as_declared_has_wide_intervals(tmp_path: Path, labpipe) -> None:
     """Bearings known to 40 % leave the critical speed open to some hundred rpm."""
     path = tmp_path / "declared.json"
