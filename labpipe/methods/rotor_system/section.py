@@ -219,13 +219,12 @@ def unknown_table(result: RotorSystemResult) -> Table:
             unknown.name,
             _shown(unknown.value, unknown.error, unknown.unit),
             _shown(unknown.prior, unknown.prior_error, unknown.unit),
-            number(unknown.error / unknown.prior_error, 2),
-            "" if unknown.told else "no test tells",
+            number(unknown.error / unknown.prior_error, 2) + ("" if unknown.told else " (no test tells)"),
         )
         for unknown in result.unknowns
         if not unknown.group
     )
-    header = ("unknown", "all tests", "declared", "error left", "")
+    header = ("unknown", "all tests", "declared", "error left")
     return Table(
         header, rows, "Unknowns with standard uncertainties, and the share of the declared one", (3,)
     )
