@@ -65,7 +65,7 @@ class RotorTestRig(Settings):
 
 @dataclass(frozen=True)
 class World:
-    """A rig with its true values."""
+    """A rig with its true *values* (n_unknown,) [unit of each]."""
 
     rig: RotorTestRig
     system: RotorSystem
