@@ -38,7 +38,8 @@ def test_intervals_hold_the_truth(case: str, draws: int) -> None:
                 / response.variance[:, 0, 0]
             )
         )
-        (fit,) = identify(response, FitSettings("sdof", mass=1.0))
+        # The noise of the FRF of all sweeps is looked at: of their scatter three say little.
+        (fit,) = identify(response, FitSettings("sdof", mass=1.0, repeats="pool"))
         found = [fit.parameter(name) for name in ("k", "c", "f_n")]
         errors.append([(p.value - true) / p.std_error for p, true in zip(found, TRUTH, strict=True)])
         holds.append([p.ci95[0] < true < p.ci95[1] for p, true in zip(found, TRUTH, strict=True)])

@@ -270,7 +270,6 @@ def test_a_function_of_a_plug_in_takes_every_key_over_one_condition(monkeypatch:
         return settings.law
 
     plain = comparison_settings.comparison_kind
-    monkeypatch.setattr(COMPARISONS, "_table", {**COMPARISONS._table, "trend": "own:answer"})
     monkeypatch.setattr(COMPARISONS, "load", lambda _name: answer)
     assert not isinstance(COMPARISONS.load("trend"), ComparisonKind) and "law" in plain("trend").keys
     assert compare(CompareSettings(kind="trend", law="power"), Evidence((), (), ())) == "power"
