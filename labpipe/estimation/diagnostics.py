@@ -529,6 +529,8 @@ LINES_BY_DEGREE = 30.0
 # Bias of the damping by one line in the half-power width, and its fall with their number n: 14 % at 1, 4 % at
 # 2, 0.5 % at 8 (Hann).
 BIAS, FALL = 14.0, 1.6
+# Largest bias that the advised length allows for, as a share.
+MOST_BIAS = 0.25
 
 
 def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) -> list[Finding]:
@@ -549,7 +551,9 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
     enough = LINES_BY_DEGREE / blocks.degree if blocks.degree else FEWEST_LINES if modelled else ENOUGH_LINES
     if lines >= enough:
         return []
-    needed = f"blocks of at least {rounded_up(enough / width):g} s"
+    # What leaks makes a mode of less than a line look too wide.
+    longer = 1 + min(BIAS / 100 * lines**-FALL, MOST_BIAS) if lines < 1 else 1.0
+    needed = f"blocks of at least {rounded_up(longer * enough / width):g} s"
     which = (
         f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of "
         f"blocks of {blocks.length:.3g} s"
