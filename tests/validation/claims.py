@@ -41,9 +41,9 @@ OF_OTHERS: tuple[Kind, ...] = (*MEASURED, "printed calculation", "peer program")
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the manual. The value is accepted from *low* to *high*, or, where its 95 % interval is *stated*
-    (not a number: there is none), if that holds the reference; *why* is needed where it fails, *recorded* says
-    how what cannot be computed everywhere was recorded.
+    """A row of the manual. The value is accepted from *low* to *high*, or, where its 95 % interval is
+    *stated* (not a number: there is none), if that holds the reference; *why* is needed where it fails,
+    *recorded* says how what cannot be computed everywhere was recorded.
     """
 
     quantity: str

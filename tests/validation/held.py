@@ -56,7 +56,7 @@ class Stated:
     def claim(self, source: str, why: str, note: str) -> Claim:
         factor, unit = (1.0, "Hz") if self.quantity == "frequency" else (1e3, "10^-3")
         low, high = self.interval or (np.nan, np.nan)
-        run = self.place.run.partition(", ")[2] or self.place.run.partition(" ")[2].replace("_", " ")
+        run = self.place.run.removeprefix(self.place.set).lstrip(", ").replace("_", " ").replace("beam", "")
         return Claim(
             f"{NAMES[self.quantity]} near {np.median(self.place.others['frequency']):.4g} Hz"
             + (f", {run}" if run else ""),
@@ -92,9 +92,8 @@ def nearest_places(name: str) -> dict[str, list[dict[str, list[float]]]]:
     found: dict[str, list[dict[str, list[float]]]] = {}
     for peers in SETS[name]["lscf"].values():
         for place, of in peers.items():
-            middle = len(of["ratio"]) // 2
             found.setdefault(place, []).append(
-                {"frequency": [of["frequency"][1]], "ratio": [of["ratio"][middle]]}
+                {"frequency": list(of["frequency"]), "ratio": list(of["ratio"])}
             )
     for place, of in SETS[name].get("independent", {}).items():
         found.setdefault(place, []).append(of)
@@ -148,30 +147,50 @@ def wing_places() -> list[Place]:
     for number, (run, _) in enumerate(SETS["wing"]["labpipe"].items()):
         for mode, said in enumerate(nearest_places("wing").values(), start=1):
             others = {
-                quantity: tuple(np.delete(values, number)) for quantity, values in joined(*said).items()
+                quantity: tuple(np.delete(values, number).tolist())
+                for quantity, values in joined(*said).items()
             }
             places.append(Place("wing", run, f"mode_{mode}", others))
     return places
 
 
-def earlier_places() -> list[Place]:
-    """Modes of the sets whose values stand among those of the others, in rows of their own."""
-    beam = {"111.99": (111.99,), "306.86": (306.86,), "596.37": (596.37,), "974.14": (974.14,)}
-    authors = {"1074": 0.034, "1961": 0.045, "2617": 0.045}
+def decays_of(name: str) -> list[Place]:
+    """Every run of the ring-downs of a set: its authors, and curve_fit of each decay."""
     places = []
-    for run, by_fit in {**SETS["bearing"]["labpipe"], **SETS["beams"]["labpipe"]}.items():
-        name = "bearing" if run in SETS["bearing"]["labpipe"] else "beams"
+    for run, by_fit in SETS[name]["labpipe"].items():
         frequency, ratio = DECAYS[run.partition(",")[0]]
         others = joined({"frequency": [frequency], "ratio": [ratio]}, SETS[name]["curve_fit"][run])
         places += [Place(name, run, fit, others) for fit in by_fit]
-    for at, said in nearest_places("tool").items():
-        others = joined({"frequency": [float(at)], "ratio": [authors[at]]}, *said)
-        places += [Place("tool", run, "modes", others) for run in ("tool, automatic", "tool, poles")]
-    places += [Place("ruler", "ruler", "modes", joined(*said)) for said in nearest_places("ruler").values()]
-    for number, (at, said) in enumerate(nearest_places("free beam").items(), start=1):
-        others = joined({"frequency": list(beam[at])}, *said)
-        places.append(Place("free beam", "free beam", f"mode_{number}", others))
     return places
+
+
+def bearing_places() -> list[Place]:
+    return decays_of("bearing")
+
+
+def beams_places() -> list[Place]:
+    return decays_of("beams")
+
+
+def tool_places() -> list[Place]:
+    """Three modes that the authors read by eye; of one hit, the first."""
+    places, of = [], nearest_places("tool")
+    for at, ratio in {"1074": 0.034, "1961": 0.045, "2617": 0.045}.items():
+        others = joined({"frequency": [float(at)], "ratio": [ratio]}, *of[at])
+        runs = ("tool, automatic", "tool, poles", *(("tool, one hit",) if at == "1074" else ()))
+        places += [Place("tool", run, "modes", others) for run in runs]
+    return places
+
+
+def ruler_places() -> list[Place]:
+    return [Place("ruler", "ruler", "modes", joined(*said)) for said in nearest_places("ruler").values()]
+
+
+def free_beam_places() -> list[Place]:
+    return [
+        Place("free beam", "free beam", f"mode_{number}", joined({"frequency": [float(at)]}, *said))
+        for number, (at, said) in enumerate(nearest_places("free beam").items(), start=1)
+    ]
 
 
 # The authors' frequency [Hz] and damping ratio of the ring-downs.
@@ -185,7 +204,11 @@ DECAYS = {
 
 def everything() -> list[Stated]:
     places = [
-        *earlier_places(),
+        *bearing_places(),
+        *beams_places(),
+        *tool_places(),
+        *ruler_places(),
+        *free_beam_places(),
         *piezo_places(),
         *hammer_places(),
         *plate_places(),

@@ -19,7 +19,7 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import yaml
 from scipy.optimize import curve_fit
+from scipy.stats import f as f_distribution
 
 import labpipe
 from labpipe.records.identification import Fit
@@ -325,7 +326,7 @@ PLATE = {
 
 
 def independent(folder: Path, name: str) -> dict[str, dict[str, list[float]]]:
-    """Frequencies [Hz] and ratios of every mode by the independent calculation, one for each FRF or record."""
+    """Frequencies [Hz] and ratios of every mode by the independent calculation, of each FRF or record."""
     if name == "plate":
         starts = [(float(place), ratio) for place, ratio in PLATE.items()]
         records = [
@@ -355,6 +356,42 @@ def independent(folder: Path, name: str) -> dict[str, dict[str, list[float]]]:
     }
 
 
+def of_spectra(folder: Path, name: str) -> dict[str, float]:
+    """What FRFs are held against: an analyser's from the same recording, and two halves of a record against
+    each other by the variances of both.
+    """
+    if name == "piezo":
+        test = pipeline_of(RUNS["piezo, recording"])
+        (folder / "page.yaml").write_text(yaml.safe_dump(test), encoding="utf-8")
+        (response,) = labpipe.run(folder / "page.yaml", folder / "spectra").responses
+        frequency, (theirs,) = analyser_frf(folder, name)
+        theirs = np.interp(response.frequency, frequency, theirs)
+        off = np.abs(response.matrix[:, 0, 0] - theirs) / np.abs(theirs)
+        return {"median difference": float(np.median(off)), "largest difference": float(np.max(off))}
+    if name != "bench":
+        return {}
+    shares = []
+    for of in "AB":
+        test = pipeline_of(RUNS[f"bench {of}"])
+        recording = labpipe.read(folder / test["recordings"], rig=folder / test["rig"])
+        halves = [
+            labpipe.measure([replace(recording, samples=recording.samples[part])], FrfSettings(**PERIODS))
+            for part in (slice(0, 27500), slice(25000, 50000))
+        ]
+        lines = np.intersect1d(*(half.frequency for half in halves))
+        chosen = [np.isin(half.frequency, lines) for half in halves]
+        difference = np.subtract(*(half.matrix[at] for half, at in zip(halves, chosen, strict=True)))
+        for output in range(2):
+            variance = sum(
+                half.covariance_of(output, output).real[at] for half, at in zip(halves, chosen, strict=True)
+            )
+            ratio = np.abs(difference[:, output, 0]) ** 2 / variance
+            dof = 2 * min(half.covariance_dof for half in halves)
+            shares.append(float(np.mean(ratio < f_distribution.ppf(0.95, 2, dof))))
+    return {"lines held": float(np.mean(shares))}
+
+
+PERIODS = {"excitation": "periodic", "period": 1.0, "skip": 1, "band": (8.0, 250.0), "reference": ("r",)}
 # FRFs of a set that are in several files.
 TITLES = {"bench": ["bench, A", "bench, B"], "wing": [f"wing, {of}" for of in WING]}
 
@@ -454,7 +491,7 @@ def recorded(data: Path, names: Sequence[str] = tuple(SETS)) -> Iterator[tuple[s
             for title, (band, form, near) in PEERS.items():
                 if title.split(",")[0].startswith(name):
                     entry["lscf"][title] = lscf(*frfs(folder, title), band, form, near)
-            entry["independent"] = independent(folder, name)
+            entry["independent"], entry["spectra"] = independent(folder, name), of_spectra(folder, name)
             yield name, entry
 
 
@@ -473,7 +510,8 @@ def main() -> None:
         "command": "python -m tests.validation.record_measured --data FOLDER",
     }
     FILE.write_text(
-        json.dumps({**record, "sets": {name: sets[name] for name in SETS if name in sets}}, indent=1) + "\n", encoding="utf-8"
+        json.dumps({**record, "sets": {name: sets[name] for name in SETS if name in sets}}, indent=1) + "\n",
+        encoding="utf-8",
     )
 
 

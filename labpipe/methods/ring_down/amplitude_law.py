@@ -235,6 +235,11 @@ def _in_time(piece: Piece, residual: FloatArray) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum, piece.time.size))
 
 
+# Pairs of stretches that show what the values of one decay scatter by, and least degrees of freedom that they
+# count as, since they are held against the fit and not against their mean.
+FEWEST_STRETCHES, LEAST_DOF = 1, 2
+
+
 def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> OverAmplitude:
     """Damping ratio and frequency between neighbouring stretches of all pieces, in ascending amplitude.
 
@@ -262,6 +267,32 @@ def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: 
             )
     table = np.array(sorted(rows)).reshape(-1, 5).T
     return OverAmplitude(*table)
+
+
+def course_spread(curve: OverAmplitude, pole: complex) -> tuple[float, float, int] | None:
+    """By how much ln f and ln zeta of the stretches of a decay scatter about the fit's *pole* [rad/s] beyond
+    their noise, standard deviations [1], and their degrees of freedom; None of fewer than FEWEST_STRETCHES.
+
+    tau^2 = max(sum w ((x_j - x)^2 - u_j^2) / sum w, 0), w = 1 / (u_j^2 + median u^2). Equation
+    (decay-course).
+    """
+    size = abs(pole)
+    seen = curve.damping > 0
+    n = int(np.count_nonzero(seen))
+    if n < FEWEST_STRETCHES or pole.real >= 0:
+        return None
+    logs = (
+        (
+            np.log(2 * np.pi * curve.frequency[seen] / size),
+            (curve.frequency_std_error / curve.frequency)[seen],
+        ),
+        (np.log(-curve.damping[seen] * size / pole.real), (curve.damping_std_error / curve.damping)[seen]),
+    )
+    spreads = []
+    for off, error in logs:
+        weight = 1 / (error**2 + np.median(error) ** 2)
+        spreads.append(float(np.sqrt(max(np.average(off**2 - error**2, weights=weight), 0.0))))
+    return spreads[0], spreads[1], max(n - 1, LEAST_DOF)
 
 
 # One mode more than a fit has, where it explains better what looks like damping over amplitude: two close

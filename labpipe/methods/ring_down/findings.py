@@ -84,7 +84,7 @@ def decay_findings(
         message = (
             f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near "
             f"{tested.strongest:.4g} Hz: {cause}. "
-            "No interval is given, since those for white noise do not hold. Raise `modes`, name a `band` "
+            "Intervals hold what the stretches of the decay scatter by. Raise `modes`, name a `band` "
             "around the mode, or begin later (`frf: {decay: {start: ...}}`)."
         )
         warnings.append(Finding("model-mismatch", message))
@@ -103,7 +103,8 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: Missing
     change = 100 * law.frequency_slope * first / law.omega
     message = (
         f"mode {mode + 1}: damping or frequency depend on the amplitude, so zeta_{mode + 1} is a mean over "
-        f"this decay without an interval. Damping ratio {law.zeta_rest:.4g} at rest, "
+        "this decay, whose interval holds what its stretches scatter by. Damping ratio "
+        f"{law.zeta_rest:.4g} at rest, "
         f"{law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude (zeta_rest_{mode + 1}, "
         f"zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one "
         "amplitude."
