@@ -171,8 +171,6 @@ def with_course(
 ) -> tuple[Parameter, ...]:
     """The parameters of the modes with intervals that hold what the stretches of the decays scatter by beyond
     noise, by Student's t of their number; none where the stretches are too few.
-
-    Equation (decay-course).
     """
     widened = []
     for parameter in parameters:
@@ -187,7 +185,8 @@ def with_course(
         if spread is None or parameter.ci95 is None or parameter.value <= 0:
             widened.append(without_interval(parameter))
             continue
-        model = float(np.hypot(*(power * of for power, of in zip(POWERS[name], spread[:2], strict=True))))
+        of_f, of_zeta = POWERS[name]
+        model = float(np.hypot(of_f * spread[0], of_zeta * spread[1]))
         known = float(np.log(parameter.ci95[1] / parameter.ci95[0])) / 2 if parameter.ci95[0] > 0 else np.inf
         reach = float(np.hypot(known, student_limit(spread[2]) * model))
         parts = parameter.interval or IntervalParts(parameter.std_error or 0.0)
