@@ -146,7 +146,7 @@ def pipeline_page() -> str:
     words = {
         "frfs": (
             "An entry that describes its file. How it is used: [FRFs of any "
-            "layout](../how-to/files.md#frfs-of-any-layout).",
+            "layout](../how-to/frf-table.md#any-layout).",
             FrfLayout,
         ),
         "frf": ("How recordings become frequency responses.", FrfSettings),

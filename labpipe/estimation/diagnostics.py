@@ -526,9 +526,9 @@ ENOUGH_LINES, FEWEST_LINES = 10.0, 1.5
 # standard error: 16 lines for degree 2 and 8 for degree 4 leave 95 % of the intervals right, half as many 88
 # % and 70 %.
 LINES_BY_DEGREE = 30.0
-# Bias of the damping by one line in the half-power width, and its fall with their number n: 14 % at 1, 4 % at
-# 2, 0.5 % at 8 (Hann).
-BIAS, FALL = 14.0, 1.6
+# Bias [%] of the damping by one line in the half-power width, its fall with their number (Hann: 4 % at 2,
+# 0.5 % at 8), and by how much too wide a mode of less than a line may look.
+BIAS, FALL, TOO_WIDE = 14.0, 1.6, 1.25
 
 
 def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) -> list[Finding]:
@@ -549,7 +549,7 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
     enough = LINES_BY_DEGREE / blocks.degree if blocks.degree else FEWEST_LINES if modelled else ENOUGH_LINES
     if lines >= enough:
         return []
-    needed = f"blocks of at least {rounded_up(enough / width):g} s"
+    needed = f"blocks of at least {rounded_up((TOO_WIDE if lines < 1 else 1.0) * enough / width):g} s"
     which = (
         f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of "
         f"blocks of {blocks.length:.3g} s"

@@ -155,7 +155,16 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
         for finding in of_level(WARNING, fit.findings):
             if finding.code in FORBIDDING and (fit.name, finding.code) not in expected:
                 codes.setdefault(f"{fit.name}.warnings: not {finding.code}", finding.code)
-    return tuple(RuleOutcome("accept", text, code, False, shown=code) for text, code in codes.items())
+    return tuple(
+        RuleOutcome(
+            "accept",
+            text,
+            code,
+            False,
+            shown=f"{code}, with no rule needed; `accept: {{{text.partition(':')[0]}: {code}}}` takes it",
+        )
+        for text, code in codes.items()
+    )
 
 
 def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:

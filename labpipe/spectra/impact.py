@@ -175,6 +175,8 @@ def check_single_force(source: SampleSource) -> int:
 
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
 DIED_AWAY = 0.05
+# Share at which the advised block ends, and the fall of ln(rms) within a block that tells its length.
+AT_REST, SEEN_TO_FALL = 5e-4, 0.2
 
 
 def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -267,7 +269,8 @@ class _HitAverage:
         self._origins: list[float] = []
         # Of each hit alone: number, peak force [N], amplitudes (n_line, n_channel).
         self._alone: list[tuple[int, float, ComplexArray]] = []
-        self.slow: set[str] = set()
+        # Responses that ring on, with the longest block [s] in which one would die away, 0 where unknown.
+        self.slow: dict[str, float] = {}
         self.findings: list[Finding] = []
 
     def add(self, hit: Hit) -> None:
@@ -302,12 +305,17 @@ class _HitAverage:
 
     def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
-        ringing = tenths[-1] > DIED_AWAY * tenths.max(axis=0)
-        self.slow.update(
-            c.name
-            for c, slow in zip(self._source.channels, ringing, strict=True)
-            if slow and c.role == "output"
-        )
+        largest, number = tenths.max(axis=0), tenths.argmax(axis=0)
+        length = samples.shape[0] / self._source.sample_rate
+        for column, channel in enumerate(self._source.channels):
+            share = tenths[-1, column] / largest[column] if largest[column] else 0.0
+            if share <= DIED_AWAY or channel.role != "output":
+                continue
+            # exp(-t / tau) from the largest tenth to the last one.
+            passed = length * (9 - number[column]) / 10
+            fallen = -np.log(share) > SEEN_TO_FALL
+            needed = length + passed * (np.log(AT_REST) / np.log(share) - 1) if fallen else 0.0
+            self.slow[channel.name] = max(needed, self.slow.get(channel.name, 0.0))
 
     def spectra(self) -> CrossSpectra:
         """The average over the accepted hits; DataError when there is none."""
@@ -318,8 +326,10 @@ class _HitAverage:
                 else "no hit whose block is complete"
             )
             raise DataError(
-                f"recording '{self._source.name}': {reason}",
-                hint="see `impact`, and the hits in the recording",
+                "; ".join(
+                    [f"recording '{self._source.name}': {reason}", *(f.message for f in self.findings[:1])]
+                ),
+                hint="record again without that; `impact` says what is left out",
             )
         frequency = np.arange(self._lines.start, self._lines.stop) * (
             self._source.sample_rate / self.n_sample
@@ -354,11 +364,12 @@ class _HitAverage:
 
     def slow_finding(self) -> Finding:
         """The warning of responses that ring on at the end of the block."""
-        names = ", ".join(sorted(self.slow))
+        names, needed = ", ".join(sorted(self.slow)), max(self.slow.values())
+        to = f" to about {needed:.2g} s" if needed else ""
         return Finding(
             "not-died-away",
             f"the response {names} has not died away at the end of the block; "
-            "lengthen `block` or give `decay`",
+            f"lengthen `block`{to}, or give `decay`",
         )
 
     def line_correlation(self) -> ComplexArray:

@@ -83,6 +83,7 @@ def test_the_commands_of_a_page_run_as_shown(
 def test_most_pages_hold_commands() -> None:
     without = {
         "statistics",
+        "advice",
         "notebook",
         "fleet",
         "versions",

@@ -219,6 +219,18 @@ def test_a_table_without_a_header_whose_first_column_counts_hertz(tmp_path: Path
     assert (tmp_path / "time/rig.yaml").exists()
 
 
+def test_a_spike_of_noise_is_no_peak(tmp_path: Path, labpipe) -> None:
+    """A mode at 30 Hz beside a higher line of noise at 6 Hz: closed form, the band is that of the mode."""
+    f = np.arange(1.0, 60.0, 0.1)
+    h = 1e-3 / (30.0**2 - f**2 + 2j * 0.02 * 30.0 * f)
+    h[50] = 3e-5
+    lines = [f"{a:.1f};{b.real:.9g};{b.imag:.9g}" for a, b in zip(f, h, strict=True)]
+    (tmp_path / "h.csv").write_text("f [Hz];re;im\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    assert labpipe("init", tmp_path / "p", tmp_path / "h.csv").code == 0
+    low, high = re.search(r"band: ([\d.]+)-([\d.]+) Hz", (tmp_path / "p/pipeline.yaml").read_text()).groups()
+    assert 24 < float(low) < 30 < float(high) < 36
+
+
 def test_universal_records_of_open_form_take_it_from_their_title(tmp_path: Path, labpipe) -> None:
     """What their label says is no unit of it, so the unit is asked for; the numbers are those of `K`."""
     frequency = np.arange(1.0, 80.0)

@@ -41,7 +41,8 @@ OF_OTHERS: tuple[Kind, ...] = (*MEASURED, "printed calculation", "peer program")
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the manual. The value is accepted from *low* to *high*; *why* is needed where it fails,
+    """A row of the manual. The value is accepted from *low* to *high*, or, where its 95 % interval is
+    *stated* (not a number: there is none), if that holds the reference; *why* is needed where it fails,
     *recorded* says how what cannot be computed everywhere was recorded.
     """
 
@@ -55,11 +56,15 @@ class Claim:
     source: str
     why: str = ""
     recorded: str = ""
+    stated: tuple[float, float] | None = None
 
     @property
     def state(self) -> State:
         if self.value is None:
             return "not tested"
+        if self.stated is not None:
+            assert self.reference is not None
+            return "holds" if self.stated[0] <= self.reference <= self.stated[1] else "fails"
         return "holds" if self.low <= self.value <= self.high else "fails"
 
     @property

@@ -25,6 +25,9 @@ def cells(claim: Claim) -> tuple[str, ...]:
     assert claim.value is not None and claim.reference is not None
     digits = claim.decimals
     value, reference = (f"{number:.{digits}f}" for number in (claim.value, claim.reference))
+    if claim.stated is not None:
+        low, high = claim.stated
+        value += f" ({low:.{digits}f} to {high:.{digits}f})" if low < high else " (no interval)"
     difference = f"{claim.value - claim.reference:+.{digits}f}"
     state = claim.state if claim.state == "holds" else f"**{claim.state}**"
     unit = "" if claim.unit == "1" else f" [{claim.unit}]"

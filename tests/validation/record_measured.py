@@ -18,8 +18,8 @@ import json
 import os
 import subprocess
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -29,10 +29,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import yaml
 from scipy.optimize import curve_fit
+from scipy.stats import f as f_distribution
 
 import labpipe
 from labpipe.records.identification import Fit
 from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
+from tests.validation.independent import mode_of_frf, modes_of_record
 from tests.validation.measured_page import BLOCKS, RIGS
 
 FILE = Path(__file__).parent / "recorded/measured.json"
@@ -51,6 +53,8 @@ class RawSet:
 BEARING = "experimental-modal-analysis/data/experimental_modal_analysis_journal"
 TOOL = "ExperimentalModalAnalysis/Point_{}_Channel_1_CH1.txt"
 BEAM = "Example/SignalCalc/ASCII0000{0}/Hxysv0000{0}.txt"
+VIEWS = ("0", "0_02", "0_03", "0_04", "1")
+WING = ("rand_20", "pseudorand_20", "pseudorand_200")
 SETS = {
     "bearing": RawSet(
         "runehoejlund/superconducting-magnetic-bearing",
@@ -90,6 +94,34 @@ SETS = {
     ),
 }
 
+SETS |= {
+    "piezo": RawSet(
+        "elchape99/SSCSA",
+        "aaf445cbb0df3616089fa3c7ab309bfdfd2b8695",
+        {"FRF_sc_sc_new.mat": "FRF/FRF_sc_sc_new.mat"},
+    ),
+    "hammer": RawSet(
+        "EngAdrianoDiegues/ANALISE-MODAL-EXPERIMENTAL-",
+        "8f32d64058500f8491054e90074a07b31f09ce1a",
+        {f"{point}.uff": f"FRF/{point}.uff" for point in range(1, 10)},
+    ),
+    "plate": RawSet(
+        "ladisk/mssp-image-tutorial",
+        "f74a3cc85429ea30b5bc1fa2137e2145b55fc427",
+        {f"view_{name}.hdf5": f"data/measured_signals/view_{name}.hdf5" for name in VIEWS},
+    ),
+    "bench": RawSet(
+        "HoriFujimotoLab/FdiTools",
+        "5925fae7e65f091b4111b1ba123e08dd869cb590",
+        {f"MultisineType{of}.mat": f"Examples/private/MultisineType{of}.mat" for of in "AB"},
+    ),
+    "wing": RawSet(
+        "SanthoshKumarArroju/FRF-Techniques-H1-Hv-H2-",
+        "6b726ce044acf6ec3a35b5528f220dfbfcd0b00e",
+        {f"{of}avg_10hz.mat": f"{of}avg_10hz.mat" for of in WING},
+    ),
+}
+
 
 @dataclass(frozen=True)
 class Run:
@@ -116,6 +148,18 @@ RUNS = {
     "ruler": Run("ruler", "Ruler, ten points"),
     "free beam": Run("free beam", "Free beam, nine points"),
     "kit": Run("kit", "Magnet of a levitation kit"),
+    "piezo, recording": Run("piezo", "Beam with piezo patches, from the recording"),
+    "piezo, analyser": Run("piezo", "Beam with piezo patches, the analyser's FRF"),
+    "hammer": Run("hammer", "Beam, nine points by hammer"),
+    "plate": Run("plate", "Plate on a shaker, five sweeps"),
+    **{
+        f"bench {of}": Run("bench", "Motor bench in a closed loop", {"recordings": f"MultisineType{of}.mat"})
+        for of in "AB"
+    },
+    **{
+        f"wing {of}": Run("wing", "Wing under three excitations", {"frfs.file": f"{of}avg_10hz.mat"})
+        for of in WING
+    },
 }
 # Decays that curve_fit is given as well: recording, column, band [Hz].
 DECAYS = {
@@ -161,7 +205,7 @@ def pipeline_of(run: Run) -> dict[str, Any]:
 
 
 def said(fit: Fit) -> dict[str, Any]:
-    """Values, half widths of 95 % intervals where there are any, and warnings."""
+    """Values, 95 % intervals where there are any, and warnings."""
     values = {
         parameter.name: {
             "value": parameter.value,
@@ -242,7 +286,143 @@ PEERS = {
     "free beam, mode_2": ((297.0, 315.0), "accelerance", [306.86]),
     "free beam, mode_3": ((585.0, 605.0), "accelerance", [596.37]),
     "free beam, mode_4": ((965.0, 985.0), "accelerance", [974.14]),
+    "piezo, mode_1": ((17.5, 24.0), "mobility", [20.13]),
+    "piezo, mode_2": ((109.0, 123.0), "mobility", [115.7]),
+    "piezo, mode_3": ((304.0, 324.0), "mobility", [314.0]),
+    "hammer": ((20.0, 1600.0), "receptance", [43.9, 176.5, 385.7, 682.5, 1018.0, 1506.0]),
 }
+# Single modes fitted to one FRF each by the independent calculation: band and start, by the place in `PEERS`.
+SINGLE = {
+    "hammer": {
+        "43.9": ((36, 56), (44.0, 0.017)),
+        "176.5": ((165, 190), (176.5, 0.007)),
+        "385.7": ((365, 405), (385.5, 0.008)),
+        "682.5": ((660, 705), (682.5, 0.003)),
+        "1018": ((985, 1060), (1018.0, 0.008)),
+        "1506": ((1460, 1550), (1506.0, 0.012)),
+    },
+    "bench": {"76.3": ((55, 100), (76.3, 0.017))},
+    "wing": {
+        "13.56": ((12, 15.5), (13.56, 0.003)),
+        "124.8": ((121, 129), (124.8, 0.0046)),
+        "227.7": ((222, 234), (227.7, 0.009)),
+    },
+}
+PIEZO = {
+    "20.13": ((17.5, 24.0), (20.13, 0.009)),
+    "115.7": ((110.0, 122.0), (115.7, 0.0046)),
+    "314": ((304.0, 324.0), (314.0, 0.0036)),
+}
+PLATE = {
+    "76.4": 0.023,
+    "109.5": 0.024,
+    "126": 0.0145,
+    "149": 0.04,
+    "213.3": 0.019,
+    "264": 0.025,
+    "347": 0.027,
+    "450": 0.037,
+}
+
+
+def independent(folder: Path, name: str) -> dict[str, dict[str, list[float]]]:
+    """Frequencies [Hz] and ratios of every mode by the independent calculation, of each FRF or record."""
+    if name == "plate":
+        starts = [(float(place), ratio) for place, ratio in PLATE.items()]
+        records = [
+            modes_of_record(*samples(folder / file), 25600.0, (66.0, 490.0), starts)
+            for file in SETS[name].files
+        ]
+        of_mode = {place: [modes[n] for modes in records] for n, place in enumerate(PLATE)}
+    elif name == "piezo":
+        force, velocity = samples(folder / "FRF_sc_sc_new.mat")
+        parts = [slice(None), *(slice(first, first + 20700) for first in range(0, 82000, 20700))]
+        of_mode = {
+            place: [modes_of_record(force[p], velocity[p], 1000.0, band, [start])[0] for p in parts]
+            for place, (band, start) in PIEZO.items()
+        }
+    elif name in SINGLE:
+        single = [frfs(folder, title) for title in TITLES.get(name, [name])]
+        every = [(f, h) for f, rows in single for h in rows]
+        of_mode = {
+            place: [mode_of_frf(f, h, band, start) for f, h in every]
+            for place, (band, start) in SINGLE[name].items()
+        }
+    else:
+        return {}
+    return {
+        place: {"frequency": [mode[0] for mode in modes], "ratio": [mode[1] for mode in modes]}
+        for place, modes in of_mode.items()
+    }
+
+
+def of_spectra(folder: Path, name: str) -> dict[str, float]:
+    """What FRFs are held against: an analyser's from the same recording, and two halves of a record against
+    each other by the variances of both.
+    """
+    if name == "piezo":
+        test = pipeline_of(RUNS["piezo, recording"])
+        (folder / "page.yaml").write_text(yaml.safe_dump(test), encoding="utf-8")
+        (response,) = labpipe.run(folder / "page.yaml", folder / "spectra").responses
+        frequency, (theirs,) = analyser_frf(folder, name)
+        theirs = np.interp(response.frequency, frequency, theirs)
+        off = np.abs(response.matrix[:, 0, 0] - theirs) / np.abs(theirs)
+        return {"median difference": float(np.median(off)), "largest difference": float(np.max(off))}
+    if name != "bench":
+        return {}
+    shares = []
+    for of in "AB":
+        test = pipeline_of(RUNS[f"bench {of}"])
+        recording = labpipe.read(folder / test["recordings"], rig=folder / test["rig"])
+        halves = [
+            labpipe.measure([replace(recording, samples=recording.samples[part])], FrfSettings(**PERIODS))
+            for part in (slice(0, 27500), slice(25000, 50000))
+        ]
+        lines = np.intersect1d(*(half.frequency for half in halves))
+        chosen = [np.isin(half.frequency, lines) for half in halves]
+        difference = np.subtract(*(half.matrix[at] for half, at in zip(halves, chosen, strict=True)))
+        for output in range(2):
+            variance = sum(
+                half.covariance_of(output, output).real[at] for half, at in zip(halves, chosen, strict=True)
+            )
+            ratio = np.abs(difference[:, output, 0]) ** 2 / variance
+            dof = 2 * min(half.covariance_dof for half in halves)
+            shares.append(float(np.mean(ratio < f_distribution.ppf(0.95, 2, dof))))
+    return {"lines held": float(np.mean(shares))}
+
+
+PERIODS = {"excitation": "periodic", "period": 1.0, "skip": 1, "band": (8.0, 250.0), "reference": ("r",)}
+# FRFs of a set that are in several files.
+TITLES = {"bench": ["bench, A", "bench, B"], "wing": [f"wing, {of}" for of in WING]}
+
+
+def samples(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Force and response of a record, straight from the file."""
+    if path.suffix == ".hdf5":
+        import h5py
+
+        with h5py.File(path) as file:
+            columns = file["InputTask/data"][:]
+        return columns[:, 0], columns[:, 1]
+    from scipy.io import loadmat
+
+    of = loadmat(path, squeeze_me=True)
+    return of["Data1_AI_Aminus1_Current"].astype(float), of["Data1_AI_Aminus2_Velocity"].astype(float)
+
+
+def quotient(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Lines that the reference of a multisine excites, and both angles over the current there."""
+    from scipy.io import loadmat
+
+    of = loadmat(path, squeeze_me=True)
+    r, u, motor, load = (
+        np.fft.rfft(of[name].reshape(20, 2500)[1:], axis=1)
+        for name in ("iq_refx", "iq_adx", "theta_mx", "theta_my")
+    )
+    level = np.abs(r.mean(axis=0))
+    lines = np.flatnonzero(level > 0.02 * level.max())
+    h = [np.sum(y * r.conj(), axis=0) / np.sum(u * r.conj(), axis=0) for y in (motor, -load)]
+    return lines.astype(float), np.array(h)[:, lines]
 
 
 def frfs(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -252,9 +432,30 @@ def frfs(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
 
         h = loadmat(folder / "ruler_grid_acc_3.mat")["yspec"].T
         return 0.6103515625 * np.arange(h.shape[1]), h
+    if name.startswith("bench"):
+        return quotient(folder / f"MultisineType{name[-1]}.mat")
+    if name.startswith(("wing", "piezo")):
+        return analyser_frf(folder, name)
+    if name == "hammer":
+        import pyuff
+
+        records = [pyuff.UFF(str(folder / file)).read_sets(0) for file in SETS[name].files]
+        return np.array(records[0]["x"]), np.array([record["data"] for record in records])
     pattern = "tool_*.txt" if name.startswith("tool") else "Hxysv*.txt"
     tables = [columns(path) for path in sorted(folder.glob(pattern))]
     return tables[0][:, 0], np.array([table[:, 1] + 1j * table[:, 2] for table in tables])
+
+
+def analyser_frf(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """An FRF among the variables of an analyser's MATLAB file."""
+    from scipy.io import loadmat
+
+    if name.startswith("wing"):
+        of = loadmat(folder / f"{name.removeprefix('wing, ')}avg_10hz.mat", squeeze_me=True)
+        return of["Freq_domain"], of["Hf_chan_2"][None]
+    of = loadmat(folder / "FRF_sc_sc_new.mat", squeeze_me=True)
+    stem = "Data1_MT_FRF_H1_2Zplus_1Zplus"
+    return of["Data1_X_MT_MIF__Z"], (of[f"{stem}_Ampl"] * np.exp(1j * of[f"{stem}_Phase"]))[None]
 
 
 def columns(path: Path) -> np.ndarray:
@@ -266,9 +467,10 @@ def columns(path: Path) -> np.ndarray:
     return np.array([row for row in rows if len(row) == 3])
 
 
-def recorded(data: Path) -> Iterator[tuple[str, Any]]:
+def recorded(data: Path, names: Sequence[str] = tuple(SETS)) -> Iterator[tuple[str, Any]]:
     """Everything by set: digests, labpipe's fits by run, peers."""
-    for name, of in SETS.items():
+    for name in names:
+        of = SETS[name]
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch)
             entry: dict[str, Any] = {
@@ -289,6 +491,7 @@ def recorded(data: Path) -> Iterator[tuple[str, Any]]:
             for title, (band, form, near) in PEERS.items():
                 if title.split(",")[0].startswith(name):
                     entry["lscf"][title] = lscf(*frfs(folder, title), band, form, near)
+            entry["independent"], entry["spectra"] = independent(folder, name), of_spectra(folder, name)
             yield name, entry
 
 
@@ -297,14 +500,18 @@ def main() -> None:
     parser.add_argument(
         "--data", type=Path, required=True, help="folder with one clone for each repository, named owner+name"
     )
+    parser.add_argument("--only", nargs="*", choices=SETS, default=list(SETS), help="sets; the others stay")
     asked = parser.parse_args()
+    anew = dict(recorded(asked.data, asked.only))
+    sets = json.loads(FILE.read_text(encoding="utf-8"))["sets"] | anew
     record = {
         "date": f"{date.today():%Y-%m-%d}",
         "program": f"labpipe {labpipe.__version__}, sdypy-EMA, scipy",
         "command": "python -m tests.validation.record_measured --data FOLDER",
     }
     FILE.write_text(
-        json.dumps({**record, "sets": dict(recorded(asked.data))}, indent=1) + "\n", encoding="utf-8"
+        json.dumps({**record, "sets": {name: sets[name] for name in SETS if name in sets}}, indent=1) + "\n",
+        encoding="utf-8",
     )
 
 

@@ -187,7 +187,8 @@ def width_findings(refined: Refined, lines: Lines, *, window_known: bool) -> tup
     message = (
         f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
         "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
-        "No standard error shows that. Say `window:` in the entry under frfs:, or measure with finer lines"
+        "No standard error shows that. Measure with finer lines (a longer `block`), or say `window:` in the "
+        "entry of an FRF file under frfs:"
     )
     return (Finding("leakage", message),)
 

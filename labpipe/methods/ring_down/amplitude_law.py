@@ -268,6 +268,35 @@ def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: 
     return OverAmplitude(*table)
 
 
+# Pairs of stretches that show what the values of one decay scatter by, and least degrees of freedom that they
+# count as, since they are held against the fit and not against their mean.
+FEWEST_STRETCHES, LEAST_DOF = 1, 2
+
+
+def course_spread(curve: OverAmplitude, pole: complex) -> tuple[float, float, int] | None:
+    """By how much ln f and ln zeta of the stretches of a decay scatter about the fit's *pole* [rad/s] beyond
+    their noise, standard deviations [1], and their degrees of freedom; None of fewer than FEWEST_STRETCHES.
+
+    tau^2 = max(sum w ((x_j - x)^2 - u_j^2) / sum w, 0), w = 1 / (u_j^2 + median u^2). Equation
+    (decay-course).
+    """
+    size = abs(pole)
+    seen = curve.damping > 0
+    n = int(np.count_nonzero(seen))
+    if n < FEWEST_STRETCHES or pole.real >= 0:
+        return None
+    frequency_error = (curve.frequency_std_error / curve.frequency)[seen]
+    logs = (
+        (np.log(2 * np.pi * curve.frequency[seen] / size), frequency_error),
+        (np.log(-curve.damping[seen] * size / pole.real), (curve.damping_std_error / curve.damping)[seen]),
+    )
+    spreads = []
+    for off, error in logs:
+        weight = 1 / (error**2 + np.median(error) ** 2)
+        spreads.append(float(np.sqrt(max(np.average(off**2 - error**2, weights=weight), 0.0))))
+    return spreads[0], spreads[1], max(n - 1, LEAST_DOF)
+
+
 # Difference of the Bayesian information criterion beyond which the better model is chosen: strong evidence
 # (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 3.2).
 STRONG = 10.0
@@ -497,7 +526,7 @@ def decay_findings(
         message = (
             f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near "
             f"{tested.strongest:.4g} Hz: {cause}. "
-            "No interval is given, since those for white noise do not hold. Raise `modes`, name a `band` "
+            "Intervals hold what the stretches of the decay scatter by. Raise `modes`, name a `band` "
             "around the mode, or begin later (`frf: {decay: {start: ...}}`)."
         )
         warnings.append(Finding("model-mismatch", message))
@@ -515,7 +544,8 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: Missing
     change = 100 * law.frequency_slope * first / law.omega
     message = (
         f"mode {mode + 1}: damping or frequency depend on the amplitude, so zeta_{mode + 1} is a mean over "
-        f"this decay without an interval. Damping ratio {law.zeta_rest:.4g} at rest, "
+        f"this decay, whose interval holds what its stretches scatter by. "
+        f"Damping ratio {law.zeta_rest:.4g} at rest, "
         f"{law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude (zeta_rest_{mode + 1}, "
         f"zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one "
         "amplitude."

@@ -18,6 +18,7 @@ from labpipe.estimation.statistics import correlation, derived, estimated, stude
 from labpipe.methods.ring_down.amplitude_law import (
     FittedLaw,
     MissingMode,
+    course_spread,
     decay_findings,
     depends_on_amplitude,
     fitted_law,
@@ -41,7 +42,7 @@ from labpipe.methods.ring_down.repeats import (
     repeated_decays,
     with_repeats,
 )
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import IntervalParts, Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import Port
@@ -192,6 +193,47 @@ def without_interval(parameter: Parameter) -> Parameter:
     )
 
 
+# Powers of f and zeta in the quantities of a mode.
+POWERS = {"f_n": (1, 0), "zeta": (0, 1), "log_decrement": (0, 1), "k": (2, 0), "c": (1, 1)}
+
+
+def with_course(
+    parameters: Sequence[Parameter], curves: Sequence[OverAmplitude], fitted: Decayed
+) -> tuple[Parameter, ...]:
+    """The parameters of the modes with intervals that hold what the stretches of the decays scatter by beyond
+    noise, by Student's t of their number; none where the stretches are too few.
+    """
+    widened = []
+    for parameter in parameters:
+        name, _, number = parameter.name.rpartition("_")
+        if parameter.name in ("k", "c"):
+            name, number = parameter.name, "1"
+        if name not in POWERS or not number.isdigit():
+            widened.append(parameter)
+            continue
+        mode = int(number) - 1
+        spread = course_spread(curves[mode], complex(fitted.poles[mode]))
+        if spread is None or parameter.ci95 is None or parameter.value <= 0:
+            widened.append(without_interval(parameter))
+            continue
+        of_f, of_zeta = POWERS[name]
+        model = float(np.hypot(of_f * spread[0], of_zeta * spread[1]))
+        known = float(np.log(parameter.ci95[1] / parameter.ci95[0])) / 2 if parameter.ci95[0] > 0 else np.inf
+        reach = float(np.hypot(known, student_limit(spread[2]) * model))
+        parts = parameter.interval or IntervalParts(parameter.std_error or 0.0)
+        widened.append(
+            replace(
+                parameter,
+                ci95=(parameter.value * float(np.exp(-reach)), parameter.value * float(np.exp(reach))),
+                interval=replace(parts, discrepancy=parameter.value * model),
+                std_error_inflated=parameter.value * reach / student_limit(fitted.dof),
+                t_ratio=None if parameter.derived else student_limit(fitted.dof) / reach,
+                significant=None if parameter.derived else True,
+            )
+        )
+    return tuple(widened)
+
+
 def law_parameters(
     fitted: FittedLaw, mode: int, unit: str, dof: int
 ) -> tuple[Parameter, Parameter, Parameter]:
@@ -297,8 +339,8 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     units = [decays.units[columns[o]] for _, o in strongest.values()]
     parameters = _parameters(fitted, settings, laws, units, repeated)
     findings = decay_findings(fitted, tested, laws, amplitudes, missing)
-    if any(finding.code == "model-mismatch" for finding in findings):
-        parameters = tuple(map(without_interval, parameters))
+    if fitted.converged and (laws or any(finding.code == "model-mismatch" for finding in findings)):
+        parameters = with_course(parameters, curves, fitted)
     fit = _reported(decays, settings, pieces, fitted, parameters)
     ports = {mode: decays.outputs[columns[output]] for mode, (_, output) in strongest.items()}
     fit = with_sources(fit, decay_sources(parameters, settings, ports))
@@ -399,18 +441,13 @@ def _parameters(
     units: Sequence[str],
     repeated: RepeatedDecays | None,
 ) -> tuple[Parameter, ...]:
+    """Parameters of all modes, and of the laws of those that depend on their amplitude."""
     mass = settings.mass if isinstance(settings.mass, float) else None
     parameters = mode_parameters(fitted, mass)
     if repeated is not None:
         parameters = with_repeats(parameters, repeated, fitted.dof, mass)
-    means = {f"{name}_{mode + 1}" for mode in laws for name in ("f_n", "zeta", "log_decrement", "k", "c")}
-    if laws and fitted.poles.size == 1:
-        means |= {"k", "c"}
-    plain = [
-        without_interval(parameter) if parameter.name in means else parameter for parameter in parameters
-    ]
     return (
-        *plain,
+        *parameters,
         *(
             parameter
             for mode, law in laws.items()

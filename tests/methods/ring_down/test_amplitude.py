@@ -82,7 +82,10 @@ def test_the_law_goes_as_one_over_the_sensor_s_gain() -> None:
         plain, decays=tuple(replace(decay, samples=0.99 * decay.samples) for decay in plain.decays)
     )
     (refit,) = identify(small, settings)
-    assert fit.budget is not None and [source.source for source in fit.budget.sources] == ["probe"]
+    assert fit.budget is not None and [source.source for source in fit.budget.sources] == [
+        "mass 2 kg",
+        "probe",
+    ]
     for name in ("zeta_slope_1", "f_slope_1"):
         moved = refit.parameter(name).value - fit.parameter(name).value
         assert fit.budget.change_by("probe", name) == pytest.approx(moved, rel=0.02)
