@@ -192,14 +192,14 @@ def is_cell(field: str, decimal: str) -> bool:
 
 def is_number(field: str, decimal: str) -> bool:
     """True if a field is one number with this decimal sign."""
-    text = field.strip().strip('"')
-    if decimal == "," and "." in text:
+    if "_" in field or (decimal == "," and "." in field):
         return False
+    text = field.strip().strip('"')
     try:
         float(text.replace(",", ".") if decimal == "," else text)
     except ValueError:
         return False
-    return "_" not in text
+    return True
 
 
 def is_number_or_missing(field: str, decimal: str, number: IsNumber = is_cell) -> bool:
@@ -224,9 +224,12 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     """
     encoding, lines = _head(path)
     sample = _sample(len(lines))
+    # One of the delimiters that no line has stands for all of them: a line is one field.
+    present = [d for d in DELIMITERS if d == BLANKS or any(d in lines[n] for n in sample)]
+    absent = [d for d in DELIMITERS if d not in present][:1]
     candidates = [
         (delimiter, decimal, *_numeric_rows(lines, sample, delimiter, decimal, number))
-        for delimiter in DELIMITERS
+        for delimiter in (*absent, *present)
         for decimal in (".", ",")
         if delimiter != decimal
     ]
