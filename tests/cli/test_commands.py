@@ -228,7 +228,7 @@ def test_simulate_is_deterministic_and_the_shipped_data_are_what_it_makes(
 
 # Studies, campaigns, wear, unbalance and run-ups take long and have tests of their own; `.ci/run` checks
 # every pipeline at its full size.
-SLOW = ("\nstudy:", "\ncompare:", "\nrun_ups:", "\nunbalance:", "worn-bearing")
+SLOW = ("\nstudy:", "\ncompare:", "\nrun_ups:", "\nunbalance:", "\nrotor_system:", "worn-bearing")
 PIPELINES = sorted((Path(__file__).parents[2] / "pipelines").glob("*.yaml"))
 # Their draws and bands take seconds; .ci/run checks every pipeline.
 LONGER = {"budget.yaml", "radial-sliding.yaml"}

@@ -77,6 +77,7 @@ def test_fits_of_short_blocks_are_what_they_say(rng: np.random.Generator, lines:
     ][1 + runs // 30 :]
 
 
+@pytest.mark.long
 def test_a_gain_that_changes_over_the_band_is_seen(rng: np.random.Generator) -> None:
     uncertain = [
         fit

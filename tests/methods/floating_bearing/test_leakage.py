@@ -73,7 +73,9 @@ def fitted(folder: Path, zeta: float, seed: int, estimator: str = "ml") -> Fit:
     return fit
 
 
-@pytest.mark.parametrize(("zeta", "codes"), [(0.08, set()), (0.008, {"leakage"})])
+@pytest.mark.parametrize(
+    ("zeta", "codes"), [pytest.param(0.08, set(), marks=pytest.mark.long), (0.008, {"leakage"})]
+)
 def test_hoses_are_told_under_random_forces(tmp_path: Path, zeta: float, codes: set[str]) -> None:
     """Six records of 120 s in blocks of half a second, 2.7 and 0.27 lines in the half-power width: the means
     are within a standard error of one record of the truth; without the model of the leakage the damping was

@@ -131,7 +131,11 @@ def test_margins_without_a_model_hold_the_truth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit", "verdict"), [(2.0, "accepted"), (2.72, "undecided"), (3.5, "not accepted")]
+    ("limit", "verdict"),
+    [
+        (2.72, "undecided"),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((2.0, "accepted"), (3.5, "not accepted"))),
+    ],
 )
 def test_the_verdict_follows_the_probability(limit: float, verdict: str) -> None:
     """The true decrement is 2.721, its standard error 0.7 %: probabilities of a normal estimate."""

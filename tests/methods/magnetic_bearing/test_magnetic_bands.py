@@ -52,11 +52,9 @@ def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(
         assert np.mean((low <= truth) & (truth <= high)) >= 0.9, name
 
 
-@pytest.mark.parametrize(
-    ("seeds", "least"), [((2,), 0.85), pytest.param((2, 3, 4), 0.9, marks=pytest.mark.long)]
-)
+@pytest.mark.long
 def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(
-    labpipe: Callable[..., Any], root: Path, tmp_path: Path, seeds: tuple[int, ...], least: float
+    labpipe: Callable[..., Any], root: Path, tmp_path: Path
 ) -> None:
     """Mean share of the shipped comparison; bands share lines, so a single recording may miss several at
     once.
@@ -68,7 +66,7 @@ def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(
     theory = {"bearing": str(root / "configs/bearings/hmb-magnetic.yaml")}
     pipeline["compare"] = {"loop": {**pipeline["compare"]["loop"], "theory": theory}}
     shares = []
-    for seed in seeds:
+    for seed in (2, 3, 4):
         folder = tmp_path / str(seed)
         rig = root / "configs/virtual-hmb-loop.yaml"
         assert labpipe("simulate", rig, "--run", "loop-0rpm", "--seed", seed, "-o", folder).code == 0
@@ -79,4 +77,4 @@ def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(
         amounts = {amount["name"]: amount["value"] for amount in found["amounts"]}
         assert amounts["bands"] == 79 and amounts["chi2_p"] > 1e-3
         shares.append((amounts["share_k"], amounts["share_c"]))
-    assert np.all(np.mean(shares, axis=0) >= least), shares
+    assert np.all(np.mean(shares, axis=0) >= 0.9), shares

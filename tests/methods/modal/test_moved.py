@@ -65,6 +65,7 @@ def test_as_many_modes_as_there_are_and_the_structure_without_what_moves() -> No
     assert "moved-mode" in [finding.code for finding in fit.findings]
 
 
+@pytest.mark.long
 def test_without_a_stated_mass_the_points_scatter_about_their_mean() -> None:
     fit = fitted(roving(1, 1.0))
     assert len(fit.detail(Modes).frequency) == 3 and np.min(likeness(fit)) > 0.999
@@ -74,6 +75,7 @@ def test_without_a_stated_mass_the_points_scatter_about_their_mean() -> None:
     assert "what moves loads the structure" in fit.parameter("f_n_1").reason
 
 
+@pytest.mark.long
 def test_a_close_pair_stays_two_and_what_stands_still_is_as_it_was() -> None:
     pair = fitted(roving(2, 0.0, beside=(164.5,)))
     np.testing.assert_allclose(pair.detail(Modes).frequency, [100, 163, 164.5, 240], rtol=1e-4)

@@ -308,6 +308,7 @@ def test_the_grid_of_fits_and_of_a_joint_fit() -> None:
     )
 
 
+@pytest.mark.long
 def test_one_load_left_out_of_a_known_field() -> None:
     """A quadratic is predicted at every load by the surface.
 

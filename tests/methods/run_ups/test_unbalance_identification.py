@@ -34,6 +34,7 @@ def differences(fits: list[JointFit], load: float) -> tuple[list[float], list[fl
     return [one / critical - 1 for one, _ in found], [one / threshold - 1 for _, one in found]
 
 
+@pytest.mark.long
 def test_the_held_out_load_is_predicted(fits: list[JointFit], capsys: pytest.CaptureFixture[str]) -> None:
     critical, threshold = differences(fits, TRUTH.held_out)
     true = as_eight(*true_coefficients(TRUTH, TRUTH.held_out)(TRUTH.omega))
@@ -51,6 +52,7 @@ def test_the_held_out_load_is_predicted(fits: list[JointFit], capsys: pytest.Cap
     assert each.max() < 6
 
 
+@pytest.mark.long
 def test_the_trained_loads_are_met(fits: list[JointFit]) -> None:
     for load in TRUTH.loads:
         critical, threshold = differences(fits, load)
