@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.project.rig_file import DEFAULT_ROLES
 from labpipe.project.settings_reader import DECIDE
@@ -290,3 +290,71 @@ def _along(channel: GuessedChannel, outputs: Sequence[GuessedChannel]) -> Guesse
     if channel.role != "input" or channel.dof != channel.key or len(outputs) != 1:
         return channel
     return replace(channel, dof=outputs[0].dof)
+
+
+# Bands around the peaks of FRFs, as a first look at their modes.
+
+# A fit looks at this share of the peak's frequency to either side, or at so many half-power widths if that is
+# less, and at this many lines at least; a stabilisation diagram at so many.
+AROUND, WIDTHS, LEAST_LINES, MODAL_LINES = 0.1, 10.0, 12, 26
+# Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
+STANDS_OUT = 0.7
+# Of the peaks of ten FRFs by others modes have .93 or more, noise .9 or less (median .3).
+LIKE_A_MODE = 0.95
+
+
+def band_around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
+    """The band around the highest peak that looks like a mode, with LEAST_LINES lines at least.
+
+    A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
+    follow no pole, unless there is no other.
+    """
+    found = peaks_of(mobility)
+    ordered = found[np.argsort(-mobility[found])] if found.size else np.array([np.argmax(mobility)])
+    peak = next((int(one) for one in ordered if _is_mode(mobility, int(one))), int(ordered[0]))
+    return band_of(frequency, mobility, peak)
+
+
+def peaks_of(mobility: FloatArray) -> IntArray:
+    """The lines that stand out of their surroundings."""
+    logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
+    # Loaded where peaks are looked for: a first look at channels needs no filters.
+    from scipy.signal import find_peaks
+
+    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=max(mobility.size // 400, 1))
+    return np.asarray(found)
+
+
+def band_of(
+    frequency: FloatArray, mobility: FloatArray, peak: int, lines: int = LEAST_LINES
+) -> tuple[float, float]:
+    """The band [Hz] around a *peak*, with so many *lines* at least."""
+    spacing = float(np.median(np.diff(frequency)))
+    width = _half_power_lines(mobility, peak)
+    # Of a light damping a tenth of the frequency holds neighbours.
+    reach = max(min(AROUND * float(frequency[peak]), WIDTHS * float(width) * spacing), lines / 2 * spacing)
+    lowest = float(frequency[frequency > 0][0])
+    return max(float(frequency[peak]) - reach, lowest), min(
+        float(frequency[peak]) + reach, float(frequency[-1])
+    )
+
+
+def _half_power_lines(mobility: FloatArray, peak: int) -> int:
+    """Lines around a *peak* with half its power or more."""
+    beside = mobility < mobility[peak] / np.sqrt(2)
+    left, right = beside[:peak][::-1], beside[peak:]
+    return int(np.argmax(left) if left.any() else left.size) + int(
+        np.argmax(right) if right.any() else right.size
+    )
+
+
+def _is_mode(mobility: FloatArray, peak: int) -> bool:
+    """Whether |H|^2 around a *peak* is a quotient of two parabolas, as of one mode beside others, by R^2."""
+    reach = max(int(1.5 * _half_power_lines(mobility, peak)), 4)
+    around = slice(max(peak - reach, 0), peak + reach + 1)
+    y = (mobility[around] / mobility[peak]) ** 2
+    x = np.linspace(-1, 1, y.size)
+    columns = np.stack([np.ones_like(x), x, -y * x, -y * x * x], axis=1)
+    c = np.linalg.lstsq(columns, y, rcond=None)[0]
+    left = y - (c[0] + c[1] * x) / (1 + c[2] * x + c[3] * x * x)
+    return bool(left @ left < (1 - LIKE_A_MODE) * np.sum((y - y.mean()) ** 2))

@@ -16,16 +16,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.first_guess import (
+    MODAL_LINES,
     GuessedChannel,
+    band_around,
+    band_of,
     copies,
     first_rows,
     guess_channels,
+    peaks_of,
     step_of,
     time_columns,
     with_hammer,
@@ -120,15 +123,8 @@ NOT_SHOWN = (
     "#   mass: 1 kg +- 0.01 kg         # a sensor of mass m_t lowers f_n by m_t / 2 m of itself",
     "# A second test at half the force shows what the level does; `damping: hysteretic`, what its law does.",
 )
-# A fit looks at this share of the peak's frequency to either side, or at so many half-power widths if that is
-# less, and at this many lines at least.
-AROUND, WIDTHS, LEAST_LINES = 0.1, 10.0, 12
 # Share of a record that sweeps take where they are its excitation.
 SWEPT = 0.4
-# Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
-STANDS_OUT = 0.7
-# Of the peaks of ten FRFs by others modes have .93 or more, noise .9 or less (median .3).
-LIKE_A_MODE = 0.95
 
 
 @dataclass(frozen=True)
@@ -181,7 +177,7 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
                 raise
     guessed = guarded(guessed_frf, files[0]) if files[0].is_file() else None
     if guessed is not None:
-        return Scaffold("", _pipeline_of_tables(guessed, paths))
+        return Scaffold("", _pipeline_of_tables(guessed, files, paths))
     first = first_look(open_table(files[0]))
     return Scaffold(_rig(first, files[0]), _pipeline(first, files, paths))
 
@@ -399,7 +395,7 @@ def _peaks(
     except DataError:
         return {}
     return {
-        port.label: _around(response.frequency, _mobility(response)[:, row])
+        port.label: band_around(response.frequency, _mobility(response)[:, row])
         for row, port in enumerate(response.outputs)
     }
 
@@ -421,47 +417,25 @@ def _mobility(response: FrequencyResponse) -> FloatArray:
     return np.abs(response.matrix[:, :, 0]) * weight[:, None]
 
 
-def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
-    """The band around the highest peak that looks like a mode, with LEAST_LINES lines at least.
-
-    A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
-    follow no pole, unless there is no other.
-    """
-    logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
-    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=max(mobility.size // 400, 1))
-    ordered = found[np.argsort(-mobility[found])] if found.size else np.array([np.argmax(mobility)])
-    peak = next((int(one) for one in ordered if _is_mode(mobility, int(one))), int(ordered[0]))
-    spacing = float(np.median(np.diff(frequency)))
-    width = _half_power_lines(mobility, peak)
-    # Of a light damping a tenth of the frequency holds neighbours.
-    reach = max(
-        min(AROUND * float(frequency[peak]), WIDTHS * float(width) * spacing), LEAST_LINES / 2 * spacing
-    )
-    lowest = float(frequency[frequency > 0][0])
-    return max(float(frequency[peak]) - reach, lowest), min(
-        float(frequency[peak]) + reach, float(frequency[-1])
-    )
-
-
-def _half_power_lines(mobility: FloatArray, peak: int) -> int:
-    """Lines around a *peak* with half its power or more."""
-    beside = mobility < mobility[peak] / np.sqrt(2)
-    left, right = beside[:peak][::-1], beside[peak:]
-    return int(np.argmax(left) if left.any() else left.size) + int(
-        np.argmax(right) if right.any() else right.size
-    )
-
-
-def _is_mode(mobility: FloatArray, peak: int) -> bool:
-    """Whether |H|^2 around a *peak* is a quotient of two parabolas, as of one mode beside others, by R^2."""
-    reach = max(int(1.5 * _half_power_lines(mobility, peak)), 4)
-    around = slice(max(peak - reach, 0), peak + reach + 1)
-    y = (mobility[around] / mobility[peak]) ** 2
-    x = np.linspace(-1, 1, y.size)
-    columns = np.stack([np.ones_like(x), x, -y * x, -y * x * x], axis=1)
-    c = np.linalg.lstsq(columns, y, rcond=None)[0]
-    left = y - (c[0] + c[1] * x) / (1 + c[2] * x + c[3] * x * x)
-    return bool(left @ left < (1 - LIKE_A_MODE) * np.sum((y - y.mean()) ** 2))
+def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
+    """A modal fit for each peak of the mobility of all *files*, root mean square over their points."""
+    parts = (guarded(guessed_frf, file) for file in files)
+    sizes = [part.size[:, 0] for part in parts if part is not None]
+    if any(size.shape != sizes[0].shape for size in sizes):
+        return ["  modes:", "    model: modal"]
+    moving = guessed.frequency > 0
+    frequency = guessed.frequency[moving]
+    mobility = np.sqrt(np.mean(np.square(sizes), axis=0))[moving] * frequency ** _order(guessed)
+    found = peaks_of(mobility)
+    between = (frequency[found[:-1]] + frequency[found[1:]]) / 2
+    limits = np.concatenate([frequency[:1], between, frequency[-1:]])
+    lines = []
+    for number, peak in enumerate(found):
+        low, high = band_of(frequency, mobility, int(peak), MODAL_LINES)
+        low, high = max(low, limits[number]), min(high, limits[number + 1])
+        lines += [f"  mode_{number + 1}:", "    model: modal"]
+        lines.append(f"    band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# around a peak of all points")
+    return lines or ["  modes:", "    model: modal"]
 
 
 def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
@@ -475,13 +449,13 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
     lines.extend(_sources(files, paths, "frfs"))
     lines.append("identify:")
     for row, port in enumerate(response.outputs):
-        band = _around(response.frequency, _mobility(response)[:, row])
+        band = band_around(response.frequency, _mobility(response)[:, row])
         fit = _fit_lines(f"fit_{row + 1}", json.dumps(response.inputs[0].label), json.dumps(port.label), band)
         lines.extend(line.replace("estimator: ml", f"estimator: {estimator}") for line in fit)
     return "\n".join(lines) + "\n"
 
 
-def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
+def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Sequence[str]) -> str:
     """A pipeline that begins with FRFs of another program: one file, or one for each point."""
     lines = [
         "# What to do with the FRFs. Paths are relative to this file.",
@@ -489,10 +463,14 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
         *(f"# a guess, {doubt}" for doubt in guessed.doubts),
         "frfs:",
     ]
+    pattern = _pattern_of([Path(path).stem for path in paths])
     if len(paths) > 1:
         lines.append(f"  each: {json.dumps(list(paths), ensure_ascii=False)}")
         lines.append(
-            f"  pattern: {DECIDE}    {MARK} where the dofs stand in the files' names, for example "
+            f"  pattern: {json.dumps(pattern, ensure_ascii=False)}".ljust(31)
+            + "# a guess: the one part in which the names differ"
+            if pattern
+            else f"  pattern: {DECIDE}    {MARK} where the dofs stand in the files' names, for example "
             "'H_{output}_{input}'"
         )
     else:
@@ -510,9 +488,11 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
         ]
     elif len(paths) == 1:
         lines.append("  output: y".ljust(31) + "# the dof of the response: any name, such as 3.z")
-    if len(paths) == 1:
+    if len(paths) == 1 or pattern:
         lines.append("  input: f".ljust(31) + "# the dof of the force")
     lines.append("identify:")
+    if pattern:
+        return "\n".join([*lines, *_mode_lines(files, guessed)]) + "\n"
     if len(paths) > 1:
         outputs = [f"{DECIDE}    {MARK} the dof of a response"]
         force = f"{DECIDE}    {MARK} the dof of the force"
@@ -521,10 +501,29 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
         band = None
         if moving.sum() > 1 and number < guessed.size.shape[1]:
             frequency = guessed.frequency[moving]
-            band = _around(frequency, guessed.size[moving, number] * frequency ** _order(guessed))
+            band = band_around(frequency, guessed.size[moving, number] * frequency ** _order(guessed))
         fit = _fit_lines("fit" if len(outputs) == 1 else f"fit_{number + 1}", force, output, band)
         lines += [line.replace("estimator: ml", "estimator: ls") for line in fit]
     return "\n".join(lines) + "\n"
+
+
+def _pattern_of(names: Sequence[str]) -> str:
+    """The pattern of file names that differ in one part between `_`, `-`, dots and blanks; '' for others."""
+    parts = [re.split(r"([-_.\s]+)", name) for name in names]
+    if len(names) < 2 or len({len(row) for row in parts}) > 1:
+        return ""
+    varying = [n for n, column in enumerate(zip(*parts, strict=True)) if len(set(column)) > 1]
+    if len(varying) != 1:
+        return ""
+    column = [row[varying[0]] for row in parts]
+    # Letters before numbers, as in p1, p2, are no part of the dof.
+    before = re.match(r"[^\d{}]*", column[0])
+    word = before[0] if before and all(re.fullmatch(re.escape(before[0]) + r"\d+", p) for p in column) else ""
+    if len(set(column)) < len(column) or any(set("{}") & set(name) for name in names):
+        return ""
+    row = list(parts[0])
+    row[varying[0]] = word + "{output}"
+    return "".join(row)
 
 
 def _order(guessed: GuessedFrf) -> int:

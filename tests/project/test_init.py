@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -296,15 +297,32 @@ def test_inspect_takes_a_first_column_of_even_steps_for_the_time(tmp_path: Path,
 
 
 def test_tables_of_several_points_ask_where_the_dofs_stand(tmp_path: Path, labpipe) -> None:
-    for name in ("h_x_f.txt", "h_y_f.txt"):
+    for name in ("h_x_f.txt", "h_y_g.txt"):
         frf_table(tmp_path / name)
-    assert labpipe("init", tmp_path / "rig", tmp_path / "h_x_f.txt", tmp_path / "h_y_f.txt").code == 0
+    assert labpipe("init", tmp_path / "rig", tmp_path / "h_x_f.txt", tmp_path / "h_y_g.txt").code == 0
     text = (tmp_path / "rig/pipeline.yaml").read_text()
-    assert 'each: ["../h_x_f.txt", "../h_y_f.txt"]' in text and f"pattern: {DECIDE}" in text
-    text = re.sub(rf"pattern: {DECIDE}.*", "pattern: 'h_{output}_{input}'", text)
-    (tmp_path / "rig/pipeline.yaml").write_text(
-        text.replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f")
-    )
+    assert 'each: ["../h_x_f.txt", "../h_y_g.txt"]' in text and f"pattern: {DECIDE}" in text
+
+
+@pytest.mark.parametrize(
+    ("names", "pattern"),
+    [
+        (("h_x_f", "h_y_f"), "h_{output}_f"),
+        (("9", "10", "11"), "{output}"),
+        (("run p9", "run p10"), "run p{output}"),
+        (("1", "1a"), "{output}"),
+    ],
+)
+def test_names_that_differ_in_one_part_are_its_dofs(
+    tmp_path: Path, labpipe, names: Sequence[str], pattern: str
+) -> None:
+    for name in names:
+        frf_table(tmp_path / f"{name}.txt")
+    assert labpipe("init", tmp_path / "rig", *(tmp_path / f"{name}.txt" for name in names)).code == 0
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert f'pattern: "{pattern}"' in text and DECIDE not in text.replace("unit: DECIDE", "")
+    text = re.sub(rf"unit: {DECIDE}.*", "unit: um/N", text)
+    (tmp_path / "rig/pipeline.yaml").write_text(text)
     assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
 
 
