@@ -138,58 +138,53 @@ class ModeModel:
         [1]; *s* (n_line,) [rad/s].
         """
         nodes, weights = NODES.get(self.member, (np.zeros(1), np.ones(1)))
-        motion = np.exp(q[self.n_interest]) * nodes if self.member in NODES else nodes
-        value: ComplexArray = np.zeros(self.curve.frequency.size, np.complex128)
-        slopes: ComplexArray = np.zeros((value.size, self.n_shape), np.complex128)
-        at = self._coefficients_at if self.coefficients else self._pole_at
-        for moved, weight in zip(motion, weights, strict=True):
-            here, by_shape, by_motion = at(q, s, moved)
-            value += weight * here
-            slopes[:, : self.n_interest] += weight * by_shape
-            if self.member in NODES:
-                slopes[:, self.n_interest] += weight * by_motion
-        return value, slopes
+        moved = self.member in NODES
+        x = (np.exp(q[self.n_interest]) * nodes if moved else nodes)[:, None]
+        value, *slopes = (self._coefficients_at if self.coefficients else self._pole_at)(q, s, x)
+        columns = np.zeros((s.size, self.n_shape), np.complex128)
+        by = [*range(self.n_interest), *([self.n_interest] if moved else [])]
+        for column, slope in zip(by, slopes, strict=False):
+            columns[:, column] = weights @ slope
+        return weights @ value, columns
 
-    def _pole_at(
-        self, q: FloatArray, s: ComplexArray, x: float
-    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """1 / (s - lambda) moved by *x*, its derivatives by ln f_n and ln zeta, and by ln x."""
+    def _pole_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
+        """1 / (s - lambda) moved by *x* (n_node, 1), its derivatives by ln f_n and ln zeta, and by ln x, each
+        (n_node, n_line).
+        """
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
         if self.member == "L":
             root = np.sqrt(max(1 - zeta**2, 1e-12))
-            pole, by_zeta, by_x, size = (
-                w * (-zeta + 1j * (root + x)),
-                -w * zeta * (1 + 1j * zeta / root),
-                1j * w * x,
-                1.0,
-            )
-        else:
-            root = np.sqrt(max((1 + x) ** 2 - zeta**2, 1e-12))
-            pole, by_zeta, size = w * (-zeta + 1j * root), -w * zeta * (1 + 1j * zeta / root), 1 / (1 + x)
-            by_x = 1j * w * (1 + x) * x / root
-        value = size / (s - pole)
+            pole, by_zeta = w * (-zeta + 1j * (root + x)), -w * zeta * (1 + 1j * zeta / root)
+            value = 1 / (s - pole)
+            square = value**2
+            return value, square * pole, square * by_zeta, square * (1j * w * x)
+        roots = np.sqrt(np.maximum((1 + x) ** 2 - zeta**2, 1e-12))
+        pole, by_zeta = w * (-zeta + 1j * roots), -w * zeta * (1 + 1j * zeta / roots)
+        value = 1 / ((1 + x) * (s - pole))
         square = value / (s - pole)
-        by_motion = square * by_x - (0.0 if self.member == "L" else x * size) * value
-        return value, np.column_stack([square * pole, square * by_zeta]), by_motion
+        by_motion = square * (1j * w * (1 + x) * x / roots) - x / (1 + x) * value
+        return value, square * pole, square * by_zeta, by_motion
 
-    def _coefficients_at(
-        self, q: FloatArray, s: ComplexArray, x: float
-    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """1 / (k + c s + m s^2) moved by *x*, its derivatives by ln k, ln c (and ln m), and by ln x."""
+    def _coefficients_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
+        """1 / (k + c s + m s^2) moved by *x* (n_node, 1), its derivatives by ln k, ln c (and ln m), and by
+        ln x, each (n_node, n_line).
+        """
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
         if self.member == "L":
             w = np.sqrt(k / m)
             s = s - 1j * w * x
             value = 1 / (k + c * s + m * s**2)
-            along = -(value**2) * (c + 2 * m * s) * (-1j * w * x)
-            by_shape = [-(value**2) * k + along / 2, -(value**2) * c * s, -(value**2) * m * s**2 - along / 2]
-            by_motion = along
+            square = -(value**2)
+            by_motion = square * (c + 2 * m * s) * (-1j * w * x)
+            by_shape = [square * k + by_motion / 2, square * c * s, square * m * s**2 - by_motion / 2]
         else:
-            value = 1 / (k * (1 + x) ** 2 + c * s + m * s**2)
-            by_shape = [-(value**2) * k * (1 + x) ** 2, -(value**2) * c * s, -(value**2) * m * s**2]
-            by_motion = -(value**2) * 2 * k * (1 + x) * x
-        return value, np.column_stack(by_shape[: self.n_interest]), by_motion
+            stiffness = k * (1 + x) ** 2
+            value = 1 / (stiffness + c * s + m * s**2)
+            square = -(value**2)
+            by_motion = square * 2 * k * (1 + x) * x
+            by_shape = [square * stiffness, square * c * s, square * m * s**2]
+        return value, *by_shape[: self.n_interest], by_motion
 
     def _with_conjugate(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """a, da/dq, b, db/dq of A a + A^* b: the pole, and its conjugate, which is that of -s."""
@@ -235,11 +230,20 @@ class ModeModel:
         FitError where there is no minimum.
         """
 
+        # The derivatives are asked for where the residual was asked for last.
+        last: dict[bytes, tuple[ComplexArray, ComplexArray, ComplexArray]] = {}
+
+        def at(x: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+            if x.tobytes() not in last:
+                last.clear()
+                last[x.tobytes()] = self.at(x)
+            return last[x.tobytes()]
+
         def residual(x: FloatArray) -> FloatArray:
-            return _real(self.curve.values - self.at(x)[0], self.curve.std)
+            return _real(self.curve.values - at(x)[0], self.curve.std)
 
         def jacobian(x: FloatArray) -> FloatArray:
-            return -_real(self.at(x)[1], self.curve.std)
+            return -_real(at(x)[1], self.curve.std)
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             try:

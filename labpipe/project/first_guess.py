@@ -304,7 +304,8 @@ LIKE_A_MODE = 0.95
 
 
 def band_around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
-    """The band around the highest peak that looks like a mode, with LEAST_LINES lines at least.
+    """The band [Hz] around the highest peak of a *mobility* (n_line,) [1] that looks like a mode, with
+    LEAST_LINES lines at least.
 
     A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
     follow no pole, unless there is no other.
@@ -316,7 +317,7 @@ def band_around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, flo
 
 
 def peaks_of(mobility: FloatArray) -> IntArray:
-    """The lines that stand out of their surroundings."""
+    """The places of lines of a *mobility* (n_line,) [1] that stand out of their surroundings."""
     logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
     # Loaded where peaks are looked for: a first look at channels needs no filters.
     from scipy.signal import find_peaks
@@ -328,7 +329,7 @@ def peaks_of(mobility: FloatArray) -> IntArray:
 def band_of(
     frequency: FloatArray, mobility: FloatArray, peak: int, lines: int = LEAST_LINES
 ) -> tuple[float, float]:
-    """The band [Hz] around a *peak*, with so many *lines* at least."""
+    """The band [Hz] around the line *peak* of a *mobility* (n_line,) [1], with so many *lines* at least."""
     spacing = float(np.median(np.diff(frequency)))
     width = _half_power_lines(mobility, peak)
     # Of a light damping a tenth of the frequency holds neighbours.
