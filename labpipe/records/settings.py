@@ -460,25 +460,37 @@ class Settings:
     @property
     def written(self) -> list[str]:
         """Names of the declared settings that are not as they are by default."""
-        declared = (field for field in dataclasses.fields(self) if "setting" in field.metadata)  # type: ignore[arg-type]
-        return [field.name for field in declared if getattr(self, field.name) != field.default]
+        return [name for name, default, _ in _declared(type(self)) if getattr(self, name) != default]
 
 
 def _convert(settings: Any) -> None:
     """Every declared field in SI units and of its type; ConfigError with the field's name."""
-    for field in dataclasses.fields(settings):
-        if "setting" not in field.metadata:
+    owner = type(settings)
+    for name, default, declared in _declared(owner):
+        value = getattr(settings, name)
+        if value is default:
             continue
-        value = getattr(settings, field.name)
-        if value is field.default:
-            continue
-        declared: Setting = field.metadata["setting"]
         try:
-            if takes_uncertainty(type(settings), declared) and is_uncertain(value):
-                value = _noted(settings, field.name, parse_uncertain(value, declared.unit))
-            object.__setattr__(settings, field.name, CONVERTERS[declared.kind](value, declared))
+            if takes_uncertainty(owner, declared) and is_uncertain(value):
+                value = _noted(settings, name, parse_uncertain(value, declared.unit))
+            object.__setattr__(settings, name, CONVERTERS[declared.kind](value, declared))
         except UnitError as error:
-            raise ConfigError(f"{field.name}: {error.what}", hint=error.hint, field=field.name) from None
+            raise ConfigError(f"{name}: {error.what}", hint=error.hint, field=name) from None
+
+
+# The declared fields of a class, looked up once: a fit makes its loop anew ten thousand times.
+_DECLARED: dict[Any, tuple[tuple[str, Any, Setting], ...]] = {}
+
+
+def _declared(owner: type) -> tuple[tuple[str, Any, Setting], ...]:
+    """Name, default and setting of each declared field."""
+    if owner not in _DECLARED:
+        _DECLARED[owner] = tuple(
+            (field.name, field.default, field.metadata["setting"])
+            for field in dataclasses.fields(owner)
+            if "setting" in field.metadata
+        )
+    return _DECLARED[owner]
 
 
 def _noted(settings: Any, name: str, number: Uncertain) -> float:
@@ -493,9 +505,7 @@ def takes_uncertainty(owner: type, declared: Setting) -> bool:
 
     Those settings have a field *uncertainties*.
     """
-    return declared.kind in ("value", "mass") and any(
-        field.name == "uncertainties" for field in dataclasses.fields(owner)
-    )
+    return declared.kind in ("value", "mass") and "uncertainties" in owner.__dataclass_fields__  # type: ignore[attr-defined]
 
 
 def setting(
@@ -548,9 +558,7 @@ def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:
     """Field name -> (its Setting, whether it must be given) of a settings dataclass, in order of
     declaration.
     """
-    declared = [
-        (field, field.metadata["setting"])
-        for field in dataclasses.fields(owner)
-        if "setting" in field.metadata
-    ]
-    return {field.name: (setting, field.default is MISSING or setting.needed) for field, setting in declared}
+    return {
+        name: (declared, default is MISSING or declared.needed)
+        for name, default, declared in _declared(owner)
+    }

@@ -339,12 +339,22 @@ def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArra
     """
     if not len(law.a):
         return np.full(np.shape(omega), law.d, np.complex128)
-    z = np.exp(1j * np.asarray(omega) / rate)
+    law_bytes = (law.a.tobytes(), law.b.tobytes(), law.c.tobytes())
+    return _law_response(*law_bytes, law.d, np.asarray(omega, np.complex128).tobytes(), rate)
+
+
+@lru_cache(maxsize=16)
+def _law_response(a: bytes, b: bytes, c: bytes, d: float, omega: bytes, rate: float) -> ComplexArray:
+    """C(z) of the law and the lines in these bytes: a fit asks for it again while it moves the plant."""
+    row, column = np.frombuffer(c), np.frombuffer(b)
+    matrix = np.frombuffer(a).reshape(row.size, row.size)
+    z = np.exp(1j * np.frombuffer(omega, np.complex128) / rate)
     values = np.full(z.shape, np.inf, np.complex128)
-    away = np.min(np.abs(z[:, None] - np.linalg.eigvals(law.a)), axis=1) > AT_A_POLE
-    shifted = z[away, None, None] * np.eye(len(law.a)) - law.a
-    states = np.linalg.solve(shifted, np.broadcast_to(law.b[:, None], (len(shifted), len(law.b), 1)))
-    values[away] = law.c @ states[..., 0].T + law.d
+    away = np.min(np.abs(z[:, None] - np.linalg.eigvals(matrix)), axis=1) > AT_A_POLE
+    shifted = z[away, None, None] * np.eye(row.size) - matrix
+    states = np.linalg.solve(shifted, np.broadcast_to(column[:, None], (len(shifted), row.size, 1)))
+    values[away] = row @ states[..., 0].T + d
+    values.flags.writeable = False
     return values
 
 
