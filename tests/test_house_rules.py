@@ -297,3 +297,16 @@ def test_properties_are_asked_for_and_no_names() -> None:
 )
 def test_a_comparison_with_a_name_is_seen(line: str) -> None:
     assert list(compared_names(ast.parse(line)))
+
+
+@pytest.mark.parametrize("selection", ["quick.txt", "slow.txt"])
+def test_the_short_answers_name_tests_that_exist(selection: str) -> None:
+    """One name that is none ends `python -m tests.quick` before the first test."""
+    root = Path(__file__).parent
+    gone, text = [], ""
+    for line in (root / selection).read_text().splitlines():
+        if not line.startswith(" "):
+            text = (root.parent / line).read_text()
+        elif f"def {line.strip().partition('[')[0].rpartition('::')[2]}(" not in text:
+            gone.append(line)
+    assert not gone

@@ -21,7 +21,7 @@ the measure of chance: so it does not matter how well the covariance is known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -340,9 +340,19 @@ def _best_of_grid(
     problem = OutputError(measured, delayed, fit_weights(measured))
     # H without a delay is the same all over the grid.
     still = OutputError(measured, DelayedModel(_Still(delayed.model, values), late), fit_weights(measured))
-    grid = 2 * np.pi / highest * np.arange(-MOST_PERIODS, MOST_PERIODS + DELAY_STEP / 2, DELAY_STEP)
+    grid = delays_of_grid(highest)
     chi2, delay = min((still.chi2(np.append(values, delay)), float(delay)) for delay in grid)
     return chi2, problem, np.append(values, delay)
+
+
+def delays_of_grid(highest: float) -> FloatArray:
+    """Delays (n,) [s] that are tried of lines up to *highest* [rad/s]."""
+    return 2 * np.pi / highest * np.arange(-MOST_PERIODS, MOST_PERIODS + DELAY_STEP / 2, DELAY_STEP)
+
+
+def is_late(delay: float, error: float, highest: float) -> bool:
+    """Whether a delay [s] with its standard *error* turns the *highest* line [rad/s] enough to be named."""
+    return abs(delay) * highest >= LEAST_PHASE and abs(delay) >= SURE_DELAY * error
 
 
 class _Still:
@@ -398,24 +408,38 @@ def _delay(
     beyond = problem.chi2(np.append(start[:-1], 0.0)) - of_noise
     delay, scale = float(minimum.values[-1]), np.sqrt(max(linear.chi2 / of_noise, 1.0))
     error = float(np.sqrt(inverse[-1, -1])) * scale
-    if (
-        linear.chi2 - of_noise > (1 - BY_DELAY) * beyond
-        or abs(delay) * highest < LEAST_PHASE
-        or abs(delay) < SURE_DELAY * error
-    ):
+    if linear.chi2 - of_noise > (1 - BY_DELAY) * beyond or not is_late(delay, error, highest):
         return None
+    of_fit = zip(model.names, model.units, minimum.values, scale * np.sqrt(np.diag(inverse)), strict=False)
+    reduced = (beyond + of_noise) / of_noise, linear.chi2 / of_noise
+    return linear.chi2, delay_finding(name, (delay, error), reduced, of_fit)
+
+
+def delay_finding(
+    name: str,
+    delay: tuple[float, float],
+    reduced: tuple[float, float],
+    of_fit: Iterable[tuple[str, str, float, float]],
+    cure: str = "",
+) -> Finding:
+    """The finding of a channel *name* that is late by *delay* [s] and its standard error; *reduced*:
+    chi-square per degree of freedom without and with it.
+
+    *of_fit*: name, unit, value and standard error of every parameter with the delay; *cure*: what else may
+    explain it.
+    """
     changed = ", ".join(
-        f"{one} = {_amount(minimum.values[number], unit, float(np.sqrt(inverse[number, number])) * scale)}"
-        for number, (one, unit) in enumerate(zip(model.names, model.units, strict=True))
-        if unit in ("N/m", "N.s/m")
+        f"{one} = {_amount(value, unit, std_error)}"
+        for one, unit, value, std_error in of_fit
+        if unit in ("N/m", "N.s/m", "N/A")
     )
-    side, before = "late" if delay > 0 else "early", (beyond + of_noise) / of_noise
+    side = "late" if delay[0] > 0 else "early"
     message = (
-        f"{name} is {side} by {_amount(abs(delay), 's', error)}: with that delay chi-square per degree of "
-        f"freedom is {linear.chi2 / of_noise:.3g} instead of {before:.3g}, and {changed}. State `delay:` of "
-        "that channel in the rig file, or record all channels at the same time"
+        f"{name} is {side} by {_amount(abs(delay[0]), 's', delay[1])}: with that delay chi-square per degree "
+        f"of freedom is {reduced[1]:.3g} instead of {reduced[0]:.3g}, and {changed}. State `delay:` of "
+        f"that channel in the rig file, or record all channels at the same time{cure}"
     )
-    return linear.chi2, Finding("delay", message)
+    return Finding("delay", message)
 
 
 # Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.

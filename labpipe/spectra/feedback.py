@@ -424,15 +424,16 @@ def _tukey(n: int) -> FloatArray:
 
 
 def feedback_of_periods(
-    spectra: Sequence[LineSpectrum], matrix: ComplexArray, layout: Layout
+    spectra: Sequence[LineSpectrum], matrix: ComplexArray, inverse: ComplexArray, layout: Layout
 ) -> tuple[Finding, ...]:
     """A warning where what does not repeat from period to period is fed back; *spectra* at the lines of H =
-    *matrix* (n_line, n_o, n_i).
+    *matrix* (n_line, n_o, n_i), responses times the *inverse* (n_line, n_run, n_i) of the forces.
 
     In SI units [SI]; the noise of *spectra* must be that of single lines, not smoothed.
     """
     chances: dict[str, float] = {}
     n_input = len(layout.inputs)
+    gain = np.sum(np.abs(inverse) ** 2, axis=1)
     for number, spectrum in enumerate(spectra):
         if spectrum.noise is None or spectrum.dof < 2:
             continue
@@ -442,6 +443,7 @@ def feedback_of_periods(
                 chance_of_phase(
                     noise[:, [force, n_input + o]][:, :, [force, n_input + o]],
                     matrix[:, o, force],
+                    gain[:, force],
                     spectrum.dof,
                 )
                 for o in range(matrix.shape[1])
@@ -451,11 +453,13 @@ def feedback_of_periods(
     return _findings(chances, (), WEIGHTED)
 
 
-def chance_of_phase(noise: ComplexArray, response: ComplexArray, dof: float) -> float:
-    """p-value [1] that S_wu / G, w = y - G u, is real: *noise* (n_line, 2, 2) [SI] of u and y, G = *response*
-    (n_line,) [SI].
+def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArray, dof: float) -> float:
+    """p-value [1] that S_wu / G, w = y - G u, is real: *noise* (n_line, 2, 2) [SI] of u and y in their means,
+    G = *response* (n_line,) [SI], which follows from the response by the square root of *gain* (n_line,)
+    [1/SI^2], 1 / |u|^2 of one force.
 
-    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). Equation
+    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). The error
+    of G turns a random force's part of S_yu, by dof S_uu / |u|^2 more of the variance. Equation
     (frf-feedback).
     """
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real
@@ -464,10 +468,10 @@ def chance_of_phase(noise: ComplexArray, response: ComplexArray, dof: float) -> 
     there = (s_uu > 0) & (s_ww > 0) & (np.abs(response) > 0)
     if not np.any(there):
         return 1.0
-    s_uu, s_wu, s_ww, response = s_uu[there], s_wu[there], s_ww[there], response[there]
+    s_uu, s_wu, s_ww, response, gain = (one[there] for one in (s_uu, s_wu, s_ww, response, gain))
     turned = (s_wu * response.conj()).imag / np.abs(response)
     rest = np.maximum(s_ww - np.abs(s_wu) ** 2 / s_uu, np.finfo(float).tiny)
     free = 2 * dof - 2
-    square = free * turned**2 / s_uu / rest
+    square = free * turned**2 / s_uu / rest / (1 + dof * s_uu * gain)
     chance = np.maximum(2 * special.stdtr(free, -np.sqrt(square)), np.finfo(float).tiny)
     return float(special.chdtrc(2 * chance.size, -2 * np.sum(np.log(chance))))

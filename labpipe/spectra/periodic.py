@@ -88,7 +88,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     else:
         findings = (
             *findings,
-            *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, layout),
+            *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, inverse, layout),
         )
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf

@@ -1,12 +1,13 @@
 """Tests that stop by themselves, drawn anew: how often the interval at the stop holds, how long they take.
 
-`python -m tests.draws.stops 1000` prints a row for each rig and length of test. Raw samples go through the
-bench of `labpipe live`.
+`python -m tests.draws.stops 1000 [RIG ...] [--seed N]` prints a row for each rig and length of test. Raw
+samples go through the bench of `labpipe live`. The oracle knows the noise: with the error e of a coefficient
+at the stop after n averages it stops at n* = mean(n e^2) (1.96 / goal)^2.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from labpipe.arrays import FloatArray
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench
 from labpipe.methods.live.charts import Goal
+from labpipe.methods.live.session import WholeFits
 from labpipe.records.recording import Channel
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 
@@ -77,12 +79,26 @@ def hits(rng: np.random.Generator, noise: float) -> Iterator[FloatArray]:
         yield np.stack([force, level * motion + size * rng.standard_normal(n)], axis=1)
 
 
+def blocks(rng: np.random.Generator, noise: float) -> Iterator[FloatArray]:
+    """A random force from 5 to 200 Hz in pieces of 4 s, half a block each, noise on the response; an hour of
+    it.
+    """
+    n, piece = int(3600 * RATE), int(4 * RATE)
+    frequency = np.fft.rfftfreq(n, 1 / RATE)
+    spectrum = np.fft.rfft(rng.standard_normal(n)) * ((frequency >= 5) & (frequency <= 200))
+    force, motion = np.fft.irfft(spectrum, n), np.fft.irfft(spectrum * receptance(frequency), n)
+    motion = motion + noise * np.std(motion) * rng.standard_normal(n)
+    for start in range(0, n, piece):
+        yield np.stack([force[start : start + piece], motion[start : start + piece]], axis=1)
+
+
 def one_test(
     rig: Rig, rng: np.random.Generator, noise: float, goal: float, name: str
 ) -> tuple[int, float, float]:
     """(averages at the stop, error of *name* over its half-width, error over what was asked for)."""
     fit = FitSettings("sdof", band=(FIRST, LAST), name="s")
-    bench = Bench(channels(), RATE, rig.settings, [fit], [Goal.of(f"s.{name}.expanded<={100 * goal:g}%")])
+    followed = WholeFits if rig.settings.excitation == "random" else Bench
+    bench = followed(channels(), RATE, rig.settings, [fit], [Goal.of(f"s.{name}.expanded<={100 * goal:g}%")])
     for samples in rig.samples(rng, noise):
         for update in bench.add(samples):
             if update.stop or update.averages >= 400:
@@ -97,30 +113,37 @@ RIGS = {
     "hits": Rig(
         FrfSettings("impact", block=6.0, band=(50.0, 80.0), impact=ImpactSettings(trigger=0.2)), hits
     ),
+    "blocks": Rig(FrfSettings("random", block=8.0, band=(50.0, 80.0)), blocks),
+}
+GOALS = {
+    "periods": ((0.4, 0.05), (0.4, 0.03), (0.4, 0.02)),
+    "hits": ((0.4, 0.05), (0.4, 0.03), (0.4, 0.02)),
+    "blocks": ((0.1, 0.012), (0.1, 0.008), (0.1, 0.006)),
 }
 
 
 def main() -> None:
     """Print the table."""
-    n_test = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    rows = {
-        "periods": ((0.4, 0.05), (0.4, 0.03), (0.4, 0.02)),
-        "hits": ((0.4, 0.05), (0.4, 0.03), (0.4, 0.02)),
-    }
-    chosen = sys.argv[2:] or list(RIGS)
-    print("| rig | noise, goal | coverage | reached | averages: mean, sd |\n|---|---|---|---|---|")
-    for kind in chosen:
-        for noise, goal in rows[kind]:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tests", type=int, nargs="?", default=200)
+    parser.add_argument("rigs", nargs="*", default=list(RIGS))
+    parser.add_argument("--seed", type=int, default=20261125)
+    options = parser.parse_args()
+    print("| rig | noise, goal | coverage | reached | averages: mean, sd | of the oracle's |")
+    print("|---|---|---|---|---|---|")
+    for kind in options.rigs:
+        for noise, goal in GOALS[kind]:
             stops = np.array(
                 [
-                    one_test(RIGS[kind], np.random.default_rng([20261125, number]), noise, goal, "c")
-                    for number in range(n_test)
+                    one_test(RIGS[kind], np.random.default_rng([options.seed, number]), noise, goal, "c")
+                    for number in range(options.tests)
                 ]
             )
-            held, reached = np.mean(np.abs(stops[:, 1]) <= 1), np.mean(np.abs(stops[:, 2]) <= 1)
+            held, reached = (np.mean(np.abs(stops[:, column]) <= 1) for column in (1, 2))
+            oracle = 1.96**2 * np.mean(stops[:, 0] * stops[:, 2] ** 2)
             print(
                 f"| {kind} | {noise}, {100 * goal:g} % | {100 * held:.1f} % | {100 * reached:.1f} % | "
-                f"{stops[:, 0].mean():.1f}, {stops[:, 0].std():.1f} |",
+                f"{stops[:, 0].mean():.1f}, {stops[:, 0].std():.1f} | {stops[:, 0].mean() / oracle:.2f} |",
                 flush=True,
             )
 

@@ -86,19 +86,9 @@ class FollowedFit:
     def __init__(self, settings: FitSettings, layout: Layout, frequency: FloatArray, hits: bool) -> None:
         rows = chosen_ports(layout.outputs, settings.output, "response")
         columns = chosen_ports(layout.inputs, settings.input, "force")
-        outputs = tuple(layout.outputs[row] for row in rows)
-        inputs = tuple(layout.inputs[column] for column in columns)
-        self.settings, self.setup = settings, Setup(outputs, inputs, settings)
-        if settings.mass == ESTIMATE and settings.kind.one_frf and transfer_of(self.setup):
-            raise ConfigError(
-                f"identify.{settings.name}: a transfer FRF of unknown mass is not followed live",
-                hint="give the mass, or measure at the point of the force",
-            )
+        self.settings, self.setup = settings, _setup(settings, layout)
         model = damped(settings.kind.model(self.setup), settings)
-        if not isinstance(model, DynamicModel):
-            raise ConfigError(
-                f"identify.{settings.name}: damping: {settings.damping} is not followed live", hint="viscous"
-            )
+        assert isinstance(model, DynamicModel)
         self._channels = [layout.output_columns[0][row] for row in rows]
         self._channels += [layout.input_columns[0][column] for column in columns]
         band = settings.band or (settings.bands[0] if settings.bands else None)
@@ -253,29 +243,42 @@ def _scaled(information: FloatArray) -> FloatArray:
     return np.asarray(information / np.outer(scale, scale))
 
 
-def is_followed(settings: FitSettings, frf: FrfSettings) -> bool:
-    """Whether a fit can be followed average by average: a model linear in its parameters, by maximum
-    likelihood, on plain periods or hits.
+def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel], rate: float) -> str:
+    """Why a fit cannot be followed average by average, '' where it can: that takes a model linear in its
+    parameters, maximum likelihood, and plain periods or hits of these *channels* at *rate* [Hz].
     """
-    plain = not (settings.eliminate or settings.bootstrap or settings.monte_carlo or settings.compare)
-    single = settings.sliding is None and not settings.peaks and len(settings.bands) <= 1
-    return (
-        settings.kind.equations is not None
-        and settings.estimates.likelihood
-        and plain
-        and single
-        and frf.single_averages
+    of_all = any((settings.eliminate, settings.bootstrap, settings.monte_carlo, settings.compare))
+    several = settings.sliding is not None or settings.peaks or len(settings.bands) > 1
+    reasons = (
+        (frf.excitation not in CUTTERS, f"{frf.excitation} data are known by all samples together"),
+        (not frf.single_averages, "its FRF follows from all averages together"),
+        (settings.kind.equations is None, f"the model {settings.model} is not linear in its parameters"),
+        (not settings.estimates.likelihood, "`estimator: ml` alone is followed"),
+        (of_all, "what `eliminate`, `bootstrap`, `monte_carlo` and `compare` do takes all averages"),
+        (several, "it has several bands"),
     )
+    plain = next((text for stands, text in reasons if stands), "")
+    if plain:
+        return plain
+    layout = find_layout([Recording(tuple(channels), np.zeros((2, len(channels))), rate)])
+    setup = _setup(settings, layout)
+    if settings.mass == ESTIMATE and settings.kind.one_frf and transfer_of(setup):
+        return "a transfer FRF of unknown mass tells its coefficients by all lines alone"
+    if not isinstance(damped(settings.kind.model(setup), settings), DynamicModel):
+        return f"`damping: {settings.damping}` is not linear in its parameters"
+    return ""
+
+
+def _setup(settings: FitSettings, layout: Layout) -> Setup:
+    rows = chosen_ports(layout.outputs, settings.output, "response")
+    columns = chosen_ports(layout.inputs, settings.input, "force")
+    outputs = tuple(layout.outputs[row] for row in rows)
+    return Setup(outputs, tuple(layout.inputs[column] for column in columns), settings)
 
 
 def names_of_fit(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
     """The coefficients that a fit will have, those derived of one mode among them."""
-    rows = chosen_ports(layout.outputs, settings.output, "response")
-    columns = chosen_ports(layout.inputs, settings.input, "force")
-    setup = Setup(
-        tuple(layout.outputs[row] for row in rows), tuple(layout.inputs[c] for c in columns), settings
-    )
-    names = settings.kind.model(setup).names
+    names = settings.kind.model(_setup(settings, layout)).names
     return (*names, "f_n", "zeta") if settings.kind.one_mode else names
 
 

@@ -99,7 +99,7 @@ def live(
             stream = standard_input(columns_of(rig))
         else:
             stream = open_source(path, columns_of(rig))
-        keep = Path(scratch) / "recording.parquet" if output is not None and path is None else None
+        keep = Path(scratch) / "samples" if output is not None and path is None else None
         session = Session(pipeline, rig, stream, goals, idle, keep, path, stopped=lambda: bool(asked))
         enough = _followed(session, as_json, page, bell, quiet)
         if asked and not quiet and not as_json:
@@ -266,10 +266,9 @@ def _finish(
     from labpipe.project.run import Manner, run
 
     files = session.recorded
-    if session.keep is not None:
+    if session.kept is not None:
         with output_folder(output) as folder:
-            target = folder.write_path("recording.parquet")
-            target.write_bytes(session.keep.read_bytes())
+            session.write_recording(folder.write_path("recording.parquet"))
         files = [output / "recording.parquet"]
     named = json.dumps([str(path.resolve()) for path in files])
     goals = json.dumps([goal.text for goal in session.goals])

@@ -11,9 +11,8 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.display import difference_in, shown_unit, unit_label
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.bench import Bench, is_followed
+from labpipe.methods.live.bench import Bench, obstacle
 from labpipe.methods.live.charts import Goal, Update
-from labpipe.methods.live.running_fit import CUTTERS
 from labpipe.project.ingest import ingest, unique_names
 from labpipe.project.tests import Test
 from labpipe.project.work import Work
@@ -125,14 +124,10 @@ def run_live(settings: LiveSettings, work: Work) -> Courses:
     for test in work.pipeline.tests:
         of_test = [next(names) for _ in test.recordings]
         frf = test.frf or work.pipeline.frf
-        fits = [
-            fit
-            for fit in work.pipeline.fits
-            if frf is not None and is_followed(fit, frf) and (not fit.test or test.name in fit.test)
-        ]
+        fits = [fit for fit in work.pipeline.fits if not fit.test or test.name in fit.test]
         chosen = not settings.test or test.name in settings.test
-        if chosen and fits and test.recordings and frf is not None and frf.excitation in CUTTERS:
-            courses.append(_course(test, frf, fits, settings, work, of_test))
+        if chosen and fits and test.recordings and frf is not None:
+            courses += _course(test, frf, fits, settings, work, of_test)
     return tuple(courses)
 
 
@@ -143,7 +138,8 @@ def _course(
     settings: LiveSettings,
     work: Work,
     names: Sequence[str],
-) -> Course:
+) -> list[Course]:
+    """The course of a test, none where no fit of it can be followed."""
     bench: Bench | None = None
     enough, left_out = None, []
     for source, name in zip(test.recordings, names, strict=True):
@@ -152,7 +148,10 @@ def _course(
             source.path, source.rig, work.output, place, work.pipeline.folder, source.joined, source.by
         )
         if bench is None:
-            plain = [replace(fit, test=()) for fit in fits]
+            channels, rate = recording.channels, recording.sample_rate
+            plain = [replace(fit, test=()) for fit in fits if not obstacle(fit, frf, channels, rate)]
+            if not plain:
+                return []
             bench = Bench(recording.channels, recording.sample_rate, frf, plain, settings.goals)
         else:
             bench.cutter.restart()
@@ -164,7 +163,7 @@ def _course(
     assert bench is not None
     what = "hit" if bench.hits else "period"
     coefficients = coefficients_of(bench.updates)
-    return Course(test.name, what, bench.averages, coefficients, settings.until, enough, tuple(left_out))
+    return [Course(test.name, what, bench.averages, coefficients, settings.until, enough, tuple(left_out))]
 
 
 def course_lines(courses: Courses) -> Iterator[str]:

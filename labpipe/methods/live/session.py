@@ -17,15 +17,14 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.bench import Bench, is_followed
+from labpipe.methods.live.bench import Bench, obstacle
 from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, half_width
-from labpipe.methods.live.running_fit import CUTTERS
-from labpipe.methods.live.sources import Folder, SampleStream, is_old
+from labpipe.methods.live.sources import MOST_ROWS, Folder, SampleStream, is_old
 from labpipe.project.ingest import Calibration, channel_screen
 from labpipe.project.measured import OTHERS
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
-from labpipe.records.finding import WARNING, Finding
+from labpipe.records.finding import WARNING, Finding, note
 from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
 from labpipe.spectra.measurement import measure
@@ -41,23 +40,57 @@ LEAST_WHOLE, NEXT_LOOK = 10, 1.15
 PAUSE = 0.1
 
 
+class Kept:
+    """Rows of samples on disk, in the order in which they come, as long as there is room."""
+
+    def __init__(self, path: Path, n_column: int) -> None:
+        self.path, self.n_row, self._n_column = path, 0, n_column
+        # Without a buffer nothing waits to be written when the disk is full.
+        self._file = path.open("wb", buffering=0)
+        self.full = ""
+
+    def add(self, rows: FloatArray) -> bool:
+        """Keep *rows* (n, n_column) [any unit]; False from the moment on when there is no room."""
+        if self.full:
+            return False
+        text = memoryview(np.ascontiguousarray(rows, np.float64)).cast("B")
+        try:
+            while text:
+                text = text[self._file.write(text) :]
+        except OSError as error:
+            self.full = (error.strerror or str(error)).lower()
+            return False
+        self.n_row += rows.shape[0]
+        return True
+
+    def blocks(self, n_row: int) -> Iterator[FloatArray]:
+        """Consecutive blocks (n, n_column) of at most *n_row* rows."""
+        if self.n_row:
+            whole = np.memmap(self.path, np.float64, "r", shape=(self.n_row, self._n_column))
+            for start in range(0, self.n_row, n_row):
+                yield np.array(whole[start : start + n_row])
+
+    def close(self) -> None:
+        self._file.close()
+
+
 @dataclass(frozen=True)
 class Prefix:
     """The samples so far, on disk."""
 
     channels: tuple[Channel, ...]
     sample_rate: float
-    path: Path
-    n_sample: int
+    kept: Kept
     name: str = "live"
     findings: tuple[Finding, ...] = ()
 
+    @property
+    def n_sample(self) -> int:
+        return self.kept.n_row
+
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks (n, n_channel) [SI] of at most *n_sample* samples."""
-        shape = (self.n_sample, len(self.channels))
-        whole = np.memmap(self.path, np.float64, "r", shape=shape)
-        for start in range(0, self.n_sample, n_sample):
-            yield np.array(whole[start : start + n_sample])
+        return self.kept.blocks(n_sample)
 
 
 class WholeFits(Watch):
@@ -75,14 +108,15 @@ class WholeFits(Watch):
     ) -> None:
         super().__init__(channels, sample_rate, frf, goals)
         self._fits = tuple(fits)
-        self._spool = tempfile.NamedTemporaryFile(prefix="labpipe-live-")  # noqa: SIM115
-        self.n_sample, self._next = 0, 0.0
+        self._folder = tempfile.TemporaryDirectory(prefix="labpipe-live-")
+        self._kept = Kept(Path(self._folder.name) / "samples", len(self.channels))
+        self._next = 0.0
         self.response: Any = None
 
     def add(self, block: FloatArray) -> list[Update]:
         """Keep the next samples (n, n_channel) [SI]; an update where it is time for a look."""
-        self._spool.write(np.ascontiguousarray(block, np.float64).tobytes())
-        self.n_sample += block.shape[0]
+        if not self._kept.full and not self._kept.add(block):
+            return self.look()
         length = self.frf.period or self.frf.block or 1.0
         self._next = self._next or 3 * length * self.sample_rate
         if self.n_sample < self._next:
@@ -90,16 +124,25 @@ class WholeFits(Watch):
         self._next = NEXT_LOOK * self.n_sample
         return self.look()
 
+    def close(self) -> None:
+        """Leave no samples on disk."""
+        self._kept.close()
+        self._folder.cleanup()
+
+    @property
+    def n_sample(self) -> int:
+        return self._kept.n_row
+
     def look(self) -> list[Update]:
-        self._spool.flush()
-        prefix = Prefix(self.channels, self.sample_rate, Path(self._spool.name), self.n_sample)
+        prefix = Prefix(self.channels, self.sample_rate, self._kept)
         seconds = self.n_sample / self.sample_rate
         try:
             kind = OTHERS.get(self.frf.gives)
             measured = measure([prefix], self.frf) if kind is None else kind.make([prefix], self.frf)
             fits = [fit for settings in self._fits for fit in identify(measured, settings)]
         except LabpipeError as error:
-            update = Update(self.averages, findings=(Finding("not-yet", error.what),))
+            full = _no_room(self._kept, self.sample_rate)
+            update = Update(self.averages, findings=(*full, Finding("not-yet", error.what)))
             self.keep(update)
             return [update]
         self.response = measured
@@ -116,7 +159,7 @@ class WholeFits(Watch):
         update = Update(
             self.averages,
             standings=standings,
-            findings=tuple(finding for finding in findings if finding.level == WARNING),
+            findings=(*_no_room(self._kept, self.sample_rate), *(f for f in findings if f.level == WARNING)),
             stop=enough,
             seconds=seconds / max(self.averages, 1),
         )
@@ -169,7 +212,7 @@ class Session:
         self._head: list[FloatArray] = []
         self._rate: float | None = None
         self._last_time: float | None = None
-        self._writer: pq.ParquetWriter | None = None
+        self.kept = None if self.keep is None else Kept(self.keep, len(self.columns))
 
     @property
     def columns(self) -> list[str]:
@@ -194,17 +237,20 @@ class Session:
                 yield from self._taken(rows)
             yield from self._ended()
         finally:
-            if self._writer is not None:
-                self._writer.close()
+            for open_one in (self.kept, self.bench):
+                if isinstance(open_one, Kept | WholeFits):
+                    open_one.close()
 
     def _taken(self, rows: FloatArray) -> Iterator[Update]:
-        if self.keep is not None:
-            self._write(rows)
+        if self.kept is not None and not self.kept.full and not self.kept.add(rows):
+            self.findings += _no_room(self.kept, self._rate or self.stream.sample_rate)
         if self.bench is None:
             self._head.append(rows)
             if not self._begun():
                 return
             rows, self._head = np.concatenate(self._head), []
+            if self.findings:
+                yield Update(0, findings=tuple(self.findings))
         assert self.bench is not None
         if self.stream.restarted and isinstance(self.bench, Bench):
             self.bench.cutter.restart()
@@ -231,14 +277,19 @@ class Session:
             raise DataError("neither the source nor the rig file says the rate", hint="sample_rate: 20 kHz")
         frf, fits = self.pipeline.frf, self.pipeline.fits
         assert frf is not None
-        followed = [fit for fit in fits if is_followed(fit, frf)]
+        channels = self.rig.all_channels
+        reasons = {fit.name: obstacle(fit, frf, channels, rate) for fit in fits}
+        followed = [fit for fit in fits if not reasons[fit.name]]
         wanted = {goal.fit for goal in self.goals}
         # A fit that nobody waits for is left to the run at the end.
         whole = [fit for fit in fits if fit not in followed and (not followed or fit.name in wanted)]
-        channels = self.rig.all_channels
+        self.findings += [
+            _not_followed(fit.name, reasons[fit.name], fit in whole) for fit in fits if fit not in followed
+        ]
         self._rate = rate
-        if whole or frf.excitation not in CUTTERS:
-            self.bench = WholeFits(channels, rate, frf, whole or fits, self.goals)
+        if whole:
+            looked_at = [fit for fit in fits if fit in whole or fit.name in wanted]
+            self.bench = WholeFits(channels, rate, frf, looked_at, self.goals)
         else:
             self.bench = Bench(channels, rate, frf, followed, self.goals)
         return True
@@ -267,12 +318,13 @@ class Session:
                 self.bench.cutter.restart()
             begin = end
 
-    def _write(self, rows: FloatArray) -> None:
-        assert self.keep is not None
-        table = pa.table({name: rows[:, n] for n, name in enumerate(self.columns)})
-        if self._writer is None:
-            self._writer = pq.ParquetWriter(self.keep, table.schema)
-        self._writer.write_table(table)
+    def write_recording(self, path: Path) -> None:
+        """What was kept of a source that leaves no file, as a Parquet file."""
+        assert self.kept is not None
+        schema = pa.schema([(name, pa.float64()) for name in self.columns])
+        with pq.ParquetWriter(path, schema) as writer:
+            for rows in self.kept.blocks(MOST_ROWS):
+                writer.write_table(pa.table(list(rows.T), schema=schema))
 
     def _ended(self) -> Iterator[Update]:
         if self.bench is None:
@@ -283,11 +335,27 @@ class Session:
     @property
     def recorded(self) -> list[Path]:
         """The files that the whole test stands in, for the run at its end."""
-        if self.keep is not None:
-            return [self.keep]
         if isinstance(self.stream, Folder):
             return list(self.stream.files)
         return [] if self.path is None else [self.path]
+
+
+def _no_room(kept: Kept, rate: float | None) -> list[Finding]:
+    """What is said of a disk that is full."""
+    if not kept.full:
+        return []
+    where = f"{kept.n_row / rate:.1f} s" if rate else f"sample {kept.n_row}"
+    return [Finding("disk-full", f"{kept.full}: samples from {where} on are not kept, {kept.n_row} are")]
+
+
+def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
+    """What is said at the beginning of a test of a fit that cannot be followed."""
+    instead = (
+        f"it is made anew of all samples, each time after {100 * (NEXT_LOOK - 1):.0f} % more of them"
+        if whole
+        else "it is made once the test has ended"
+    )
+    return note("not-followed", f"{fit} cannot be followed average by average: {reason}; {instead}")
 
 
 def columns_of(rig: Rig) -> list[str]:

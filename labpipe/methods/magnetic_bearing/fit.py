@@ -33,6 +33,7 @@ from labpipe.methods.magnetic_bearing.balance import (
 from labpipe.methods.magnetic_bearing.likelihood import (
     MagnetEstimate,
     MagnetLikelihood,
+    late_findings,
     magnet_estimate,
     noise_of,
     unweighted,
@@ -295,6 +296,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *estimate_findings(stated, model.names, n_line, model.units, remedy),
         *goodness_findings(gof),
         *error.finding,
+        *late_findings(rotor, best),
         *sign_findings(model, parameters),
         *few_averages(noise_of(rotor)),
         *spectra.findings,

@@ -13,13 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import FitError
+from labpipe.estimation.causes import BY_DELAY, LIKELIEST, delay_finding, delays_of_grid, is_late
 from labpipe.estimation.descent import minimise
+from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
 from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows
 from labpipe.methods.floating_bearing.settings import given_uncertainties, joined, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
+from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.uncertain import Uncertainty
 
@@ -62,9 +65,20 @@ class MagnetLikelihood:
         """The whitened residual at *values* (n_parameter,) [parameter units]."""
         key = values.tobytes()
         if self._at is None or self._at[0] != key:
-            rows = self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes
-            self._at = key, residual(self.rotor, rows)
+            self._at = key, residual(self.rotor, self.rows(values))
         return self._at[1]
+
+    def rows(self, values: FloatArray) -> ComplexArray:
+        """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at *values* (n_parameter,)
+        [parameter units].
+        """
+        return np.asarray(self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
+
+    def slopes(self, values: FloatArray) -> ComplexArray:
+        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit of the channel and parameter
+        unit] there.
+        """
+        return np.asarray(self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """L^-1 e as real numbers (n_equation,) [1] at *parameters* (n_parameter,) [parameter units]."""
@@ -73,7 +87,7 @@ class MagnetLikelihood:
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """L^-1 dB/dp z^ as real columns (n_equation, n_parameter) [1/parameter unit]."""
         state = self.at(parameters)
-        slopes = self.model.slopes(parameters, self.rotor.omega) @ self.rotor.to_axes
+        slopes = self.slopes(parameters)
         return real_rows(
             state.whiten(np.einsum("plac,lrc->plra", slopes, state.smoothed)).reshape(len(slopes), -1)
         ).T
@@ -284,3 +298,106 @@ def _explained(
     return float(
         excess * along @ np.linalg.solve(np.eye(len(changes)) + 2 * changes @ changes.T / excess, along)
     )
+
+
+class LateLikelihood(MagnetLikelihood):
+    """V where the channels of *late* (n_channel,) were recorded tau [s] after the others, the last of the
+    parameters: their spectra count as z exp(j w tau).
+    """
+
+    def __init__(self, rotor: Levitation, model: MagnetModel, late: BoolArray) -> None:
+        super().__init__(rotor, model)
+        self._late = late
+
+    def rows(self, values: FloatArray) -> ComplexArray:
+        """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at values (n_parameter + 1,)
+        [parameter units, s]. Equation (mag-late).
+        """
+        return np.asarray(super().rows(values[:-1]) * self._turned(values[-1]))
+
+    def slopes(self, values: FloatArray) -> ComplexArray:
+        """Its derivatives (n_parameter + 1, n_line, n, n_channel) [N per SI unit of the channel and parameter
+        unit] there, the last one by s.
+        """
+        turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
+        return np.concatenate([super().slopes(values[:-1]) * self._turned(values[-1]), turned[None]])
+
+    def _turned(self, delay: float) -> ComplexArray:
+        return np.where(self._late, np.exp(1j * self.rotor.omega[:, None, None] * delay), 1.0)
+
+    def best_of_grid(self, values: FloatArray) -> tuple[float, FloatArray]:
+        """The least V of a grid of delays and its parameters (n_parameter + 1,): the others follow by least
+        squares from *values* (n_parameter,) [parameter units], whose weights are kept.
+        """
+        lower = self.at(np.append(values, 0.0)).lower
+        plain = super().rows(values)
+        columns = np.concatenate([super().slopes(values), plain[None]])
+        best = np.inf, np.append(values, 0.0)
+        for delay in delays_of_grid(float(self.rotor.omega[-1])):
+            turned = self.rotor.channels * np.exp(1j * self.rotor.omega[:, None, None] * delay * self._late)
+            forces = np.einsum("plac,lrc->plra", columns, turned)
+            white = np.linalg.solve(lower, forces[..., None])[..., 0].reshape(len(columns), -1)
+            *design, side = real_rows(white)
+            step = _least_squares(np.array(design).T, side)
+            left = float(np.sum((side + step @ np.array(design)) ** 2))
+            if left < best[0]:
+                best = left, np.append(values + step, delay)
+        return best
+
+
+def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
+    """A finding where one channel, or all readings, recorded later or earlier explain a residual that is far
+    from noise.
+
+    Each delay is fitted beside all parameters, from the best of a grid; as `delay_findings`.
+    """
+    if best.p_value >= MISMATCH_P:
+        return []
+    tried = [(LateLikelihood(rotor, best.model, late), name) for name, late in _may_be_late(rotor)]
+    try:
+        grids = [(*problem.best_of_grid(best.values), problem, name) for problem, name in tried]
+    except np.linalg.LinAlgError:
+        return []
+    grids.sort(key=lambda grid: grid[0])
+    explained = [
+        fitted
+        for _, start_at, problem, name in grids[:LIKELIEST]
+        if (fitted := _late(problem, start_at, best, name))
+    ]
+    return [min(explained, key=lambda fitted: fitted[0])[1]] if explained else []
+
+
+def _may_be_late(rotor: Levitation) -> list[tuple[str, BoolArray]]:
+    """Name and channels (n_channel,) of everything that may be late; of one axis only the reading against the
+    current.
+    """
+    n, used = rotor.n_axis, np.any(rotor.to_axes != 0, axis=0)
+    readings = np.any(rotor.to_axes[n:] != 0, axis=0)
+    channels = rotor.spectra.channels
+    if n == 1:
+        return [(f"{channels[int(np.argmax(readings))].name} against {rotor.currents[0].name}", readings)]
+    single = [(channels[k].name, np.arange(used.size) == k) for k in np.flatnonzero(used)]
+    return [("every reading against the currents", readings), *single]
+
+
+def _late(
+    problem: LateLikelihood, start_at: FloatArray, best: MagnetEstimate, name: str
+) -> tuple[float, Finding] | None:
+    """Chi-square with the delay, and the finding; None where it explains too little."""
+    model, noise = problem.model, noise_of(problem.rotor)
+    try:
+        minimum = minimise(problem, start_at, NEAR, MOST_STEPS)
+        covariance = noise.inflation * inverse_information(problem.jacobian(minimum.values))
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    before, after = (
+        2 * problem.chi2(values) / noise.excess / best.dof
+        for values in (np.append(best.values, 0.0), minimum.values)
+    )
+    errors = np.sqrt(np.diag(covariance) * max(after, 1.0))
+    delay, error = float(minimum.values[-1]), float(errors[-1])
+    if not is_late(delay, error, float(problem.rotor.omega[-1])) or after - 1 > (1 - BY_DELAY) * (before - 1):
+        return None
+    cure = "" if model.between else ". A current that is held acts half a sample late: `hold`"
+    of_fit = zip(model.names, model.units, minimum.values, errors, strict=False)
+    return after, delay_finding(name, (delay, error), (before, after), of_fit, cure)

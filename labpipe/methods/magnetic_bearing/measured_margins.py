@@ -35,6 +35,9 @@ TELLING = 4.0
 # How names of margins without a model begin, and of gain margins after that.
 MEASURED, GAIN = "measured_", "gain_margin"
 FINE = 32
+# Places at which L is followed around a crossing of its imaginary part, over its lines but this share at
+# either end.
+PLACES, EDGE = 257, 8
 # Share of a response below which what is left is rounding.
 ROUNDING = 1e-12
 
@@ -190,14 +193,8 @@ def measured_margins(
     course = Course(2 * np.pi * frequency, *transfer, changes, dof)
     smooth = course.by(course.omega, course.smoother(), slice(None))
     candidates: dict[str, list[Found]] = {}
-    for near, n in _crossings(course, smooth, np.imag):
-        if near.values[n].real + near.values[n + 1].real < 0:
-            gain = near.of(_gain, n)
-            # A loop that noise may turn has no gain margin there: -1 / Re L of noise is any number.
-            if gain[1] * TELLING < gain[0]:
-                candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(
-                    gain
-                )
+    for gain in _gains(course, smooth, quantile):
+        candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(gain)
     for near, n in _crossings(course, smooth, lambda values: np.abs(values) - 1):
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
             candidates.setdefault(name, []).append(near.of(margin, n))
@@ -227,14 +224,7 @@ def _crossings(
 ) -> Iterator[tuple[Smooth, int]]:
     """Places, and the number of the one behind which a real function of L changes its sign there."""
     signed = function(smooth.values)
-    error = np.sqrt(np.diag(smooth.covariance) / 2)
-    sure = np.abs(signed) > SURE * error
-    groups: list[tuple[int, int]] = []
-    for n in _changes(signed):
-        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
-            groups[-1] = (groups[-1][0], n)
-        else:
-            groups.append((n, n))
+    groups, sure = _groups(smooth, signed)
     for first, last in groups:
         # Not where noise crosses up to an end of the lines, or a function that only touches zero.
         before, after = np.flatnonzero(sure[: first + 1]), np.flatnonzero(sure[last + 1 :])
@@ -251,6 +241,61 @@ def _crossings(
             if len(again) == 1:
                 yield near, again[0]
                 break
+
+
+def _groups(smooth: Smooth, signed: FloatArray) -> tuple[list[tuple[int, int]], BoolArray]:
+    """First and last number behind which a real function *signed* (n_line,) of L changes its sign, where no
+    line between is surely not zero; which lines (n_line,) are.
+    """
+    sure = np.abs(signed) > SURE * np.sqrt(np.diag(smooth.covariance) / 2)
+    groups: list[tuple[int, int]] = []
+    for n in _changes(signed):
+        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
+            groups[-1] = (groups[-1][0], n)
+        else:
+            groups.append((n, n))
+    return groups, sure
+
+
+def _gains(course: Course, smooth: Smooth, quantile: float) -> Iterator[Found]:
+    """-1 / Re L where Im L = 0, by as many lines as a parabola follows; none where noise crosses.
+
+    Its error holds what the noise of Im L does to the place, however L bends there: all places count whose
+    Im L is zero within *quantile* standard errors e, and there Re L +- sqrt(quantile^2 e^2 - Im^2 L).
+    Equation (comp-gain-profile).
+    """
+    for first, last in _groups(smooth, smooth.values.imag)[0]:
+        lines = _widest(course, first, last + 1)
+        inside = (lines.stop - lines.start) // EDGE
+        ends = course.omega[[lines.start + inside, lines.stop - 1 - inside]]
+        near = course.at(np.geomspace(*ends, PLACES), lines)
+        crossings = _changes(near.values.imag)
+        if len(crossings) != 1 or near.values[crossings[0]].real >= 0:
+            continue
+        value, error, moved = near.of(_gain, crossings[0])
+        square = quantile**2 * np.diag(near.covariance) / 2 - near.values.imag**2
+        zero = square >= 0
+        reach = np.sqrt(square[zero])
+        ends = -near.values.real[zero][:, None] + reach[:, None] * np.array([-1.0, 1.0])
+        # A loop that noise may turn has no gain margin there: -1 / Re L of noise is any number.
+        if np.any(ends <= 0):
+            continue
+        away = float(np.max(np.abs(np.log(ends * value)), initial=0.0)) / quantile
+        error = max(error, value * away)
+        if error * TELLING < value:
+            yield value, error, moved
+
+
+def _widest(course: Course, first: int, last: int) -> slice:
+    """The most lines about first ... last that a parabola follows."""
+    count = course.omega.size
+    chosen, width = window(first, last, FEWEST, count), float(max(FEWEST, last - first + 1))
+    while width < GROWTH * count:
+        lines = window(first, last, round(width) | 1, count)
+        if course.follows(np.array([lines.start]), lines.stop - lines.start)[0]:
+            chosen = lines
+        width *= GROWTH
+    return chosen
 
 
 def _changes(values: FloatArray) -> list[int]:

@@ -453,10 +453,6 @@ def _finding(parted: Decayed, parts: tuple[FreeDecay, ...], rate: float) -> Find
     return Finding("second-hit", f"{what}. Strike once and let it ring")
 
 
-# Mean square of a residual at the end over that at the beginning from which it goes on.
-GOES_ON = 0.5
-
-
 def depends_on_amplitude(law: FittedLaw) -> bool:
     """Whether a slope of the law differs significantly from zero, and the law is no worse than its noise
     allows to tell.
@@ -504,33 +500,38 @@ def decay_findings(
             )
         )
     beats = missing.mode if missing is not None else None
-    warnings.extend(
+    of_amplitude = [
         _over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None)
         for mode, law in laws.items()
-    )
+    ]
     gaining = [mode for mode, law in laws.items() if law.law.zeta_rest < -2 * np.sqrt(law.covariance[0, 0])]
-    warnings.extend(_gaining(mode, laws[mode].law.zeta_rest) for mode in gaining)
+    of_amplitude += [_gaining(mode, laws[mode].law.zeta_rest) for mode in gaining]
     if missing is not None and missing.white:
-        warnings.append(_beating(missing, fitted.poles.size))
+        of_amplitude.append(_beating(missing, fitted.poles.size))
     explained = laws and all(law.law.p_value >= MISMATCH_P for law in laws.values())
-    if not explained and min(tested.white, tested.amplitude) < MISMATCH_P:
-        p_value = min(tested.white, tested.amplitude)
-        # What rings down with the decay is of the model, what does not is of something else.
-        goes_on = tested.ending > GOES_ON
-        cause = (
-            "it goes on to the end: a force that does not stop, such as wind or hum, dry friction, or "
-            "coloured noise"
-            if goes_on
-            else "another mode or hum, forced motion at the start, or coloured noise"
-        )
-        message = (
-            f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near "
-            f"{tested.strongest:.4g} Hz: {cause}. "
-            "Intervals hold what the stretches of the decay scatter by. Raise `modes`, name a `band` "
-            "around the mode, or begin later (`frf: {decay: {start: ...}}`)."
-        )
-        warnings.append(Finding("model-mismatch", message))
-    return tuple(warnings)
+    mismatch = () if explained else _mismatch(tested)
+    # What goes on to the end is no decay: a law over the amplitude follows a part of it.
+    return (*warnings, *mismatch, *of_amplitude) if tested.goes_on else (*warnings, *of_amplitude, *mismatch)
+
+
+def _mismatch(tested: Judged) -> tuple[Finding, ...]:
+    p_value = min(tested.white, tested.amplitude)
+    if p_value >= MISMATCH_P:
+        return ()
+    # What rings down with the decay is of the model, what does not is of something else.
+    cause = (
+        "it goes on to the end: a force that does not stop, such as wind or hum, dry friction, or "
+        "coloured noise"
+        if tested.goes_on
+        else "another mode or hum, forced motion at the start, or coloured noise"
+    )
+    message = (
+        f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near "
+        f"{tested.strongest:.4g} Hz: {cause}. "
+        "Intervals hold what the stretches of the decay scatter by. Raise `modes`, name a `band` "
+        "around the mode, or begin later (`frf: {decay: {start: ...}}`)."
+    )
+    return (Finding("model-mismatch", message),)
 
 
 def _lasting(fitted: Decayed) -> list[float]:

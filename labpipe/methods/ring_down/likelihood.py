@@ -442,6 +442,10 @@ ROWS_PER_LAG = 8
 DEPENDENT = 1e-6
 
 
+# Mean square of a residual at the end over that at the beginning from which it goes on.
+GOES_ON = 0.5
+
+
 @dataclass(frozen=True)
 class Judged:
     """Chances of such a residual in white noise [1], and the frequency [Hz] at which most of it is left.
@@ -455,6 +459,11 @@ class Judged:
     white: float
     strongest: float
     ending: float
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the residual does not die away with the decay."""
+        return self.ending > GOES_ON
 
 
 def judged(pieces: Sequence[Piece], fitted: Decayed, rate: float) -> Judged:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -347,6 +349,82 @@ def test_an_excitation_that_is_not_followed_is_looked_at_as_a_whole(bench, follo
     lines = follow(bench / "test.csv", "--until", "s.k.expanded<=0.001%", code=1)
     assert lines[-1]["averages"] > 50
     low, high = lines[-1]["parameters"]["s.k"]["ci95"]
+    assert low < STIFFNESS < high
+    # Before the first average it says what it cannot do.
+    assert lines[0]["averages"] == 0 and not lines[0]["parameters"]
+    (said,) = [finding["message"] for finding in lines[0]["findings"] if finding["code"] == "not-followed"]
+    assert "random data are known by all samples together" in said and "after 15 % more" in said
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ("damping: hysteretic", "`damping: hysteretic` is not linear"),
+        ("estimator: ls", "`estimator: ml` alone"),
+        ("bands: [40-65 Hz, 65-90 Hz]", "several bands"),
+    ],
+)
+def test_a_fit_that_cannot_be_followed_ends_no_test(bench, follow, keys, reason):
+    """It is made of all samples, and the recording is evaluated at the end."""
+    write_csv(bench / "test.csv", samples(12))
+    text = PIPELINE.replace("band: 40-90 Hz}", f"{'' if 'bands' in keys else 'band: 40-90 Hz, '}{keys}}}")
+    (bench / "pipeline.yaml").write_text(text + "  m: {model: sdof, input: f, output: y, band: 40-90 Hz}\n")
+    lines = follow(bench / "test.csv", "-o", str(bench / "out"))
+    (said,) = [f["message"] for f in lines[0]["findings"] if f["code"] == "not-followed"]
+    assert said.startswith("s cannot be followed") and reason in said and "once the test has ended" in said
+    assert "m.k" in lines[-1]["parameters"] and "s.k" not in lines[-1]["parameters"]
+    fits = json.loads((bench / "out" / "identification.json").read_text())["fits"]
+    assert {fit["name"] for fit in fits} == {"s", "m"}
+    waited = follow(bench / "test.csv", "--until", "s.k.expanded<=0.0001%,m.k.expanded<=0.0001%", code=1)
+    assert waited[-1]["parameters"].keys() >= {"s.k", "m.k"} or "bands" in keys
+
+
+def test_a_full_disk_ends_neither_the_test_nor_what_was_kept(bench):
+    """No file may become larger than 200 kB: of 40 s of 16 bytes 12.2 s are kept at most, and all averages
+    are followed; the run at the end is of those that were kept.
+    """
+    head = b'{"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}\n'
+    command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), "-", "--json"]
+    ran = subprocess.run(
+        [*command, "-o", str(bench / "out"), "--set", "report.formats=[md]"],
+        input=head + samples(40).astype("<f8").tobytes(),
+        capture_output=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY)),
+    )
+    assert ran.returncode == 0 and not ran.stderr
+    lines = [json.loads(line) for line in ran.stdout.splitlines()]
+    (said,) = {f["message"] for line in lines for f in line["findings"] if f["code"] == "disk-full"}
+    assert lines[-1]["averages"] == 39 and "file too large" in said
+    kept = int(said.split()[-2])
+    assert pq.read_metadata(bench / "out" / "recording.parquet").num_rows == kept
+    (course,) = json.loads((bench / "out" / "identification.json").read_text())["courses"]
+    assert 2 <= course["averages"] == kept // N - SKIPPED < 12
+
+
+def test_a_pause_and_a_logger_that_begins_anew(bench):
+    """A logger writes eight periods, pauses, begins its file anew, pauses again and goes on: the averages of
+    both files count, less one that is skipped of each.
+    """
+    rows = samples(16)
+    write_csv(bench / "test.csv", rows[: 8 * N])
+    command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), str(bench / "test.csv")]
+    with subprocess.Popen([*command, "--json", "--idle", "60"], stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        first = [json.loads(child.stdout.readline()) for _ in range(7)]
+        time.sleep(0.5)
+        write_csv(bench / "new.csv", rows[8 * N : 10 * N])
+        (bench / "new.csv").replace(bench / "test.csv")
+        second = [json.loads(child.stdout.readline())]
+        time.sleep(0.5)
+        with (bench / "test.csv").open("a") as stream:
+            stream.write("".join(f"{f:.9g},{y:.9g}\n" for f, y in rows[10 * N :]))
+        second += [json.loads(child.stdout.readline()) for _ in range(6)]
+        child.send_signal(signal.SIGINT)
+    assert child.returncode == 0
+    assert [line["averages"] for line in first] == list(range(1, 8))
+    assert [line["averages"] for line in second] == list(range(8, 15))
+    low, high = second[-1]["parameters"]["s.k"]["ci95"]
     assert low < STIFFNESS < high
 
 

