@@ -40,7 +40,8 @@ class SmallErrors:
 
     elements: ln stiffness of every element. inertia: ln J_t and J_p of every disc. bearings: ln of every
     bearing coefficient, running against standing. apparent_mass: at every bearing and direction, in 5 kg.
-    phase: of every probe [rad]. They are in the model, so that predictions carry them.
+    phase: of every probe [rad]. They are in the model, so that predictions carry them. together: ln of all
+    bearings' stiffness, and of their damping, running against standing: one error for all, not by group.
     """
 
     elements: float = 0.01
@@ -48,6 +49,7 @@ class SmallErrors:
     bearings: float = 0.1
     apparent_mass: float = 0.03
     phase: float = 0.01
+    together: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,9 @@ def build(
             system, pedestals=tuple(map(partial(_unknown_pedestal, system), system.rig.bearings))
         )
     turning = frozenset([name for name, each in sensors.items() if each.turning] + [RUNNING])
-    return _Builder(system, small, turning, alternative == TOGETHER).built(sensors)
+    if alternative == TOGETHER:
+        small = replace(small, together=ALTOGETHER)
+    return _Builder(system, small, turning).built(sensors)
 
 
 def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
@@ -167,16 +171,13 @@ def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
 
 
 class _Builder:
-    def __init__(
-        self, system: RotorSystem, small: SmallErrors, running: frozenset[str], together: bool
-    ) -> None:
+    def __init__(self, system: RotorSystem, small: SmallErrors, running: frozenset[str]) -> None:
         self.system, self.small, self.running = system, small, running
         self.unknowns: list[Unknown] = []
         self.terms: list[Term] = []
         self.together = {
-            letter: self.unknown(f"all bearings {letter} running", ALTOGETHER, tests=running)
+            letter: self.unknown(f"all bearings {letter} running", small.together, tests=running)
             for letter in ("k", "c")
-            if together
         }
 
     def unknown(self, name: str, error: float, mean: float = 0.0, **entries: object) -> tuple[int, ...]:

@@ -4,7 +4,7 @@ predictions, weights, what to measure next.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -29,10 +29,20 @@ from labpipe.methods.rotor_system.evidence import (
     FreeModes,
     Responses,
     RunUpVectors,
+    out_of_order,
     run_up_whitener,
 )
 from labpipe.methods.rotor_system.model import Unknown
-from labpipe.methods.rotor_system.posterior import WIDENED, Posterior, Pull, fit_system, is_normal, pulls
+from labpipe.methods.rotor_system.posterior import (
+    WIDENED,
+    Posterior,
+    Pull,
+    common_changes,
+    fit_system,
+    normality,
+    pulls,
+    refitted,
+)
 from labpipe.methods.rotor_system.predictions import (
     DRAWS,
     Campbell,
@@ -43,14 +53,12 @@ from labpipe.methods.rotor_system.predictions import (
     onset,
 )
 from labpipe.methods.rotor_system.records import (
-    BalanceResult,
     CampbellResult,
     CriticalResult,
     RotorSystemResult,
     SmallErrorResult,
     TestResult,
     UnknownResult,
-    WeightResult,
 )
 from labpipe.methods.rotor_system.settings import (
     MODES,
@@ -60,6 +68,7 @@ from labpipe.methods.rotor_system.settings import (
     SystemTest,
     place_of,
 )
+from labpipe.methods.rotor_system.weights import balanced
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.section import run_as_measured
 from labpipe.project.work import Work
@@ -73,10 +82,10 @@ from labpipe.registry import nearest
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 # Speeds of a Campbell diagram.
 SPEEDS = 41
+# A common change of all bearings that the tests at speed tell no better than this, is not told.
+FAINT = 0.15
 # Share of the critical speed up to which one more run-up would go.
 NEARER = 0.95
-# Runs looked at beside the weights themselves, and the draws behind them.
-LOOKED = 60
 
 
 def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemResult:
@@ -91,10 +100,17 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemRe
         }
         sensors = {test.name: _sensors(test, work, runs) for test in settings.tests}
         work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
-        built, posterior = _fitted(settings, system, sensors, work, runs)
+        out_of_place = list(_interlacing(settings, system, work))
+        try:
+            built, posterior = _fitted(settings, system, sensors, work, runs)
+        except FitError as error:
+            error.hint = "; ".join(each.message for each in out_of_place) or error.hint
+            raise
         kinds = {test.name: test.kind for test in settings.tests}
         result = _result(system, built, posterior, settings.band, kinds, settings.draws, settings.seed)
-        return replace(result, balance=_balance(settings, built, posterior))
+        return replace(
+            result, balance=balanced(settings, built, posterior), findings=(*result.findings, *out_of_place)
+        )
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"
         raise
@@ -107,29 +123,33 @@ def _fitted(
     work: Work,
     runs: Mapping[str, RunUp],
 ) -> tuple[Built, Posterior]:
-    """The posterior; where a test misfits or small errors are large, that of the most probable alternative.
-
-    Intervals of predictions are half as wide again then: sizes are poorly known.
-    """
+    """Intervals of predictions are half as wide again where a test misfits: sizes are poorly known."""
 
     def fitted(alternative: str) -> tuple[Built, Posterior]:
         built = build(system, settings.small_errors.sizes, sensors, alternative)
         tests = [_evidence(test, built, system, work, runs) for test in settings.tests]
         return built, replace(fit_system(built.model, tests), alternative=alternative)
 
-    best = fitted("")
-    if not (best[1].misfits or best[1].enlarged):
-        return best
     alternatives = [PEDESTALS] if not system.pedestals else []
-    alternatives += [TOGETHER] if any(each.turning for each in sensors.values()) else []
-    for alternative in alternatives:
-        try:
-            other = fitted(alternative)
-        except FitError:
-            continue
-        if other[1].ln_evidence > best[1].ln_evidence:
-            best = other
-    return best[0], replace(best[1], widened=WIDENED)
+    running = any(each.turning for each in sensors.values())
+    alternatives += [TOGETHER] if running and not settings.small_errors.together else []
+    return most_probable(fitted, alternatives)
+
+
+def most_probable(
+    fitted: Callable[[str], tuple[Built, Posterior]], alternatives: Sequence[str]
+) -> tuple[Built, Posterior]:
+    """The fit of the rotor as it is declared, "", or of the most probable alternative to it where a test
+    misfits or small errors are large; fitted to moved data where it is not normal.
+    """
+    best = fitted("")
+    if best[1].misfits or best[1].enlarged:
+        for alternative in alternatives:
+            with suppress(FitError):
+                best = max(best, fitted(alternative), key=lambda other: other[1].ln_evidence)
+        best = best[0], replace(best[1], widened=WIDENED)
+    excess, bearable = normality(best[1])
+    return best[0], refitted(best[1]) if excess > bearable else best[1]
 
 
 def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
@@ -247,6 +267,34 @@ def _responses(test: SystemTest, response: FrequencyResponse, built: Built, syst
         supported=not test.free,
         gains=built.gains[test.name],
     )
+
+
+def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work) -> Iterator[Finding]:
+    """Natural frequencies in the bearings that no bearing can give the rotor that was on strings."""
+    known = [test for test in settings.tests if test.fit or test.frequencies]
+    free = [test for test in known if test.kind == MODES or test.free]
+    coupled = any(np.any(b.stiffness[[0, 1], [1, 0]]) for b in system.linear.values()) or len(
+        system.linear
+    ) < len(system.rig.bearings)
+    for test in known:
+        if test.kind == MODES or test.free or test.speed:
+            continue
+        inputs = [_placed(test, test.read_places, p.dof)[1] for p in _response(test, work).inputs]
+        planes = 2 if coupled else len(set(inputs))
+        bearings, pedestals = len(system.rig.bearings), len(system.pedestals)
+        for other in free:
+            modes = _modes(other, work), _modes(test, work)
+            for place, number, below in out_of_order(*modes, planes, bearings, pedestals):
+                rotor, stands = (m.frequency[n - 1] for m, n in zip(modes, (number, place), strict=True))
+                side, what = (
+                    ("below", "springs") if below else ("above", f"{bearings} springs, no mode missed,")
+                )
+                yield Finding(
+                    "interlacing",
+                    f"test '{test.name}': mode {place} at {stands:.4g} Hz lies {side} bending mode {number} "
+                    f"of test '{other.name}', {rotor:.4g} Hz, as no {what} to ground can make it: another "
+                    "assembly, other masses or joints, or a negative stiffness (of a controller)",
+                )
 
 
 def _placed(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str) -> tuple[int, str]:
@@ -451,12 +499,25 @@ def _findings(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[Finding]
         yield Finding(
             "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
         )
-    if not is_normal(posterior):
-        yield Finding(
+    yield from _notes(posterior)
+
+
+def _notes(posterior: Posterior) -> Iterator[Finding]:
+    """How the intervals came about, and what no test tells."""
+    if posterior.refits is not None:
+        yield note(
             "first-order",
-            "draws of the posterior fit the tests worse than its middle by more than their number explains: "
-            "intervals are rough",
+            "a normal posterior does not fit the tests: its intervals are those of "
+            f"{len(posterior.refits)} fits of data that were moved by their own noise",
         )
+    for what, spread in common_changes(posterior).items():
+        if spread > FAINT:
+            yield note(
+                "bearings-at-speed",
+                f"the tests at speed tell a change of the {what} of all bearings against rest to "
+                f"{100 * spread:.0f} % only; if they may change together, declare small_errors: "
+                "{together: 30 %}, or run nearer to the critical speed",
+            )
     untold = [
         unknown.name
         for unknown, share in zip(posterior.model.unknowns, posterior.shares, strict=True)
@@ -510,76 +571,3 @@ def _next_tests(
         covariance = np.linalg.inv(information + jacobian.T @ jacobian)
         errors[name] = float(np.sqrt(gradient @ covariance @ gradient))
     return errors
-
-
-def _balance(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
-    """Weights in the planes of the unbalances, what they leave, and what one more run would change."""
-    runs = [test for test in posterior.tests if isinstance(test, RunUpVectors)]
-    if not settings.balance_speeds or not runs:
-        return None
-    speed = 2 * np.pi * np.array(settings.balance_speeds)
-    test = replace(
-        runs[0], speed=speed, added=(), measured=np.zeros((speed.size, len(runs[0].outputs)), complex)
-    )
-    draws = posterior.values + posterior.widened * (
-        posterior.draws(settings.draws, settings.seed) - posterior.values
-    )
-    each = [influence(built, test, values) for values in draws]
-    weights = best_weights(each)
-    left = np.array([np.sqrt(np.mean(np.abs(h @ (u + weights)) ** 2)) for h, u in each])
-    before = float(np.sqrt(np.mean([np.mean(np.abs(h @ u) ** 2) for h, u in each])))
-    low, high = np.percentile(left, (2.5, 97.5))
-    return BalanceResult(
-        settings.balance_speeds,
-        tuple(
-            WeightResult(node, float(abs(w)), float(np.angle(w) % (2 * np.pi)))
-            for node, w in zip(built.planes, weights, strict=True)
-        ),
-        before,
-        float(np.sqrt(np.mean(left**2))),
-        (float(low), float(high)),
-        _next_weights(built, posterior, test, weights),
-    )
-
-
-def influence(built: Built, test: RunUpVectors, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """H (n_reading, n_plane) [m/(kg m)] and u (n_plane,) [kg m] at *values* (n_unknown,), for the speeds and
-    probes of a test.
-    """
-    _, _, influence = test.readings(built.model, values)
-    u = np.array([values[real] + 1j * values[imaginary] for _, real, imaginary in built.planes.values()])
-    return influence.reshape(-1, u.size), u
-
-
-def best_weights(each: Sequence[tuple[ComplexArray, ComplexArray]]) -> ComplexArray:
-    """Weights (n_plane,) [kg m] that make the mean of |H (u + w)|^2 over draws (H (n_reading, n_plane)
-    [m/(kg m)], u (n_plane,) [kg m]) least: w = -(sum H^H H)^-1 sum H^H H u. Equation (system-balance).
-    """
-    square = sum(h.conj().T @ h for h, _ in each)
-    return np.asarray(-np.linalg.solve(square, sum(h.conj().T @ h @ u for h, u in each)))
-
-
-def _next_weights(
-    built: Built, posterior: Posterior, test: RunUpVectors, weights: ComplexArray
-) -> dict[str, float]:
-    """What one more run first, with a weight in one plane or the weights themselves, is expected to leave:
-    the posterior narrows, its middle stays.
-    """
-    information = np.linalg.inv(posterior.covariance)
-    trial = float(np.max(np.abs(weights)))
-    sets = {f"a weight at node {node}": {node: trial + 0j} for node in built.planes}
-    sets["the weights themselves"] = dict(zip(built.planes, weights, strict=True))
-    noise = np.median(1 / np.linalg.norm(test.whitener, axis=2))
-    expected = {}
-    for name, added in sets.items():
-        run = replace(
-            test,
-            added=tuple((built.planes[node][0], amount) for node, amount in added.items()),
-            whitener=run_up_whitener(np.full((len(test.outputs), test.speed.size), noise), 0.0),
-        )
-        _, jacobian = run.residual(built.model, posterior.values)
-        narrowed = replace(posterior, covariance=np.linalg.inv(information + jacobian.T @ jacobian))
-        each = [influence(built, test, values) for values in narrowed.draws(LOOKED)]
-        chosen = best_weights(each)
-        expected[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
-    return expected

@@ -83,6 +83,32 @@ class FreeModes:
         return self
 
 
+def out_of_order(
+    free: FreeModes, supported: FreeModes, planes: int, springs: int, added: int
+) -> list[tuple[int, int, bool]]:
+    """What no springs to ground can do to a rotor: (number of a supported mode, number of the free bending
+    mode that it lies on the wrong side of, True if it lies below that one).
+
+    With r springs >= 0 in a plane f_j(free) <= f_j(supported) <= f_(j+r)(free), the two rigid motions
+    counted; modes of *planes* planes are in one sequence, pedestals *added* so many masses to each. Beyond
+    two standard uncertainties of both. Equation (system-interlacing).
+    """
+    wrong = []
+    for place, (f, error) in enumerate(
+        zip(supported.frequency, supported.frequency * supported.frequency_error, strict=True), 1
+    ):
+        for number, bending, spread in zip(
+            free.numbers, free.frequency, free.frequency * free.frequency_error, strict=True
+        ):
+            rank, apart = int(number) + 2, 2 * float(np.hypot(error, spread))
+            # Of so many supported modes of a plane one is at least this far up.
+            if -(-place // planes) - added >= rank and f < bending - apart:
+                wrong.append((place, int(number), True))
+            if -(-place // planes) + springs <= rank and f > bending + apart:
+                wrong.append((place, int(number), False))
+    return wrong
+
+
 def as_real(values: ComplexArray) -> FloatArray:
     """Real parts, then imaginary parts, of (n, ...) values [any unit]: (2 n, ...)."""
     return np.concatenate([values.real, values.imag])

@@ -7,7 +7,7 @@ Sources: Kennedy and O'Hagan 2001 (small errors), MacKay 1992 (evidence), Hausma
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,10 @@ NEAR, MOST_STEPS = 1e-2, 40
 RESTARTS, DRAWN, RESTART_SEED = 3, 0.6, 20261126
 # Steps with noise that is enlarged by a share of the amplitudes, before the share is taken anew.
 STEPS = 4
+# Draws by which the normal approximation is held against the tests, and the excess over the number of
+# unknowns that it bears, in standard deviations of a median of so many; fits of randomised maximum likelihood
+# where it fails, and the steps of each.
+LOOKED, BEARABLE, REFITS, REFIT_STEPS = 20, 3.0, 100, 6
 # Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
 # alternative; intervals are then widened, since sizes are poorly known.
 MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5
@@ -41,7 +45,9 @@ MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5
 
 @dataclass(frozen=True)
 class _Problem:
-    """Residuals of the tests and of the priors N(*means*, *errors*^2) of the *free* unknowns."""
+    """Residuals of the tests and of the priors N(*means*, *errors*^2) of the *free* unknowns; *moved*: added
+    to them.
+    """
 
     model: SystemModel
     tests: tuple[Evidence, ...]
@@ -49,6 +55,7 @@ class _Problem:
     errors: FloatArray
     free: BoolArray
     base: FloatArray
+    moved: FloatArray | float = 0.0
 
     @property
     def size(self) -> float:
@@ -71,7 +78,7 @@ class _Problem:
             parts.append(((values - self.means) / self.errors, np.diag(1 / self.errors)))
             self._last.clear()
             self._last[key] = (
-                np.concatenate([residual for residual, _ in parts]),
+                np.concatenate([residual for residual, _ in parts]) + self.moved,
                 np.concatenate([jacobian for _, jacobian in parts])[:, self.free],
             )
         return self._last[key]
@@ -105,7 +112,8 @@ class Posterior:
     *model* from *tests*; *errors*: standard uncertainties
     of the priors as they were used, *sizes* of the small errors by group. chi2: (chi-square, data) by test.
 
-    ln_evidence: of the data. widened: factor on intervals.
+    ln_evidence: of the data. widened: factor on intervals. refits (n_draw, n_unknown): fits of moved data
+    where the normal approximation fails, in place of draws of it.
     """
 
     model: SystemModel
@@ -118,11 +126,22 @@ class Posterior:
     ln_evidence: float
     widened: float = 1.0
     alternative: str = ""
+    refits: FloatArray | None = None
+
+    @cached_property
+    def spread(self) -> FloatArray:
+        """What intervals follow from, (n_unknown, n_unknown) [unit of each]: the covariance, or the mean
+        square of the refits about the values.
+        """
+        if self.refits is None:
+            return self.covariance
+        off = self.refits - self.values
+        return np.asarray(off.T @ off / len(off))
 
     @property
     def standard_errors(self) -> FloatArray:
         """(n_unknown,) [unit of each]."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        return np.asarray(np.sqrt(np.diag(self.spread)))
 
     @property
     def shares(self) -> FloatArray:
@@ -156,11 +175,13 @@ class Posterior:
 
     def gradient_error(self, gradient: FloatArray) -> FloatArray:
         """Standard errors (...,) [unit of the prediction] of predictions with *gradient* (..., n_unknown)."""
-        variance = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
+        variance = np.einsum("...i,ij,...j->...", gradient, self.spread, gradient)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def draws(self, n_draw: int, seed: int = 0) -> FloatArray:
-        """Draws (n_draw, n_unknown) [unit of each]."""
+        """Draws (n_draw, n_unknown) [unit of each], of the refits where there are such."""
+        if self.refits is not None:
+            return self.refits[np.arange(n_draw) % len(self.refits)]
         scale = self.standard_errors
         sizes, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         root = scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
@@ -215,7 +236,10 @@ def _begun(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) ->
     for attempt in range(RESTARTS + 1):
         moved = DRAWN * model.errors * rng.standard_normal(errors.size) if attempt else 0.0
         try:
-            values = _descended(model, tests, errors, _started(model, tests, errors, model.means + moved))
+            # A prior that is far off needs longer to come near under enlarged noise.
+            steps = STEPS * (1 + 2 * attempt)
+            begun = _started(model, tests, errors, model.means + moved, steps)
+            values = _descended(model, tests, errors, begun)
         except FitError as error:
             reason = error
             continue
@@ -232,10 +256,10 @@ def _begun(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) ->
 
 
 def _started(
-    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray
+    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray, steps: int
 ) -> FloatArray:
     """Values near the minimum: modes and deflections, then responses, then all, noise enlarged less and
-    less.
+    less, so many *steps* with each.
     """
     early = [test for test in tests if isinstance(test, FreeModes | Deflections)]
     standing = [test for test in tests if isinstance(test, FreeModes | Deflections | Responses)]
@@ -243,21 +267,21 @@ def _started(
     if early:
         values = _descended(model, early, errors, values)
     if len(early) < len(standing):
-        values = _tempered(model, standing, errors, values)
+        values = _tempered(model, standing, errors, values, steps)
     if len(standing) < len(tests):
         # The unbalance alone first, in which the vectors are linear.
         loosened = [test.loosened(model, values, SLACK[0]) for test in tests]
-        values = _descended(model, loosened, errors, values, unbalance, STEPS)
-        values = _tempered(model, tests, errors, values)
+        values = _descended(model, loosened, errors, values, unbalance, steps)
+        values = _tempered(model, tests, errors, values, steps)
     return values
 
 
 def _tempered(
-    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray
+    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray, steps: int
 ) -> FloatArray:
     for share in SLACK:
         loosened = [test.loosened(model, values, share) for test in tests]
-        values = _descended(model, loosened, errors, values, most_steps=STEPS)
+        values = _descended(model, loosened, errors, values, most_steps=steps)
     return values
 
 
@@ -329,25 +353,52 @@ def pulls(posterior: Posterior) -> list[Pull]:
     return all_pulls
 
 
-# Draws by which the normal posterior is held against the tests.
-LOOKED = 20
+def common_changes(posterior: Posterior) -> dict[str, float]:
+    """Standard uncertainties to which the tests alone tell ln of the stiffness, and of the damping, of all
+    bearings at speed against rest: (1 / u^2 - 1 / u_0^2)^-1/2 of their mean, u_0 as declared [1].
 
-
-def is_normal(posterior: Posterior) -> bool:
-    """Whether draws of the posterior fit the tests and priors as a normal one does: their median cost exceeds
-    that of the middle by the number of unknowns, within three standard deviations of chi-square.
+    Nothing where one error of all is an unknown, and where no bearing has such errors.
     """
+    unknowns = posterior.model.unknowns
+    changes = {}
+    for what, letter in (("stiffness", "k"), ("damping", "c")):
+        alike = np.array([u.group == "bearings" and f" {letter}" in u.name for u in unknowns])
+        if not alike.any() or any(u.name.startswith("all bearings") for u in unknowns):
+            continue
+        mean = alike / alike.sum()
+        declared = 1 / float(np.sum((mean * posterior.errors) ** 2))
+        gained = 1 / float(mean @ posterior.covariance @ mean) - declared
+        changes[what] = 1 / np.sqrt(max(gained, 1e-6 * declared))
+    return changes
+
+
+def normality(posterior: Posterior) -> tuple[float, float]:
+    """How normal a posterior is: the median excess of chi-square of its draws over that of its middle, and
+    the largest one that chance gives a normal posterior, about its number of unknowns [1].
+    """
+    problem, n = _problem(posterior), posterior.values.size
+    middle = problem.chi2(posterior.values)
+    excess = np.array([problem.chi2(draw) for draw in posterior.draws(LOOKED)]) - middle
+    # A median of so many draws scatters 1.25 times as much as their mean.
+    return float(np.median(excess)), n + BEARABLE * 1.25 * float(np.sqrt(2 * n / LOOKED))
+
+
+def _problem(posterior: Posterior) -> _Problem:
     model = posterior.model
-    problem = _Problem(
-        model,
-        posterior.tests,
-        model.means,
-        posterior.errors,
-        np.ones(posterior.values.size, dtype=bool),
-        posterior.values,
-    )
-    n = posterior.values.size
-    excess = np.array([problem.chi2(draw) for draw in posterior.draws(LOOKED)]) - problem.chi2(
-        posterior.values
-    )
-    return bool(np.median(excess) < n + 3 * np.sqrt(2 * n))
+    whole = np.ones(posterior.values.size, dtype=bool)
+    return _Problem(model, posterior.tests, model.means, posterior.errors, whole, posterior.values)
+
+
+def refitted(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Posterior:
+    """The posterior by randomised maximum likelihood where the normal approximation fails: data and prior
+    means are moved by their own standard uncertainties and fitted again, *n_draw* times (Chen and Oliver
+    2012). Equation (system-draws).
+    """
+    problem, rng = _problem(posterior), np.random.default_rng(seed)
+    residual, jacobian = problem.residual(posterior.values), problem.jacobian(posterior.values)
+    fits = []
+    for _ in range(n_draw):
+        moved = rng.standard_normal(residual.size)
+        start = posterior.values - posterior.covariance @ (jacobian.T @ moved)
+        fits.append(minimise(replace(problem, moved=moved), start, NEAR, REFIT_STEPS).values)
+    return replace(posterior, refits=np.array(fits))

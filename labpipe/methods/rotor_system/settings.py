@@ -17,7 +17,7 @@ MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
 # Keys of a test by its kind, beside name and kind.
 KEYS = {
     MODES: ("fit", "frequencies", "damping", "numbers"),
-    RESPONSE: ("test", "places", "speed", "free", "gain", "band"),
+    RESPONSE: ("test", "places", "speed", "free", "gain", "band", "fit", "frequencies"),
     RUN_UP: ("run", "places", "axes", "slow_roll", "gain"),
     STATIC: ("deflections", "mass"),
 }
@@ -46,12 +46,13 @@ class SystemTest(Settings):
         choices=tuple(KEYS),
     )
     fit: str = setting(
-        "text", "modes: a modal fit of this pipeline, of the rotor on soft strings", default=""
+        "text",
+        "modes: a modal fit of this pipeline, of the rotor on soft strings; response: one of this FRF, whose "
+        "natural frequencies are held against those of the free rotor",
+        default="",
     )
     frequencies: tuple[str, ...] = setting(
-        "names",
-        "modes: in place of a fit, from the lowest: [111.3 Hz +- 0.1 Hz, 239.6 Hz +- .2 Hz]",
-        default=(),
+        "names", "in place of a fit, from the lowest: [111.3 Hz +- 0.1 Hz, 239.6 Hz +- .2 Hz]", default=()
     )
     damping: tuple[str, ...] = setting("names", "modes: their damping ratios: [1.5 % +- 5 %]", default=())
     numbers: tuple[float, ...] = setting(
@@ -171,10 +172,18 @@ class SmallErrorSettings(Settings):
         "value", "apparent mass at every bearing, in 5 kg", unit="1", default=SmallErrors.apparent_mass
     )
     phase: float = setting("value", "phase of every probe", unit="rad", default=SmallErrors.phase)
+    together: float = setting(
+        "value",
+        "stiffness and damping of all bearings alike, running against standing",
+        unit="1",
+        default=SmallErrors.together,
+    )
 
     @property
     def sizes(self) -> SmallErrors:
-        return SmallErrors(self.elements, self.inertia, self.bearings, self.apparent_mass, self.phase)
+        return SmallErrors(
+            self.elements, self.inertia, self.bearings, self.apparent_mass, self.phase, self.together
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

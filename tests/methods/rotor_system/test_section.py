@@ -21,6 +21,9 @@ def result(tmp_path_factory: pytest.TempPathFactory):
     text = (ROOT / "pipelines/rotor-system.yaml").read_text()
     pipeline = yaml.safe_load(text.replace("../", f"{ROOT}/"))
     pipeline["rotor_system"]["draws"] = 60
+    # Two bearings on two pedestals bring at most four modes below the first of the free rotor.
+    pipeline["rotor_system"]["tests"][0]["frequencies"] = ["111 Hz +- 0.2 Hz"]
+    pipeline["rotor_system"]["tests"][1]["frequencies"] = [f"{f} Hz +- 1 Hz" for f in (44, 60, 80, 95, 105)]
     pipeline["frf"]["band"] = "20-200 Hz"
     pipeline["accept"] = {
         "rotor_system.least_decrement": ">= 0.02",
@@ -69,6 +72,12 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
     assert {"young", "least_decrement", "onset"} <= set(frame[frame.fit == "rotor_system"].parameter)
 
 
+def test_an_order_of_modes_that_no_springs_make_is_named(result) -> None:
+    findings = result[0].sections["rotor_system"].findings
+    (said,) = [finding.message for finding in findings if finding.code == "interlacing"]
+    assert "mode 5 at 105 Hz lies below bending mode 1 of test 'free', 111 Hz" in said
+
+
 def test_weights_calm_the_rotor_that_was_recorded(result) -> None:
     """A twentieth of the vibration, in the independent calculation's rotors 2.4 % in the median."""
     balance = result[0].sections["rotor_system"].balance
@@ -80,7 +89,7 @@ def test_weights_calm_the_rotor_that_was_recorded(result) -> None:
     [
         ({"rotor_system": {"tests": []}}, "rotor_system", "a list of tests is needed"),
         ({"tests.0.test": "fre"}, "rotor_system", "no FRF 'fre'; did you mean 'free'?"),
-        ({"tests.0.fit": "x"}, "rotor_system.tests", "'fit' is of kind modes"),
+        ({"tests.4.fit": "x"}, "rotor_system.tests", "'fit' is of kind modes or response"),
         ({"tests.4.mass": "33 kg"}, "rotor_system.tests", "'mass' needs its uncertainty"),
     ],
 )

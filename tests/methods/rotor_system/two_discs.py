@@ -69,9 +69,11 @@ def system(pedestals: bool = True) -> RotorSystem:
 
 
 @cache
-def built(pedestals: bool = True, alternative: str = "", sensors: bool = True) -> Built:
+def built(
+    pedestals: bool = True, alternative: str = "", sensors: bool = True, together: float = 0.0
+) -> Built:
     run = {"run": Sensors(PROBES, 0.02, True, True)} if sensors else {}
-    return build(system(pedestals), SmallErrors(), run, alternative)
+    return build(system(pedestals), SmallErrors(together=together), run, alternative)
 
 
 def true_values(of: Built) -> np.ndarray:

@@ -1,0 +1,94 @@
+"""Weights in the planes of the unbalances by the posterior of a rotor: what to set without a trial run, what
+that leaves, and which run first would pay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.methods.rotor_system.build import Built
+from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
+from labpipe.methods.rotor_system.posterior import Posterior
+from labpipe.methods.rotor_system.records import BalanceResult, WeightResult
+from labpipe.methods.rotor_system.settings import RotorSystemSettings
+
+# Draws behind what one more run would leave.
+LOOKED = 60
+
+
+def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
+    """Weights in the planes of the unbalances, what they leave, and what one more run would change."""
+    runs = [test for test in posterior.tests if isinstance(test, RunUpVectors)]
+    if not settings.balance_speeds or not runs:
+        return None
+    speed = 2 * np.pi * np.array(settings.balance_speeds)
+    test = replace(
+        runs[0], speed=speed, added=(), measured=np.zeros((speed.size, len(runs[0].outputs)), complex)
+    )
+    draws = posterior.values + posterior.widened * (
+        posterior.draws(settings.draws, settings.seed) - posterior.values
+    )
+    each = [influence(built, test, values) for values in draws]
+    weights = best_weights(each)
+    left = np.array([np.sqrt(np.mean(np.abs(h @ (u + weights)) ** 2)) for h, u in each])
+    before = float(np.sqrt(np.mean([np.mean(np.abs(h @ u) ** 2) for h, u in each])))
+    low, high = np.percentile(left, (2.5, 97.5))
+    return BalanceResult(
+        settings.balance_speeds,
+        tuple(
+            WeightResult(node, float(abs(w)), float(np.angle(w) % (2 * np.pi)))
+            for node, w in zip(built.planes, weights, strict=True)
+        ),
+        before,
+        float(np.sqrt(np.mean(left**2))),
+        (float(low), float(high)),
+        _next_weights(built, posterior, test, weights),
+    )
+
+
+def influence(built: Built, test: RunUpVectors, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """H (n_reading, n_plane) [m/(kg m)] and u (n_plane,) [kg m] at *values* (n_unknown,), for the speeds and
+    probes of a test.
+    """
+    _, _, influence = test.readings(built.model, values)
+    u = np.array([values[real] + 1j * values[imaginary] for _, real, imaginary in built.planes.values()])
+    return influence.reshape(-1, u.size), u
+
+
+def best_weights(each: Sequence[tuple[ComplexArray, ComplexArray]]) -> ComplexArray:
+    """Weights (n_plane,) [kg m] that make the mean of |H (u + w)|^2 over draws (H (n_reading, n_plane)
+    [m/(kg m)], u (n_plane,) [kg m]) least: w = -(sum H^H H)^-1 sum H^H H u. Equation (system-balance).
+    """
+    square = sum(h.conj().T @ h for h, _ in each)
+    return np.asarray(-np.linalg.solve(square, sum(h.conj().T @ h @ u for h, u in each)))
+
+
+def _next_weights(
+    built: Built, posterior: Posterior, test: RunUpVectors, weights: ComplexArray
+) -> dict[str, float]:
+    """What one more run first, with a weight in one plane or the weights themselves, is expected to leave:
+    the posterior narrows, its middle stays.
+    """
+    information = np.linalg.inv(posterior.covariance)
+    trial = float(np.max(np.abs(weights)))
+    sets = {f"a weight at node {node}": {node: trial + 0j} for node in built.planes}
+    sets["the weights themselves"] = dict(zip(built.planes, weights, strict=True))
+    noise = np.median(1 / np.linalg.norm(test.whitener, axis=2))
+    expected = {}
+    for name, added in sets.items():
+        run = replace(
+            test,
+            added=tuple((built.planes[node][0], amount) for node, amount in added.items()),
+            whitener=run_up_whitener(np.full((len(test.outputs), test.speed.size), noise), 0.0),
+        )
+        _, jacobian = run.residual(built.model, posterior.values)
+        covariance = np.linalg.inv(information + jacobian.T @ jacobian)
+        narrowed = replace(posterior, covariance=covariance, refits=None)
+        each = [influence(built, test, values) for values in narrowed.draws(LOOKED)]
+        chosen = best_weights(each)
+        expected[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
+    return expected
