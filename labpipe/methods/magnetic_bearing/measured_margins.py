@@ -267,8 +267,8 @@ def _gains(course: Course, smooth: Smooth, quantile: float) -> Iterator[Found]:
     for first, last in _groups(smooth, smooth.values.imag)[0]:
         lines = _widest(course, first, last + 1)
         inside = (lines.stop - lines.start) // EDGE
-        ends = course.omega[[lines.start + inside, lines.stop - 1 - inside]]
-        near = course.at(np.geomspace(*ends, PLACES), lines)
+        low, high = course.omega[lines.start + inside], course.omega[lines.stop - 1 - inside]
+        near = course.at(np.geomspace(low, high, PLACES), lines)
         crossings = _changes(near.values.imag)
         if len(crossings) != 1 or near.values[crossings[0]].real >= 0:
             continue
