@@ -468,10 +468,10 @@ def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArra
     there = (s_uu > 0) & (s_ww > 0) & (np.abs(response) > 0)
     if not np.any(there):
         return 1.0
-    s_uu, s_wu, s_ww, response, gain = (one[there] for one in (s_uu, s_wu, s_ww, response, gain))
+    s_uu, s_wu, s_ww, response = s_uu[there], s_wu[there], s_ww[there], response[there]
     turned = (s_wu * response.conj()).imag / np.abs(response)
     rest = np.maximum(s_ww - np.abs(s_wu) ** 2 / s_uu, np.finfo(float).tiny)
     free = 2 * dof - 2
-    square = free * turned**2 / s_uu / rest / (1 + dof * s_uu * gain)
+    square = free * turned**2 / s_uu / rest / (1 + dof * s_uu * gain[there])
     chance = np.maximum(2 * special.stdtr(free, -np.sqrt(square)), np.finfo(float).tiny)
     return float(special.chdtrc(2 * chance.size, -2 * np.sum(np.log(chance))))

@@ -10,9 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
-from labpipe.project.pipeline_file import load_pipeline
+from labpipe.methods.live.charts import Goal
+from labpipe.methods.live.session import Session
+from labpipe.methods.live.sources import GrowingText
+from labpipe.project.pipeline_file import load_for_stream, load_pipeline
 from labpipe.project.rig_file import load_rig
 from tests.validation.measured_page import BLOCKS, RIGS
 from tests.validation.peers import recorded
@@ -71,3 +74,49 @@ def test_the_raw_files_give_the_record_again() -> None:
                 assert anew["warnings"] == said["warnings"]
                 for parameter, stated in said["values"].items():
                     assert anew["values"][parameter]["value"] == pytest.approx(stated["value"], rel=1e-4)
+
+
+class Replay(GrowingText):
+    """A text file to which another period (n, n_column) of a recording is added at every look."""
+
+    def __init__(self, path: Path, columns: list[str], rows: np.ndarray, period: int) -> None:
+        super().__init__(path, columns)
+        self._periods = [rows[start : start + period] for start in range(0, len(rows), period)]
+        path.write_text(",".join(columns) + "\n", encoding="utf-8")
+
+    def read(self) -> np.ndarray | None:
+        rows = super().read()
+        if not rows.size and not self._periods:
+            return None
+        if self._periods:
+            with self.path.open("a", encoding="utf-8") as stream:
+                np.savetxt(stream, self._periods.pop(0), "%.12g", delimiter=",")
+        return rows
+
+
+@pytest.mark.skipif(not DATA, reason="the raw files of others are not shipped")
+@pytest.mark.parametrize(("of", "stops", "floor"), [("A", 12, 0.5), ("B", 10, 0.15)])
+def test_the_motor_bench_period_by_period(of: str, stops: int, floor: float, tmp_path: Path) -> None:
+    """It stops for 1 % of the frequency once ten averages are there and model error allows it, within the
+    interval of all 19 periods, and for 0.1 % never: the interval of all of them is wider (*floor* [%]).
+    """
+    (tmp_path / "bench.yaml").write_text(RIGS["bench.yaml"], encoding="utf-8")
+    page = {key: entry for key, entry in pipeline_of(RUNS[f"bench {of}"]).items() if key != "recordings"}
+    (tmp_path / "page.yaml").write_text(yaml.safe_dump(page), encoding="utf-8")
+    pipeline = load_for_stream(tmp_path / "page.yaml", ())
+    assert pipeline.rig is not None
+    (file,) = Path(DATA).rglob(f"MultisineType{of}.mat")
+    raw = loadmat(file, squeeze_me=True)
+    columns = [channel.column for channel in pipeline.rig.channels]
+    rows = np.stack([raw[column] for column in columns], axis=1).astype(float)
+    updates = {}
+    for goal in ("1", "0.1"):
+        source = Replay(tmp_path / f"{goal}.csv", columns, rows, 2500)
+        wanted = [Goal.of(f"modes.f_n_1.expanded<={goal}%")]
+        updates[goal] = list(Session(pipeline, pipeline.rig, source, wanted).updates())
+    first = next(update for update in updates["1"] if update.stop)
+    last = updates["0.1"][-1].standings["modes.f_n_1"]
+    assert first.averages == stops and not any(update.stop for update in updates["0.1"])
+    stood = first.standings["modes.f_n_1"].parameter
+    low, high = last.parameter.ci95 or (np.nan, np.nan)
+    assert low < stood.value < high and last.half > floor / 100 * stood.value

@@ -53,7 +53,7 @@ class Kept:
         """Keep *rows* (n, n_column) [any unit]; False from the moment on when there is no room."""
         if self.full:
             return False
-        text = memoryview(np.ascontiguousarray(rows, np.float64)).cast("B")
+        text = memoryview(np.ascontiguousarray(rows, np.float64).tobytes())
         try:
             while text:
                 text = text[self._file.write(text) :]
@@ -64,7 +64,7 @@ class Kept:
         return True
 
     def blocks(self, n_row: int) -> Iterator[FloatArray]:
-        """Consecutive blocks (n, n_column) of at most *n_row* rows."""
+        """Consecutive blocks (n, n_column) [unit in which they came] of at most *n_row* rows."""
         if self.n_row:
             whole = np.memmap(self.path, np.float64, "r", shape=(self.n_row, self._n_column))
             for start in range(0, self.n_row, n_row):
@@ -330,7 +330,8 @@ class Session:
         if self.bench is None:
             raise DataError("the source ended before it held enough samples", hint="is it the right one?")
         if isinstance(self.bench, WholeFits) and self.bench.n_sample:
-            yield from self.bench.look()
+            for update in self.bench.look():
+                yield replace(update, findings=(*update.findings, *self.findings))
 
     @property
     def recorded(self) -> list[Path]:

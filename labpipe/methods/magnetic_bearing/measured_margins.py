@@ -193,7 +193,7 @@ def measured_margins(
     course = Course(2 * np.pi * frequency, *transfer, changes, dof)
     smooth = course.by(course.omega, course.smoother(), slice(None))
     candidates: dict[str, list[Found]] = {}
-    for gain in _gains(course, smooth, quantile):
+    for gain in gain_margins(course, smooth, quantile):
         candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(gain)
     for near, n in _crossings(course, smooth, lambda values: np.abs(values) - 1):
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
@@ -257,8 +257,8 @@ def _groups(smooth: Smooth, signed: FloatArray) -> tuple[list[tuple[int, int]], 
     return groups, sure
 
 
-def _gains(course: Course, smooth: Smooth, quantile: float) -> Iterator[Found]:
-    """-1 / Re L where Im L = 0, by as many lines as a parabola follows; none where noise crosses.
+def gain_margins(course: Course, smooth: Smooth, quantile: float) -> Iterator[Found]:
+    """-1 / Re L [1] where Im L = 0, by as many lines as a parabola follows; none where noise crosses.
 
     Its error holds what the noise of Im L does to the place, however L bends there: all places count whose
     Im L is zero within *quantile* standard errors e, and there Re L +- sqrt(quantile^2 e^2 - Im^2 L).
@@ -267,8 +267,8 @@ def _gains(course: Course, smooth: Smooth, quantile: float) -> Iterator[Found]:
     for first, last in _groups(smooth, smooth.values.imag)[0]:
         lines = _widest(course, first, last + 1)
         inside = (lines.stop - lines.start) // EDGE
-        ends = course.omega[[lines.start + inside, lines.stop - 1 - inside]]
-        near = course.at(np.geomspace(*ends, PLACES), lines)
+        low, high = course.omega[lines.start + inside], course.omega[lines.stop - 1 - inside]
+        near = course.at(np.geomspace(low, high, PLACES), lines)
         crossings = _changes(near.values.imag)
         if len(crossings) != 1 or near.values[crossings[0]].real >= 0:
             continue
