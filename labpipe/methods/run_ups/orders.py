@@ -455,8 +455,8 @@ def judgement_lines(verdict: Judgement, unit: str, shown: Callable[[float], floa
     if verdict.not_run:
         yield verdict.not_run
     for each in verdict.sensitivities:
-        size = Estimate(*(1e-6 * shown(x) for x in (each.size.value, each.size.low, each.size.high)))
-        yield f"{each.probe:<8} sensitivity {_ends(size)} {unit}/(g mm) at {60 * each.speed:.0f} rpm"
+        per_g_mm = Estimate(*(1e-6 * shown(x) for x in (each.size.value, each.size.low, each.size.high)))
+        yield f"{each.probe:<8} sensitivity {_ends(per_g_mm)} {unit}/(g mm) at {60 * each.speed:.0f} rpm"
 
 
 def _ends(estimate: Estimate, factor: float = 1.0) -> str:
