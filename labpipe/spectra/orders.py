@@ -70,7 +70,8 @@ class OrderTrack:
     time (n,) [s], speed (n,) [Hz] of the segments; amplitude (n, n_channel) complex, 0-to-peak [SI]; variance
     (n, n_channel) E|dX|^2 from the residual of the segment; ports: the columns. overall (n, n_channel): half
     the peak-to-peak value of the total motion [SI]; orbit (n, n_plane): largest distance of the total motion
-    from its centre in each of `planes` [SI].
+    from its centre in each of `planes` [SI]. mean (n, n_channel): what does not turn [SI], of probes with
+    their gap voltage where the shaft stands; of circles that in x and y.
     """
 
     order: float
@@ -81,6 +82,7 @@ class OrderTrack:
     ports: tuple[Port, ...]
     overall: FloatArray
     orbit: FloatArray
+    mean: FloatArray
     planes: tuple[Plane, ...] = ()
 
 
@@ -110,7 +112,7 @@ def track_order(
             f"recording '{source.name}' is shorter than {revolutions} revolutions",
             hint="lower the number of revolutions",
         )
-    times, speed, amplitude, variance, overall, orbit = (
+    times, speed, amplitude, variance, mean, overall, orbit = (
         np.array(column) for column in zip(*segments, strict=True)
     )
     return OrderTrack(
@@ -122,6 +124,7 @@ def track_order(
         ports=ports,
         overall=overall,
         orbit=orbit,
+        mean=mean,
         planes=planes,
     )
 
@@ -157,6 +160,7 @@ def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
         ports=ports,
         overall=np.abs(amplitude),
         orbit=orbit,
+        mean=track.mean[:, columns] @ np.linalg.inv(plane.directions).T,
         planes=(plane,),
     )
 
@@ -203,8 +207,8 @@ def _fitted(
     outputs: list[int],
     orders: FloatArray,
     order: float,
-) -> tuple[float, float, ComplexArray, FloatArray]:
-    """Mean time [s], speed [Hz], amplitude and its variance (n_output,) of one segment."""
+) -> tuple[float, float, ComplexArray, FloatArray, FloatArray]:
+    """Mean time [s], speed [Hz], amplitude, its variance and mean (n_output,) of one segment."""
     turns = np.exp(1j * angle[:, None] * orders)
     columns = np.column_stack([np.ones(time.size), turns.real, -turns.imag])
     solution, *_ = np.linalg.lstsq(columns, samples[:, outputs])
@@ -213,7 +217,7 @@ def _fitted(
     noise = np.sum(residual**2, axis=0) / max(time.size - columns.shape[1], 1)
     speed = (angle[-1] - angle[0]) / (2 * np.pi * (time[-1] - time[0]))
     row = int(np.searchsorted(orders, order))
-    return float(time.mean()), float(speed), amplitude[row], 4 * noise / time.size
+    return float(time.mean()), float(speed), amplitude[row], 4 * noise / time.size, solution[0]
 
 
 # Waterfall (cascade) spectra of a run, block by block.

@@ -1,11 +1,11 @@
 """Rotors drawn from what is declared, all their tests together: are unknowns and predictions held?
 
 python -m tests.draws.rotor_systems [KIND ...] [--draws N] [--seconds S] [--seed S]; `raw` records every test
-and runs the pipeline from the raw files, the others take four tests (free modes, responses at rest, a run-up to .85 of the
-first critical speed, deflections and weight) as numbers. Kinds: none (truth as declared), exact (no small
-errors), disc (inertias 30 % off), shaft (elements 5 % off), probe (phases 3 deg), bearings (30 % stiffer and
-35 % more damped at speed), declared (the same, small_errors: {together: 30 %}), pedestal (missing in the
-model), raw.
+and runs the pipeline from the raw files, the others take four tests (free modes, responses at rest, a run-up
+to .85 of the first critical speed, deflections and weight) as numbers. Kinds: none (truth as declared), exact
+(no small errors), disc (inertias 30 % off), shaft (elements 5 % off), probe (phases 3 deg), bearings (30 %
+stiffer and 35 % more damped at speed), declared (the same, small_errors: {together: 30 %}), pedestal (missing
+in the model), raw.
 
 Prints how many 95 % intervals hold the truth, by prediction: frequency and decrement of the first two modes
 at speed, first critical speed with amplification and peak, onset; of the unknowns; of the vibration that
@@ -38,7 +38,7 @@ from labpipe.methods.rotor_system.predictions import (
     onset,
     unbalance_forces,
 )
-from labpipe.methods.rotor_system.weights import best_weights, influence
+from labpipe.methods.rotor_system.weights import expected, influence, interval_of
 from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, run_up
 
 ROOT = Path(__file__).parent.parent.parent
@@ -144,14 +144,11 @@ def judge(
             what = "small errors" if unknown.group else "unknowns"
             held[what].append(abs(off) < 1.96 * found.standard_errors[number])
     speeds = 60 * peak.speed * np.array([0.6, 0.72, 0.84]) if peak is not None else np.array([1600.0, 2000.0])
-    draws = found.values + found.widened * (found.draws(200, 5) - found.values)
-    each = [influence(this, run_up(this, speeds), values) for values in draws]
-    weights = best_weights(each)
+    weights, predicted, _ = expected(this, run_up(this, speeds), found, 200, 5)
     h, unbalance = influence(of, run_up(of, speeds), truth)
     left = np.sqrt(np.mean(np.abs(h @ (unbalance + weights)) ** 2))
     before = np.sqrt(np.mean(np.abs(h @ unbalance) ** 2))
-    predicted = [np.sqrt(np.mean(np.abs(g @ (u_ + weights)) ** 2)) for g, u_ in each]
-    low, high = np.percentile(predicted, (2.5, 97.5))
+    low, high = interval_of(predicted, found.widened)
     held["left"].append(low < left < high)
     held["left, upper"].append(left < high)
     held["% left"].append(100 * left / before)

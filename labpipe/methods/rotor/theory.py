@@ -51,6 +51,18 @@ def margin_above(amplification: float) -> float:
     )
 
 
+KEPT, BROKEN, UNDECIDED = "kept", "broken", "undecided"
+# Probability beyond which a limit counts as kept: its 95 % interval lies on one side.
+SURE = 0.975
+
+
+def decision(probability: float) -> str:
+    """Whether a limit is kept, by the *probability* [1] that it is: undecided where its 95 % interval is on
+    both sides.
+    """
+    return KEPT if probability >= SURE else BROKEN if probability <= 1 - SURE else UNDECIDED
+
+
 @dataclass(frozen=True)
 class Critical:
     """A peak of the unbalance response: *speed*, its half-power speeds *low*, *high* [Hz], *amplitude* [m] of
@@ -70,10 +82,17 @@ class Critical:
 
     def margin(self, operating: float) -> tuple[float, float] | None:
         """The separation from an *operating* speed [Hz] there is, and the one that is asked for, [%]."""
-        if self.amplification is None:
-            return None
-        ask = margin_below if self.speed < operating else margin_above
-        return 100 * abs(operating - self.speed) / operating, ask(self.amplification)
+        there, asked = self.margin_of((operating, operating))
+        return None if asked is None else (there, asked)
+
+    def margin_of(self, speeds: tuple[float, float]) -> tuple[float, float | None]:
+        """The same of a range of operating *speeds* [Hz], of its nearer end: none is there within it; None
+        where it is not known what is asked for.
+        """
+        low, high = speeds
+        end, ask = (low, margin_below) if self.speed < low else (high, margin_above)
+        there = 0.0 if low <= self.speed < high else 100 * abs(end - self.speed) / end
+        return there, None if self.amplification is None else ask(self.amplification)
 
 
 @dataclass(frozen=True)

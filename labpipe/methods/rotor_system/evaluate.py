@@ -142,11 +142,22 @@ def most_probable(
     """The fit of the rotor as it is declared, "", or of the most probable alternative to it where a test
     misfits or small errors are large; fitted to moved data where it is not normal.
     """
-    best = fitted("")
-    if best[1].misfits or best[1].enlarged:
-        for alternative in alternatives:
-            with suppress(FitError):
-                best = max(best, fitted(alternative), key=lambda other: other[1].ln_evidence)
+    best: tuple[Built, Posterior] | None = None
+    reason: FitError | None = None
+    try:
+        best = fitted("")
+    except FitError as error:
+        # A rotor that misses what there is may fit nowhere.
+        reason = error
+    doubtful = best is None or best[1].misfits or best[1].enlarged
+    for alternative in alternatives if doubtful else ():
+        with suppress(FitError):
+            other = fitted(alternative)
+            best = other if best is None or other[1].ln_evidence > best[1].ln_evidence else best
+    if best is None:
+        assert reason is not None
+        raise reason
+    if doubtful:
         best = best[0], replace(best[1], widened=WIDENED)
     excess, bearable = normality(best[1])
     return best[0], refitted(best[1]) if excess > bearable else best[1]

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.display import amount_text, number, plain_text, with_error
 from labpipe.errors import ConfigError
-from labpipe.methods.rotor.theory import LEAST_DECREMENT
+from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
 from labpipe.methods.rotor_system.records import CriticalResult, RotorSystemResult, Row, UnknownResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
@@ -50,6 +50,16 @@ def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, 
     return amounts
 
 
+def _decisions(result: RotorSystemResult) -> dict[str, str]:
+    """Limits that are kept, broken or undecided by their 95 % intervals, by name: "margin_1: kept"."""
+    decisions = {
+        f"margin_{place}": decision(critical.met)
+        for place, critical in enumerate(result.criticals, 1)
+        if critical.met is not None
+    }
+    return decisions | {"decrement": decision(result.decrement[2])}
+
+
 def _error(interval: tuple[float, float]) -> float:
     return (interval[1] - interval[0]) / (2 * NORMAL)
 
@@ -63,10 +73,14 @@ def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber
         wanted = rule.bound.removeprefix("not ").strip()
         passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
         return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+    decisions = _decisions(result)
+    if rule.item in decisions:
+        word = decisions[rule.item]
+        return RuleOutcome(rule.section, rule.text, word, word == rule.bound)
     amounts = _amounts(result)
     if rule.item not in amounts:
         what = f"{rule.section}.{rule.address}: the rotor has no '{rule.item}'"
-        raise ConfigError(what, where=rule.place, hint=nearest(rule.item, [*amounts, "warnings"]))
+        raise ConfigError(what, where=rule.place, hint=nearest(rule.item, [*amounts, *decisions, "warnings"]))
     value, error, unit = amounts[rule.item]
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, unit, error))
 
@@ -102,7 +116,7 @@ def sentences(result: RotorSystemResult) -> Iterator[str]:
     least, error, probability = result.decrement
     yield (
         f"least log decrement at {operating:.0f} rpm: {with_error(least, error)}, above {LEAST_DECREMENT:g} "
-        f"with a probability of {100 * probability:.0f} %"
+        f"with a probability of {100 * probability:.0f} %: {decision(probability)}"
     )
     if result.onset is None:
         yield "no instability within the speeds looked at"
@@ -155,8 +169,8 @@ def _critical_sentence(critical: CriticalResult, operating: float) -> str:
         return f"{text}; no margin is asked for"
     there, asked = critical.margin
     return (
-        f"{text}; margin to {operating:.0f} rpm {there:.1f} %, {asked:.1f} % asked for: kept with a "
-        f"probability of {100 * critical.met:.0f} %"
+        f"{text}; margin to {operating:.0f} rpm {there:.1f} %, {asked:.1f} % asked for, met with a "
+        f"probability of {100 * critical.met:.0f} %: {decision(critical.met)}"
     )
 
 
@@ -189,7 +203,7 @@ def prediction_table(result: RotorSystemResult) -> Table:
             rows.append(("amplification factor there", f"{critical.amplification:.3g}", ends, ""))
     least, error, probability = result.decrement
     ends = f"{least - NORMAL * error:.3g} to {least + NORMAL * error:.3g}"
-    asked = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %"
+    asked = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %, {decision(probability)}"
     rows.append((f"least log decrement at {RPM * result.operating:.0f} rpm", f"{least:.3g}", ends, asked))
     if result.onset is not None:
         speed, spread = RPM * result.onset[0], NORMAL * result.onset[1]
@@ -204,7 +218,8 @@ def _margin(critical: CriticalResult) -> str:
     if critical.margin is None or critical.met is None:
         return ""
     there, asked = critical.margin
-    return f"margin {there:.1f} %, {asked:.1f} % asked for: probability {100 * critical.met:.0f} %"
+    sure = f"probability {100 * critical.met:.0f} %, {decision(critical.met)}"
+    return f"margin {there:.1f} %, {asked:.1f} % asked for: {sure}"
 
 
 def _shown(value: float, error: float, unit: str) -> str:

@@ -29,14 +29,8 @@ def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) 
     test = replace(
         runs[0], speed=speed, added=(), measured=np.zeros((speed.size, len(runs[0].outputs)), complex)
     )
-    draws = posterior.values + posterior.widened * (
-        posterior.draws(settings.draws, settings.seed) - posterior.values
-    )
-    each = [influence(built, test, values) for values in draws]
-    weights = best_weights(each)
-    left = np.array([np.sqrt(np.mean(np.abs(h @ (u + weights)) ** 2)) for h, u in each])
-    before = float(np.sqrt(np.mean([np.mean(np.abs(h @ u) ** 2) for h, u in each])))
-    low, high = np.percentile(left, (2.5, 97.5))
+    weights, left, before = expected(built, test, posterior, settings.draws, settings.seed)
+    low, high = interval_of(left, posterior.widened)
     return BalanceResult(
         settings.balance_speeds,
         tuple(
@@ -45,9 +39,29 @@ def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) 
         ),
         before,
         float(np.sqrt(np.mean(left**2))),
-        (float(low), float(high)),
+        (low, high),
         _next_weights(built, posterior, test, weights),
     )
+
+
+def expected(
+    built: Built, test: RunUpVectors, posterior: Posterior, n_draw: int, seed: int
+) -> tuple[ComplexArray, FloatArray, float]:
+    """Weights (n_plane,) [kg m], the rms of the readings that they leave in every draw (n_draw,) [m], and the
+    rms of the readings before [m].
+    """
+    each = [influence(built, test, values) for values in posterior.draws(n_draw, seed)]
+    weights = best_weights(each)
+    left = np.array([np.sqrt(np.mean(np.abs(h @ (u + weights)) ** 2)) for h, u in each])
+    return weights, left, float(np.sqrt(np.mean([np.mean(np.abs(h @ u) ** 2) for h, u in each])))
+
+
+def interval_of(left: FloatArray, widened: float) -> tuple[float, float]:
+    """95 % interval of what is left [m], by draws (n_draw,) [m]. What the posterior is *widened* by enlarges
+    its upper end; the lower one stays, since what is left grows with the spread.
+    """
+    low, high = np.percentile(left, (2.5, 97.5))
+    return float(low), float(widened * high)
 
 
 def influence(built: Built, test: RunUpVectors, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -78,7 +92,7 @@ def _next_weights(
     sets = {f"a weight at node {node}": {node: trial + 0j} for node in built.planes}
     sets["the weights themselves"] = dict(zip(built.planes, weights, strict=True))
     noise = np.median(1 / np.linalg.norm(test.whitener, axis=2))
-    expected = {}
+    by_run = {}
     for name, added in sets.items():
         run = replace(
             test,
@@ -90,5 +104,5 @@ def _next_weights(
         narrowed = replace(posterior, covariance=covariance, refits=None)
         each = [influence(built, test, values) for values in narrowed.draws(LOOKED)]
         chosen = best_weights(each)
-        expected[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
-    return expected
+        by_run[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
+    return by_run

@@ -49,10 +49,28 @@ from labpipe.cli import options
     metavar="PLANE=SIZE",
     help="Known unbalance, for that table: 'disc 1=50 g.mm at 0 deg'.",
 )
+@click.option("--slow-roll", metavar="BAND", help="Speeds of the slow roll to subtract: '300-600 rpm'.")
+@click.option(
+    "--speed-range",
+    metavar="BAND",
+    help="Operating speeds from which critical ones must be apart (API 617, 684): '5000-6200 rpm'. Exit code "
+    "1 where a margin is broken or undecided.",
+)
+@click.option(
+    "--baseline",
+    type=options.PATH,
+    metavar="RECORDING",
+    help="The run before --unbalance was added, subtracted for the sensitivity to it.",
+)
+@click.option(
+    "--centreline",
+    is_flag=True,
+    help="How far the shaft's mean position moves, of probes with their gap voltage.",
+)
 @options.quiet
-def orders(**settings: Any) -> None:
+def orders(**settings: Any) -> int:
     """Track an order of the shaft speed: amplitude and phase over the run, total motion, orbits, forward and
-    backward.
+    backward. A run-up is judged where operating speeds, slow roll or a baseline are named.
 
     Responses with dofs such as front.x and front.y form a plane.
 
@@ -61,4 +79,4 @@ def orders(**settings: Any) -> None:
     """
     from labpipe.methods.run_ups.orders import track_and_write
 
-    track_and_write(**settings)
+    return track_and_write(**settings)

@@ -94,13 +94,13 @@ def _peak(run: RunUp, number: int, chosen: slice, response: ComplexArray) -> flo
     outputs = response[chosen].reshape(speed.size, -1)
     errors = run.amplitude_error[chosen].reshape(speed.size, -1)
     place = np.linspace(-INNER, INNER, FINE)
-    fitted = _rational((speed - middle) / half, outputs, errors, place).reshape(FINE, -1, 2)
+    fitted = rational_fit((speed - middle) / half, outputs, errors, place).reshape(FINE, -1, 2)
     return middle + half * float(place[np.argmax(largest_displacement(fitted)[:, number])])
 
 
-def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: FloatArray) -> ComplexArray:
-    """The fitted outputs (n_place, n_output) at *place* from outputs and errors (n_point, n_output) at
-    *x*.
+def rational_fit(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: FloatArray) -> ComplexArray:
+    """The fitted outputs (n_place, n_output) [any unit] at *place* (n_place,) [1] from outputs and errors
+    (n_point, n_output) [any unit] at *x* (n_point,) [1].
     """
     n, m = outputs.shape
     denominator = np.ones(n, np.complex128)

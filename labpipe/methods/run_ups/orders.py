@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +15,14 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
+from labpipe.methods.run_ups.judgement import Estimate, Judgement, judged
 from labpipe.methods.run_ups.measured import run_up_of
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.rig_file import load_rig
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.records.rig import Rig
-from labpipe.records.settings import parse_phasor
+from labpipe.records.settings import Setting, parse_phasor, to_band
 from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, curve, dots, level, stacked
 from labpipe.report.document import Figure
 from labpipe.report.figures import PHASE, phase_degrees
@@ -317,6 +320,8 @@ def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Col
     columns = [
         (plane.labelled("half_axis"), np.abs(circles.amplitude).sum(axis=1)),
         (plane.labelled("orbit"), whole),
+        (plane.labelled("centreline_x"), circles.mean[:, 0]),
+        (plane.labelled("centreline_y"), circles.mean[:, 1]),
     ]
     return (
         columns if clearance is None else [*columns, (plane.labelled("orbit_per_gap"), whole / clearance.gap)]
@@ -339,27 +344,143 @@ def track_and_write(
     load: str | None,
     unbalance: tuple[str, ...],
     quiet: bool,
-) -> None:
+    slow_roll: str | None = None,
+    speed_range: str | None = None,
+    baseline: Path | None = None,
+    centreline: bool = False,
+) -> int:
     if order <= 0:
         raise ConfigError("--order must be positive")
+    bands = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
     conditions = None if save_run_up is None else _run_conditions(load, unbalance)
     rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
         names = write_tracked(run, folder)
+        others = (
+            None if baseline is None else track_run(baseline, rig, lines, order, revolutions, folder).track
+        )
+        verdict = None
+        if any((*bands, baseline)):
+            added = _added(unbalance, baseline is not None)
+            slow, operating = bands
+            verdict = judged(
+                run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
+            )
+            folder.write_path("judgement.json").write_text(
+                json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n", encoding="utf-8"
+            )
+            names.append("judgement.json")
         speeds = (
             0 if save_run_up is None or conditions is None else write_run_up(run, save_run_up, *conditions)
         )
+    code = 0 if verdict is None or verdict.accepted else 1
     if quiet:
-        return
+        return code
     between = f"{run.speeds.min():.4g}-{run.speeds.max():.4g} rpm"
     echo(f"{run.name}: order {order:g}, {run.speeds.size} segments of {revolutions} revolutions, {between}")
     quantity = QUANTITIES.get(run.quantity)
     unit = quantity.display_unit if quantity else "SI"
     for row in order_lines(run, unit, lambda value: to_display(value, unit) if quantity else value):
         echo(f"  {row}")
+    if centreline:
+        for row in _centreline(run):
+            echo(f"  {row}")
+    if verdict is not None:
+        for row in judgement_lines(
+            verdict, unit, lambda value: to_display(value, unit) if quantity else value
+        ):
+            echo(f"  {row}")
     echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
+    return code
+
+
+def _band(option: str, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        low, high = to_band(text, Setting("band", option, unit="Hz"))
+    except UnitError as error:
+        raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
+    return low, high
+
+
+def _added(texts: tuple[str, ...], since: bool) -> float:
+    """Size of the stated unbalance [kg m] that the motion answers, 0 where none or several are; ConfigError
+    for that since a baseline.
+    """
+    if len(texts) == 1:
+        return abs(_unbalances(texts).popitem()[1])
+    if since:
+        hint = "--unbalance 'disc 1=50 g.mm at 0 deg'"
+        raise ConfigError("--baseline: sensitivity is to one stated unbalance", hint=hint)
+    return 0.0
+
+
+def _centreline(run: TrackedRun) -> Iterator[str]:
+    """How far the mean position moved in every plane from the lowest to the highest speed."""
+    first, last = int(np.argmin(run.track.speed)), int(np.argmax(run.track.speed))
+    for circles in run.circles:
+        (plane,) = circles.planes
+        x, y = circles.mean[last] - circles.mean[first]
+        share = (
+            "" if run.clearance is None else f", {100 * np.hypot(x, y) / run.clearance.gap:.3g} % of the gap"
+        )
+        yield (
+            f"{plane.name:<8} centreline moved by {to_display(float(np.hypot(x, y)), 'um'):.4g} um at "
+            f"{np.degrees(np.arctan2(y, x)):.0f} deg from {run.speeds[first]:.4g} to "
+            f"{run.speeds[last]:.4g} rpm{share}"
+        )
+
+
+def judgement_lines(verdict: Judgement, unit: str, shown: Callable[[float], float]) -> Iterator[str]:
+    """Slow roll, critical speeds with their margins and decisions, sensitivities."""
+    if verdict.slow_roll is not None:
+        for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True):
+            size, angle = shown(float(abs(vector))), np.degrees(np.angle(vector))
+            yield f"{label:<8} slow roll {size:.3g} {unit} at {angle:.0f} deg, subtracted"
+    for peak in verdict.peaks:
+        text = f"{peak.probe:<8} critical speed {_ends(peak.speed, 60.0)} rpm"
+        if peak.amplification is not None:
+            text += f", amplification factor {_ends(peak.amplification)}"
+        if peak.margin is not None:
+            asked = "unknown" if peak.asked is None else f"{_ends(peak.asked)} %"
+            text += f", margin {_ends(peak.margin)} %, asked for {asked}: {peak.outcome}"
+        if peak.fast:
+            text += "; passed too fast for a steady peak"
+        yield text
+    if not verdict.peaks:
+        yield "no critical speed within the run"
+    if verdict.not_run:
+        yield verdict.not_run
+    for each in verdict.sensitivities:
+        per_g_mm = Estimate(*(1e-6 * shown(x) for x in (each.size.value, each.size.low, each.size.high)))
+        yield f"{each.probe:<8} sensitivity {_ends(per_g_mm)} {unit}/(g mm) at {60 * each.speed:.0f} rpm"
+
+
+def _ends(estimate: Estimate, factor: float = 1.0) -> str:
+    value, low, high = (factor * x for x in (estimate.value, estimate.low, estimate.high))
+    return f"{value:.4g} ({low:.4g} to {high:.4g})"
+
+
+def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
+    """The judgement as `judgement.json` has it: SI units, speeds in Hz, intervals of 95 %."""
+    return {
+        "schema": "labpipe/run-up-judgement/1",
+        "quantity": quantity,
+        "accepted": verdict.accepted,
+        "not_run": verdict.not_run,
+        "speed_range_hz": verdict.speed_range,
+        "slow_roll": None
+        if verdict.slow_roll is None
+        else {
+            label: {"re": float(vector.real), "im": float(vector.imag)}
+            for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True)
+        },
+        "critical_speeds": [asdict(peak) for peak in verdict.peaks],
+        "sensitivities": [asdict(each) for each in verdict.sensitivities],
+    }
 
 
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
@@ -369,14 +490,18 @@ def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float
             "--save-run-up needs --load and --unbalance",
             hint="--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'",
         )
+    return newtons, _unbalances(unbalance)
+
+
+def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
     unbalances = {}
-    for text in unbalance:
+    for text in texts:
         plane, _, size = text.partition("=")
         try:
             unbalances[plane.strip()] = parse_phasor(size.strip(), "kg.m")
         except UnitError as error:
             raise ConfigError(f"--unbalance {text}: {error.what}", hint=error.hint) from None
-    return newtons, unbalances
+    return unbalances
 
 
 def _clearance(gap: str | None, limit: str) -> Clearance | None:

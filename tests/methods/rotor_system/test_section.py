@@ -28,6 +28,7 @@ def result(tmp_path_factory: pytest.TempPathFactory):
     pipeline["accept"] = {
         "rotor_system.least_decrement": ">= 0.02",
         "rotor_system.decrement_probability": "<= 0.5",
+        "rotor_system.decrement": "broken",
         "rotor_system.vibration_left": "< 1 um",
         "rotor_system.warnings": "not tests-disagree",
     }
@@ -60,7 +61,7 @@ def test_unknowns_of_the_raw_recordings_hold_the_truth(result) -> None:
 
 def test_rules_address_it_and_the_report_shows_it(result) -> None:
     found, folder = result
-    assert found.accepted and len(found.outcomes) == 7
+    assert found.accepted and len(found.outcomes) == 8
     page = (folder / "out/report.html").read_text()
     for words in (
         "What follows for the rotor",

@@ -29,6 +29,7 @@ def track(
         ports=ports,
         overall=1.5 * np.abs(amplitude),
         orbit=6e-6 * np.ones((5, 1)),
+        mean=np.zeros(amplitude.shape),
         planes=(PLANE,),
     )
 

@@ -123,6 +123,7 @@ def test_a_recording_has_the_uncertainties_of_its_rig_file(runs: tuple[RunUp, ..
         amplitude = motion @ np.stack([np.cos(seen), np.sin(seen)])
         amplitude[:, 0] *= np.exp(-2j * np.pi * speed * late)
         rest = {"variance": np.full((3, 2), 1e-18), "overall": np.zeros((3, 2)), "orbit": np.zeros((3, 1))}
+        rest["mean"] = np.zeros((3, 2))
         return OrderTrack(
             order=1.0,
             time=np.arange(3.0),

@@ -1,0 +1,425 @@
+"""A run-up judged: slow roll taken out, critical speeds with amplification factors and separation margins,
+sensitivity to a stated unbalance, each with its interval, and each limit a decision by that interval.
+
+Margins are those of API 617 and 684 as labpipe.methods.rotor.theory has them, known second-hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import interpolate, signal
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError, DataError
+from labpipe.methods.rotor.theory import KEPT, UNDECIDED, Critical, decision
+from labpipe.methods.run_ups.measured import rational_fit
+from labpipe.spectra.orders import OrderTrack
+
+# Draws of the readings' noise, and their seed; speeds on which the curve through them is looked at.
+DRAWS, SEED, FINE = 200, 20261126, 2000
+# Stiffnesses of smoothing that are tried, for speeds from 0 to 1 and weights of mean 1.
+STIFFNESSES = np.geomspace(1e-12, 1.0, 37)
+# A peak rises this many standard uncertainties of the curve, and this share of the largest amplitude, above
+# the higher one of the dips beside it.
+CLEAR, SMALL = 8.0, 0.05
+# Fewest speeds for a curve, and in the band of the slow roll.
+FEWEST, FEWEST_SLOW = 12, 4
+# What half as many readings change is at least so many times the error of a cubic spline through all of them.
+HALVED = 8.0
+# Half-power widths beside the half-power speeds in which one mode is fitted, with so many readings at least
+# and a chi-square per datum up to this; points of its curve.
+BESIDE, ENOUGH, FITS, POINTS = 1.5, 10, 2.0, 801
+# The most that is asked for above the speed range.
+MOST_ABOVE = 0.26
+# (df/dt) (AF / f)^2, the time the rotor rings over that in which it passes the half-power width (times pi),
+# beyond which a peak is not that of a steady rotor.
+STEADY = 0.3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A *value* with its 95 % interval, in the unit of the value."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class JudgedPeak:
+    """A critical speed as one *probe* shows it: *speed* [Hz], *amplification* [1], None where the half-power
+    speeds lie outside the run, *amplitude* [unit of the probe], separation *margin* from the speed range that
+    there is, and *asked* [%]; *outcome* with the *probability* that the margin is kept. fast: the speed
+    passed it too fast for a steady peak.
+    """
+
+    probe: str
+    speed: Estimate
+    amplification: Estimate | None
+    amplitude: Estimate
+    margin: Estimate | None
+    asked: Estimate | None
+    outcome: str
+    probability: float | None
+    fast: bool
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Local sensitivity of ISO 21940-31 at one *probe*: change of its 1x amplitude per change of unbalance,
+    largest in the speed range, [unit of the probe per kg m], at *speed* [Hz].
+    """
+
+    probe: str
+    size: Estimate
+    speed: float
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a run-up shows: *slow_roll* (n_probe,) [m] that was taken out, peaks, and sensitivities; *curve*
+    (n_fine, n_probe) [m] of amplitudes over *fine* (n_fine,) [Hz], the *speed_range* [Hz]. In the unit of the
+    probes where they read another motion.
+    """
+
+    probes: tuple[str, ...]
+    slow_roll: ComplexArray | None
+    peaks: tuple[JudgedPeak, ...]
+    sensitivities: tuple[Sensitivity, ...]
+    fine: FloatArray
+    curve: FloatArray
+    speed_range: tuple[float, float] | None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the speed range was run and every margin is kept; what is undecided is not."""
+        if self.speed_range is None:
+            return True
+        low, high = self.speed_range
+        run = self.fine[0] <= low and high <= self.fine[-1]
+        return bool(run) and all(peak.outcome == KEPT for peak in self.peaks)
+
+    @property
+    def not_run(self) -> str:
+        """Speeds at which a critical one would break a margin, and that were not run."""
+        if self.speed_range is None or self.fine[-1] >= (1 + MOST_ABOVE) * self.speed_range[1]:
+            return ""
+        top, asked = 60 * self.fine[-1], 60 * (1 + MOST_ABOVE) * self.speed_range[1]
+        return f"critical speeds from {top:.0f} to {asked:.0f} rpm, beyond the run, are not judged"
+
+
+def judged(
+    track: OrderTrack,
+    *,
+    slow_roll: tuple[float, float] | None = None,
+    speed_range: tuple[float, float] | None = None,
+    unbalance: float = 0.0,
+    baseline: OrderTrack | None = None,
+) -> Judgement:
+    """The 1x track of a run judged; bands in [Hz], *unbalance* [kg m] of which the motion is the response:
+    what was added since the *baseline* run, or all there is. DataError where speeds are too few.
+
+    Peaks by one mode about them where one fits, else by smoothing splines of the readings' parts over speed;
+    intervals are the 2.5 and 97.5 % points of draws of the readings' noise, enlarged to what they scatter by.
+    A margin is kept or broken where its interval is all on one side, else undecided. Equation (run-judged).
+    """
+    speed, readings, deviation = _by_speed(track)
+    if speed.size < FEWEST:
+        raise DataError(
+            f"{speed.size} different speeds are too few to judge a run-up", hint=f"{FEWEST} at least"
+        )
+    rng = np.random.default_rng(SEED)
+    smooth = _Smooth(speed, readings, deviation)
+    # The first is the reading itself.
+    curves = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
+    rolled = None
+    if slow_roll is not None:
+        offsets = _slow_roll(speed, readings, slow_roll, rng)
+        rolled, curves = offsets[0], curves - offsets[:, None, :]
+    amplitude = np.abs(curves)
+    labels = tuple(port.label for port in track.ports)
+    rate = np.abs(np.gradient(track.speed, track.time))
+    halves = _Smooth(speed[::2], readings[::2], smooth.deviation[::2], smooth.fine).fitted
+    halved = np.abs(halves - (0.0 if rolled is None else rolled))
+    found = []
+    for probe, label in enumerate(labels):
+        for peak, drawn in _peaks(smooth.fine, amplitude[..., probe], halved[:, probe]):
+            offset = None if rolled is None else offsets[:, probe]
+            mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, rng)
+            peak, drawn = mode or (peak, drawn)
+            passed = float(np.interp(peak.speed, *_rising(track.speed, rate)))
+            found.append(_judged_peak(peak, drawn, label, speed_range, passed))
+    sensitivities = (
+        tuple(_sensitivities(smooth.fine, curves, labels, unbalance, speed_range, baseline, rng))
+        if unbalance
+        else ()
+    )
+    return Judgement(labels, rolled, tuple(found), sensitivities, smooth.fine, amplitude[0], speed_range)
+
+
+def _by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Rising speeds [Hz], readings and the standard deviation of their parts; of equal speeds the first."""
+    speed, order = np.unique(np.round(track.speed, 6), return_index=True)
+    return speed, track.amplitude[order], np.sqrt(np.maximum(track.variance[order], 1e-300) / 2)
+
+
+class _Smooth:
+    """Natural smoothing splines through the parts of readings (n_speed, n_probe) with the standard
+    *deviation* of each part: *fitted* (n_fine, n_probe) at *fine* (n_fine,) [Hz]. The deviation grows to what
+    the readings scatter by.
+
+    g = (W + lambda Q R^-1 Q^T)^-1 W y (Reinsch 1967), lambda by generalised cross-validation.
+    """
+
+    def __init__(
+        self, speed: FloatArray, readings: ComplexArray, deviation: FloatArray, fine: FloatArray | None = None
+    ) -> None:
+        self.fine = np.linspace(speed[0], speed[-1], FINE) if fine is None else fine
+        n, n_probe = readings.shape
+        between = interpolate.CubicSpline(speed, np.eye(n), bc_type="natural")(self.fine)
+        rough = _roughness((speed - speed[0]) / np.ptp(speed))
+        rows = np.empty((n_probe, n, n))
+        for probe in range(n_probe):
+            weight = deviation[:, probe] ** -2.0
+            smoothers = [
+                np.linalg.solve(np.diag(weight) + stiffness * weight.mean() * rough, np.diag(weight))
+                for stiffness in STIFFNESSES
+            ]
+            rows[probe] = min(smoothers, key=lambda each: _left(each, readings[:, probe], weight))
+        self._matrices = between @ rows
+        self.fitted = np.einsum("pfn,np->fp", self._matrices, readings)
+        dof = np.maximum(n - np.trace(rows, axis1=1, axis2=2), 1.0)
+        left = readings - np.einsum("pmn,np->mp", rows, readings)
+        chi2 = np.sum(np.abs(left) ** 2 / (2 * deviation**2), axis=0) / dof
+        self.deviation = deviation * np.sqrt(np.maximum(chi2, 1.0))
+
+    def drawn(self, rng: np.random.Generator) -> ComplexArray:
+        """Curves of readings with noise once more, (DRAWS, n_fine, n_probe) [unit of the readings]."""
+        shape = (DRAWS, *self.deviation.shape)
+        noise = self.deviation * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+        return self.fitted + np.stack(
+            [noise[..., probe] @ matrix.T for probe, matrix in enumerate(self._matrices)], axis=-1
+        )
+
+
+def _roughness(x: FloatArray) -> FloatArray:
+    """Q R^-1 Q^T (n, n): the integral of g''^2 of a natural cubic spline through g (n,) at x."""
+    n, step = x.size, np.diff(x)
+    second, gram = np.zeros((n, n - 2)), np.zeros((n - 2, n - 2))
+    for at in range(n - 2):
+        second[at : at + 3, at] = 1 / step[at], -1 / step[at] - 1 / step[at + 1], 1 / step[at + 1]
+        gram[at, at] = (step[at] + step[at + 1]) / 3
+        if at:
+            gram[at, at - 1] = gram[at - 1, at] = step[at] / 6
+    return np.asarray(second @ np.linalg.solve(gram, second.T))
+
+
+def _left(smoother: FloatArray, readings: ComplexArray, weight: FloatArray) -> float:
+    """Generalised cross-validation: |y - A y|^2_W / (n - tr A)^2 of readings y (n,) and A (n, n)."""
+    left = readings - smoother @ readings
+    return float(np.sum(weight * np.abs(left) ** 2) / max(weight.size - np.trace(smoother), 1e-9) ** 2)
+
+
+def _slow_roll(
+    speed: FloatArray, readings: ComplexArray, band: tuple[float, float], rng: np.random.Generator
+) -> ComplexArray:
+    """Vectors s of z = s + a Omega^2 in the band, since unbalance moves the rotor there already, and draws of
+    them, (1 + DRAWS, n_probe) [unit of the readings].
+    """
+    slow = (speed >= band[0]) & (speed <= band[1])
+    if slow.sum() < FEWEST_SLOW:
+        raise ConfigError(
+            f"--slow-roll: {int(slow.sum())} stretches of the run lie in it",
+            hint=f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm",
+        )
+    design = np.column_stack([np.ones(slow.sum()), (speed[slow] / band[1]) ** 2])
+    fitted = np.linalg.lstsq(design, readings[slow], rcond=None)[0]
+    left = readings[slow] - design @ fitted
+    variance = np.sum(np.abs(left) ** 2, axis=0) / (slow.sum() - 2) * np.linalg.inv(design.T @ design)[0, 0]
+    shape = (DRAWS, readings.shape[1])
+    noise = np.sqrt(variance / 2) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    # Few stretches tell their own scatter: Student's t.
+    dof = 2 * (int(slow.sum()) - 2)
+    noise = noise * np.sqrt(dof / rng.chisquare(dof, shape))
+    return np.concatenate([fitted[:1], fitted[0] + noise])
+
+
+def _estimate(value: float, draws: Sequence[float]) -> Estimate:
+    low, high = np.percentile(draws, (2.5, 97.5))
+    return Estimate(value, min(float(low), value), max(float(high), value))
+
+
+def _peaks(
+    fine: FloatArray, amplitude: FloatArray, halved: FloatArray
+) -> Iterator[tuple[Critical, list[Critical]]]:
+    """Clear peaks of the reading, each with those of the draws, (1 + DRAWS, n_fine) both: their scatter about
+    the reading's, and what a curve through every other reading (n_fine,) says.
+    """
+    spread = float(np.median(np.std(amplitude[1:], axis=0)))
+    clear = max(CLEAR * spread, SMALL * float(amplitude[0].max()))
+    tops, sizes = signal.find_peaks(amplitude[0], prominence=clear)
+    for top, left, right in zip(tops, sizes["left_bases"], sizes["right_bases"], strict=True):
+        # Between the dips, and no further than the next peak's.
+        first = max([int(left), *((a + top) // 2 for a in tops if a < top)])
+        last = min([int(right), *((a + top) // 2 for a in tops if a > top)])
+        rows = [_peak(fine, row, first, last) for row in amplitude]
+        coarse = _peak(fine, halved, first, last)
+        if rows[0] is not None:
+            yield rows[0], [_moved(row, rows[0], coarse, n) for n, row in enumerate(rows[1:]) if row]
+
+
+def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Critical | None:
+    """The largest amplitude between two numbers with its half-power speeds, by parabola and straight lines of
+    1 / amplitude^2.
+    """
+    top = first + int(np.argmax(amplitude[first : last + 1]))
+    if not 0 < top < fine.size - 1:
+        return None
+    flat = amplitude**-2.0
+    below, middle, above = flat[top - 1 : top + 2]
+    bend = below - 2 * middle + above
+    shift = 0.5 * (below - above) / bend if bend > 0 else 0.0
+    height = middle - 0.25 * (below - above) * shift
+    ends: list[float | None] = []
+    for numbers in (range(top, -1, -1), range(top, fine.size)):
+        beyond = next((n for n in numbers if flat[n] > 2 * height), None)
+        if beyond is None:
+            ends.append(None)
+            continue
+        inner = beyond + (1 if numbers.step < 0 else -1)
+        share = (2 * height - flat[inner]) / (flat[beyond] - flat[inner])
+        ends.append(float(fine[inner] + share * (fine[beyond] - fine[inner])))
+    step = fine[1] - fine[0]
+    return Critical(float(fine[top] + shift * step), float(height**-0.5), 0, ends[0], ends[1])
+
+
+def _one_mode(
+    peak: Critical,
+    speed: FloatArray,
+    readings: ComplexArray,
+    deviation: FloatArray,
+    offsets: ComplexArray | None,
+    rng: np.random.Generator,
+) -> tuple[Critical, list[Critical]] | None:
+    """The peak and those of the draws by one mode about it, z = Omega^2 (a + b Omega) / (1 + c Omega + d
+    Omega^2); None where the half-power speeds are not in the run, readings are few, or one mode does not fit.
+    """
+    if peak.low is None or peak.high is None:
+        return None
+    room = BESIDE * (peak.high - peak.low)
+    near = (speed >= peak.low - room) & (speed <= peak.high + room)
+    if near.sum() < ENOUGH:
+        return None
+    x = (speed[near] - peak.speed) / (peak.high - peak.low)
+    place = np.linspace(x[0], x[-1], POINTS)
+    fine = peak.speed + (peak.high - peak.low) * place
+    scale = (speed[near] / peak.speed) ** 2
+
+    def fitted(values: ComplexArray, at: FloatArray) -> ComplexArray:
+        return rational_fit(x, (values / scale)[:, None], (deviation[near] / scale)[:, None], at)[:, 0]
+
+    shifts = np.zeros(1 + DRAWS, complex) if offsets is None else offsets
+    middle = readings[near] - shifts[0]
+    left = (middle - scale * fitted(middle, x)) / deviation[near]
+    # Four complex coefficients.
+    chi2 = float(np.sum(np.abs(left) ** 2)) / (2 * near.sum() - 8)
+    if chi2 > FITS:
+        return None
+    size = deviation[near] * np.sqrt(max(chi2, 1.0))
+    critical, turned = [], (fine / peak.speed) ** 2
+    for number, shift in enumerate(shifts):
+        noise = size * (rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)) if number else 0.0
+        curve = turned * np.abs(fitted(readings[near] - shift + noise, place))
+        critical.append(_peak(fine, curve, 0, POINTS - 1))
+    return None if critical[0] is None else (critical[0], [each for each in critical[1:] if each is not None])
+
+
+def _moved(peak: Critical, middle: Critical, coarse: Critical | None, number: int) -> Critical:
+    """A draw's peak, moved to one side or the other by the error of the curve between readings."""
+    if coarse is None:
+        return peak
+    by = (1 if number % 2 else -1) / HALVED
+
+    def off(mine: float | None, its: float | None, other: float | None) -> float | None:
+        return mine if mine is None or its is None or other is None else mine * (other / its) ** by
+
+    return Critical(
+        float(off(peak.speed, middle.speed, coarse.speed) or 0.0),
+        float(off(peak.amplitude, middle.amplitude, coarse.amplitude) or 0.0),
+        0,
+        off(peak.low, middle.low, coarse.low),
+        off(peak.high, middle.high, coarse.high),
+    )
+
+
+def _rising(speed: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    order = np.argsort(speed)
+    return speed[order], rate[order]
+
+
+def _judged_peak(
+    peak: Critical,
+    drawn: Sequence[Critical],
+    label: str,
+    speed_range: tuple[float, float] | None,
+    rate: float,
+) -> JudgedPeak:
+    speed = _estimate(peak.speed, [each.speed for each in drawn])
+    amplitude = _estimate(peak.amplitude, [each.amplitude for each in drawn])
+    factors = [each.amplification for each in drawn if each.amplification is not None]
+    factor = peak.amplification
+    whole = factor is not None and len(factors) > DRAWS / 2
+    amplification = _estimate(float(factor or 0.0), factors) if whole else None
+    fast = amplification is not None and rate * (amplification.value / speed.value) ** 2 > STEADY
+    if speed_range is None:
+        return JudgedPeak(label, speed, amplification, amplitude, None, None, "none asked", None, fast)
+    there, asked = peak.margin_of(speed_range)
+    pairs = [each.margin_of(speed_range) for each in drawn if each.amplification is not None]
+    if amplification is None or asked is None or len(drawn) < DRAWS / 2:
+        margin = _estimate(there, [each.margin_of(speed_range)[0] for each in drawn])
+        return JudgedPeak(label, speed, None, amplitude, margin, None, UNDECIDED, None, fast)
+    kept = float(np.mean([have >= (ask or 0.0) for have, ask in pairs]))
+    return JudgedPeak(
+        label,
+        speed,
+        amplification,
+        amplitude,
+        _estimate(there, [have for have, _ in pairs]),
+        _estimate(asked, [ask or 0.0 for _, ask in pairs]),
+        UNDECIDED if fast else decision(kept),
+        kept,
+        fast,
+    )
+
+
+def _sensitivities(
+    fine: FloatArray,
+    curves: ComplexArray,
+    labels: tuple[str, ...],
+    unbalance: float,
+    speed_range: tuple[float, float] | None,
+    baseline: OrderTrack | None,
+    rng: np.random.Generator,
+) -> Iterator[Sensitivity]:
+    if baseline is not None:
+        smooth = _Smooth(*_by_speed(baseline))
+        others = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
+        common = (fine >= smooth.fine[0]) & (fine <= smooth.fine[-1])
+        fine, curves = fine[common], curves[:, common]
+        place = np.searchsorted(smooth.fine, fine).clip(1, FINE - 1)
+        share = ((fine - smooth.fine[place - 1]) / (smooth.fine[place] - smooth.fine[place - 1]))[:, None]
+        curves = curves - ((1 - share) * others[:, place - 1] + share * others[:, place])
+    inside = np.ones(fine.size, bool)
+    if speed_range is not None:
+        inside = (fine >= speed_range[0]) & (fine <= speed_range[1])
+    if not inside.any():
+        return
+    for probe, label in enumerate(labels):
+        size = np.abs(curves[:, inside, probe]) / unbalance
+        at = int(np.argmax(size[0]))
+        yield Sensitivity(
+            label, _estimate(float(size[0, at]), size[1:, at].tolist()), float(fine[inside][at])
+        )

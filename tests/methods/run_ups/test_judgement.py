@@ -1,0 +1,158 @@
+"""A run-up judged: against the closed form of one mode, and by the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError, DataError
+from labpipe.methods.rotor.theory import BROKEN, KEPT, UNDECIDED, decision, margin_below
+from labpipe.methods.run_ups.judgement import judged
+from labpipe.records.response import Port
+from labpipe.spectra.orders import OrderTrack
+
+SLOW, NOISE = 3e-6 * np.exp(2j), 2e-7
+SPEED = np.linspace(8.0, 90.0, 160)
+
+
+def laval(speed: np.ndarray, zeta: float, eccentricity: float = 20e-6, resonance: float = 45.0) -> np.ndarray:
+    """z = e r^2 / (1 - r^2 + 2 j zeta r)."""
+    r = speed / resonance
+    return eccentricity * r**2 / (1 - r**2 + 2j * zeta * r)
+
+
+def track(amplitude: np.ndarray, seed: int = 1, speed: np.ndarray = SPEED, rate: float = 0.2) -> OrderTrack:
+    rng = np.random.default_rng(seed)
+    noise = NOISE * (rng.standard_normal(speed.size) + 1j * rng.standard_normal(speed.size))
+    readings = (amplitude + SLOW + noise)[:, None]
+    return OrderTrack(
+        order=1.0,
+        time=(speed - speed[0]) / rate,
+        speed=speed,
+        amplitude=readings,
+        variance=np.full(readings.shape, 2 * NOISE**2),
+        ports=(Port("a", "a", "a"),),
+        overall=np.abs(readings),
+        orbit=np.zeros((speed.size, 0)),
+        mean=np.zeros(readings.shape),
+    )
+
+
+def half_power(zeta: float) -> tuple[float, float, float]:
+    """Peak speed [Hz], amplitude [m], amplification, from |z| of the closed form on a fine grid."""
+    speed = np.linspace(5.0, 200.0, 400_001)
+    size = np.abs(laval(speed, zeta))
+    inside = speed[size >= size.max() * np.sqrt(0.5)]
+    peak = speed[np.argmax(size)]
+    return float(peak), float(size.max()), float(peak / (inside[-1] - inside[0]))
+
+
+@pytest.mark.parametrize("zeta", [0.02, 0.05, 0.12])
+def test_peak_amplification_and_slow_roll_of_one_mode(zeta: float) -> None:
+    """Within .5 %, 3 % and 3 %, and in an interval of twice the width: one draw of noise."""
+    verdict = judged(track(laval(SPEED, zeta)), slow_roll=(8.0, 14.0), speed_range=(60.0, 70.0))
+    (peak,) = verdict.peaks
+    speed, amplitude, amplification = half_power(zeta)
+    for found, true, rel in (
+        (peak.speed, speed, 0.005),
+        (peak.amplitude, amplitude, 0.03),
+        (peak.amplification, amplification, 0.03),
+    ):
+        assert found.value == pytest.approx(true, rel=rel) and found.low < found.value < found.high
+        assert abs(found.value - true) < found.high - found.low
+    assert verdict.slow_roll[0] == pytest.approx(SLOW, abs=1e-6)
+    assert peak.margin.value == pytest.approx(100 * (60 - speed) / 60, rel=0.02)
+    assert peak.asked.value == pytest.approx(margin_below(amplification), rel=0.02)
+    assert peak.outcome == KEPT and verdict.accepted
+
+
+def test_decisions_by_the_interval() -> None:
+    assert [decision(p) for p in (1.0, 0.975, 0.5, 0.025, 0.0)] == [KEPT, KEPT, UNDECIDED, BROKEN, BROKEN]
+    speed, _, amplification = half_power(0.05)
+    edge = speed / (1 - margin_below(amplification) / 100)
+    run = track(laval(SPEED, 0.05))
+    outcomes = {
+        share: judged(run, slow_roll=(8.0, 14.0), speed_range=(share * edge, 80.0)).peaks[0].outcome
+        for share in (0.97, 1.0, 1.03)
+    }
+    assert outcomes == {0.97: BROKEN, 1.0: UNDECIDED, 1.03: KEPT}
+    within = judged(run, slow_roll=(8.0, 14.0), speed_range=(40.0, 60.0))
+    assert within.peaks[0].outcome == BROKEN and within.peaks[0].margin.value == 0 and not within.accepted
+    assert "beyond the run, are not judged" in judged(run, speed_range=(60.0, 80.0)).not_run
+    assert not judged(run, speed_range=(60.0, 100.0)).accepted
+
+
+def test_a_fast_run_and_a_peak_at_its_end_are_undecided() -> None:
+    fast = judged(track(laval(SPEED, 0.02), rate=5.0), speed_range=(60.0, 70.0)).peaks[0]
+    assert fast.fast and fast.outcome == UNDECIDED
+    cut = SPEED[SPEED < 45.8]
+    last = judged(track(laval(cut, 0.02), speed=cut), speed_range=(40.0, 45.0)).peaks[0]
+    assert last.amplification is None and last.outcome == UNDECIDED
+
+
+def test_sensitivity_to_an_added_unbalance() -> None:
+    """Twice 20 um of eccentricity by 5 g mm more: the difference of the two runs over it."""
+    verdict = judged(
+        track(laval(SPEED, 0.1, 40e-6), 2),
+        unbalance=5e-6,
+        baseline=track(laval(SPEED, 0.1), 3),
+        speed_range=(60.0, 70.0),
+    )
+    (found,) = verdict.sensitivities
+    inside = np.linspace(60.0, 70.0, 2001)
+    true = np.abs(laval(inside, 0.1)).max() / 5e-6
+    assert found.size.low < true < found.size.high and found.size.value == pytest.approx(true, rel=0.05)
+    assert found.speed == pytest.approx(60.0, abs=0.1)
+
+
+def test_too_few_speeds_are_refused() -> None:
+    few = SPEED[::20]
+    with pytest.raises(DataError, match="too few"):
+        judged(track(laval(few, 0.1), speed=few))
+    with pytest.raises(ConfigError, match="--slow-roll: 0 stretches"):
+        judged(track(laval(SPEED, 0.1)), slow_roll=(1.0, 2.0))
+
+
+RIG = """name: Run-up rig
+sample_rate: 2 kHz
+channels:
+  x: {column: "x [um]", quantity: displacement, unit: um, role: output, dof: x}
+  y: {column: "y [um]", quantity: displacement, unit: um, role: output, dof: y}
+  n: {column: "tacho [V]", quantity: tacho, unit: V, role: reference}
+"""
+
+
+def test_a_recording_is_judged(tmp_path: Path, labpipe) -> None:
+    """From samples: 8 to 80 Hz in 40 s, one mode at 45 Hz in both directions, shaft lifted by 30 um."""
+    t = np.arange(80_000) / 2000
+    speed, turned = 8 + 1.8 * t, 8 * t + 0.9 * t**2
+    rng = np.random.default_rng(5)
+    z = 1e6 * (laval(speed, 0.1) + SLOW)
+    turn = np.exp(2j * np.pi * turned)
+    x, y = (z * turn).real + 0.2 * speed, (-1j * z * turn).real
+    columns = [x + 0.5 * rng.standard_normal(t.size), y + 0.5 * rng.standard_normal(t.size)]
+    pulse = np.where(turned % 1.0 < 0.3, 5.0, 0.0)
+    header = "x [um],y [um],tacho [V]"
+    np.savetxt(
+        tmp_path / "run.csv", np.column_stack([*columns, pulse]), delimiter=",", header=header, comments="",
+        fmt="%.5g",
+    )  # fmt: skip
+    (tmp_path / "rig.yaml").write_text(RIG, encoding="utf-8")
+    common = ("orders", tmp_path / "run.csv", "-r", tmp_path / "rig.yaml", "--tacho", "n", "-o")
+    judge = ("--slow-roll", "480-720 rpm", "--centreline", "--revolutions", "5")
+    ended = labpipe(*common, tmp_path / "out", *judge, "--speed-range", "3900-4500 rpm")
+    assert ended.code == 0, ended
+    assert "kept" in ended.out and "slow roll" in ended.out and "centreline moved by" in ended.out
+    entry = json.loads((tmp_path / "out/judgement.json").read_text())
+    assert entry["accepted"] and len(entry["critical_speeds"]) == 2
+    peak, _, amplification = half_power(0.1)
+    for found in entry["critical_speeds"]:
+        assert found["speed"]["value"] == pytest.approx(peak, rel=0.02)
+        assert found["amplification"]["value"] == pytest.approx(amplification, rel=0.1)
+    ended = labpipe(*common, tmp_path / "out2", *judge, "--speed-range", "2700-4500 rpm")
+    assert ended.code == 1 and "broken" in ended.out
+    ended = labpipe(*common, tmp_path / "out3", "--baseline", tmp_path / "run.csv")
+    assert ended.code == 2 and "one stated unbalance" in ended.err
