@@ -265,7 +265,7 @@ def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter
         )
     except FitError:
         return ()
-    return fits[0].parameters if len(fits) == 1 else ()
+    return _numbered_as(pooled, fits[0]).parameters if len(fits) == 1 else ()
 
 
 def _aligned(
