@@ -145,7 +145,7 @@ def evidence(
     prior = rows.T @ rows
     damped = 1 / (1 + np.outer(amplitudes**2, of.eigenvalues))
     volume = of.before - np.sum(np.log(damped), axis=1)
-    theta = start if begin is None else begin
+    theta, as_it_is = start if begin is None else begin, None
     for _ in range(steps):
         value, jacobian, _ = model.at(theta)
         r, j = of.rotate @ (model.curve.values - value), of.rotate @ jacobian
@@ -175,6 +175,14 @@ def evidence(
         log = np.where(sign > 0, log - np.sum(np.log(scale)), -np.inf)
         covariance = inverse[:, kept][:, :, kept] / np.outer(scale[kept], scale[kept])
         result = Evidence(log, theta[kept] + move[:, kept] / scale[kept], covariance, theta)
+        if begin is None and amplitudes[0] == 0:
+            # Without a course the fit is the minimum: seen from anywhere else it is off, and looks likelier.
+            as_it_is = as_it_is or result
+            result.log[0], result.mean[0], covariance[0] = (
+                as_it_is.log[0],
+                as_it_is.mean[0],
+                as_it_is.covariance[0],
+            )
         best = int(np.argmax(log))
         change = move[best] / scale
         change = change * min(1.0, LARGEST_STEP / max(float(np.max(np.abs(change[:n]))), 1e-300))

@@ -116,7 +116,9 @@ class ModelError:
         centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
         if apart is not None and (self.unloaded or apart[2] - apart[1] > high - low):
-            (centre, low, high), reason = apart, UNLOADED if self.unloaded else APART
+            # Both are explanations: the interval holds either, but for a stated mass.
+            held = apart if self.unloaded else (apart[0], min(low, apart[1]), max(high, apart[2]))
+            (centre, low, high), reason = held, UNLOADED if self.unloaded else APART
         noise = float(np.sqrt(row.row @ self.mixture.noise @ row.row))
         if row.log:
             # The sign of the fit: coefficients of a sensor of the wrong sign are negative together.

@@ -30,8 +30,8 @@ from labpipe.records.response import FrequencyResponse, uncorrelated
 
 # Quantities that no gain changes, whose scatter is known from measured structures.
 FREQUENCY, DAMPING = ("f_n",), ("zeta", "eta")
-# Least scale of the prior of others, relative to their size.
-LEAST_SCALE = 0.03
+# Scale of the prior of others over their scatter or noise: three repeats then hold 95 % at any spread.
+WIDER = 2.0
 # What values may follow.
 LEVEL = "level of the force"
 # Neighbouring lines that share the scatter of the aligned residuals, and the least share they divide by.
@@ -194,7 +194,7 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         if name in columns or 2 * len(shown) > len(good) > 1:
             of = _Values.of([by_name[place][name] for place in shown])
             along = None if covariate is None else covariate[[sum(used[:place]) for place in shown]]
-            means[name] = repeat_mean(of.values, of.variances, _scale(name, of, ratios), along)
+            means[name] = repeat_mean(of.values, of.variances, _scale(parameter, of, ratios), along)
             summary = Repeats(
                 len(test.response.repeat_names),
                 of.values.size,
@@ -239,14 +239,18 @@ def _usable(parameter: Parameter | None) -> bool:
     return parameter is not None and bool(parameter.std_error) and bool(np.isfinite(parameter.value))
 
 
-def _scale(name: str, of: _Values, ratios: Mapping[str, float]) -> float:
-    """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else that of the repeats themselves."""
+def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> float:
+    """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else twice that of the repeats or their
+    noise, whichever is larger. *parameter* of all together, whose noise is that between the repeats.
+    """
+    name = parameter.name
     if of.log and name.startswith(FREQUENCY):
         return PRIOR_SCALE * ratios.get(name.removeprefix("f_n").removeprefix("_"), 0.01)
     if of.log and name.startswith(DAMPING):
         return PRIOR_SCALE
-    size = 1.0 if of.log else float(np.median(np.abs(of.values)))
-    return max(float(np.std(of.values, ddof=1)), LEAST_SCALE * size, float(np.finfo(float).tiny))
+    together = (parameter.std_error or 0.0) / (abs(parameter.value) if of.log and parameter.value else 1.0)
+    noise = max(float(np.sqrt(np.median(of.variances))), together * float(np.sqrt(of.values.size)))
+    return WIDER * max(float(np.std(of.values, ddof=1)), noise, float(np.finfo(float).tiny))
 
 
 def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter, ...]:
@@ -265,7 +269,7 @@ def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter
         )
     except FitError:
         return ()
-    return fits[0].parameters if len(fits) == 1 else ()
+    return _numbered_as(pooled, fits[0]).parameters if len(fits) == 1 else ()
 
 
 def _aligned(

@@ -105,6 +105,8 @@ def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
 
 # Warnings with which nothing is accepted: the size of the error is not known.
 FORBIDDING = ("feedback", "weak-injection")
+# Begins a rule by which a warning is taken where it occurs.
+ALSO = "also "
 
 _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
     "gof": lambda fit: fit.gof.r2_adjusted,
@@ -149,7 +151,7 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
     """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings
     expects that one.
     """
-    expected = {(rule.fit, rule.bound) for rule in rules if rule.item == "warnings"}
+    expected = {(rule.fit, rule.bound.removeprefix(ALSO)) for rule in rules if rule.item == "warnings"}
     codes: dict[str, str] = {}
     for fit in fits:
         for finding in of_level(WARNING, fit.findings):
@@ -161,7 +163,7 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
             text,
             code,
             False,
-            shown=f"{code}, with no rule needed; `accept: {{{text.partition(':')[0]}: {code}}}` takes it",
+            shown=f"{code}, a refusal without any rule; `accept: {{warnings: {ALSO}{code}}}` takes it",
         )
         for text, code in codes.items()
     )
@@ -285,11 +287,15 @@ def _is_centre(text: str, centre: float) -> bool:
 
 
 def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
-    """ "collinear" must be among the warnings, "not collinear" must not; "none" means no warning at all."""
+    """ "collinear" must be among the warnings, "not collinear" must not, "also collinear" may; "none" means
+    no warning at all.
+    """
     codes = [finding.code for finding in of_level(WARNING, fit.findings)]
     code = rule.bound
     if code == "none":
         passed = not codes
+    elif code.startswith(ALSO):
+        passed = True
     elif code.startswith("not "):
         passed = code.removeprefix("not ").strip() not in codes
     else:

@@ -99,6 +99,10 @@ class Rule:
         return f"{self.address} {self.bound if self.kind in ('+-', '=') else f'{self.kind} {self.bound}'}"
 
 
+# The address of rules on the warnings of every fit.
+EVERY_WARNING = "warnings"
+
+
 def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[str, ...]) -> tuple[Rule, ...]:
     """The rules of one section; faults for unreadable ones and for fits that the pipeline does not have."""
     if node is None:
@@ -106,7 +110,14 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
     rules: list[Rule] = []
     for address, entry in faults.mapping(node, section).items():
         key = f"{section}.{address}"
-        if _is_decision(entry):
+        if address == EVERY_WARNING:
+            # Which warnings refuse a result, of every fit.
+            texts = _rule_texts(entry, key, faults)
+            for fit in fits:
+                match = _ADDRESS.match(f"{fit}.{EVERY_WARNING}")
+                assert match is not None
+                rules.extend(_rule(section, match[0], entry, match, text) for text in texts)
+        elif _is_decision(entry):
             if "together" in entry.content:
                 rules.extend(_together(section, address, entry, faults, fits))
             elif match := _matched(address, entry, key, faults, fits):

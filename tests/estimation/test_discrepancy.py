@@ -194,3 +194,16 @@ def test_ends_of_one_wide_component_are_those_of_a_normal_distribution() -> None
         low, high = _quantiles(np.ones(1), np.array([mean]), np.array([deviation]))
         assert (low - mean) / deviation == pytest.approx(-1.959963984540054, rel=1e-9)
         assert (high - mean) / deviation == pytest.approx(1.959963984540054, rel=1e-9)
+
+
+def test_without_a_course_the_evidence_is_that_of_the_ordinary_fit() -> None:
+    """However far the courses draw the linearisation, amplitude 0 is the minimum itself."""
+    base = hidden_mode()
+    rows = base.model.prior_rows(base.theta, base.theta.size)
+    for kind, length in (("a", 2.0), ("m", 4.5), ("z", 4.0)):
+        of = course(base, kind, length)
+        told = evidence(base, of, np.array([0.0, 10.0, 100.0]), rows, 3)
+        deviation = np.sqrt(np.diag(base.covariance)[: told.mean.shape[1]])
+        assert np.all(np.abs(told.mean[0] - base.theta[base.model.kept]) < 1e-3 * deviation)
+        assert told.log[0] == pytest.approx(evidence(base, of, np.array([0.0]), rows, 1).log[0], abs=1e-9)
+        assert np.any(np.abs(told.theta - base.theta)[:2] > deviation[:2])

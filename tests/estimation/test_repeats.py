@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
+from labpipe.estimation.repeated import _scale, _Values
 from labpipe.estimation.repeats import (
     Kept,
     hartung_knapp,
@@ -16,6 +17,7 @@ from labpipe.estimation.repeats import (
     repeat_mean,
 )
 from labpipe.estimation.statistics import student_limit
+from labpipe.records.finding import Parameter
 
 # An independent calculation on simulated FRFs: ln f and ln zeta of six repeats, the last of which is bad, and
 # of eight that rise in order.
@@ -175,3 +177,17 @@ def test_the_interval_holds_the_mean(n: int, least: float) -> None:
         mean = repeat_mean(y[used], noise[used] ** 2, 0.3)
         held += abs(mean.value) <= mean.half_width
     assert held / 400 > least
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0, 10.0, 50.0])
+def test_few_repeats_of_a_quantity_of_unknown_scatter_hold_their_mean(spread: float) -> None:
+    """Three values with noise of 1 %, *spread* times that between them: of 300 intervals at 95 % fewer than
+    275 hold once in 200.
+    """
+    rng, held = np.random.default_rng(11), 0
+    for _ in range(300):
+        logs = 0.01 * np.hypot(1.0, spread) * rng.normal(size=3)
+        of = _Values(logs, np.full(3, 1e-4), log=True)
+        mean = repeat_mean(of.values, of.variances, _scale(Parameter("c", 1.0, "N.s/m"), of, {}))
+        held += abs(mean.value) < mean.half_width
+    assert held >= 275

@@ -7,7 +7,9 @@ from dataclasses import replace
 import pytest
 
 from labpipe.project.judging import judge
-from labpipe.project.rules import Rule
+from labpipe.project.marked_yaml import parse_marked
+from labpipe.project.rules import Rule, read_rules
+from labpipe.project.settings_reader import Faults
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Fit
 from tests.uncertainty.conftest import a_fit
@@ -65,3 +67,16 @@ def test_a_bias_that_nobody_knows_is_not_accepted_unless_it_is_expected() -> Non
     )
     (outcome,) = judge([expected], [biased], {})
     assert outcome.passed
+    taken = replace(expected, section="accept", bound="also feedback")
+    for of in (biased, with_warnings("leakage"), with_warnings()):
+        assert all(outcome.passed for outcome in judge([taken], [of], {}))
+
+
+def test_one_rule_says_which_warnings_of_every_fit_refuse_a_result() -> None:
+    faults = Faults()
+    node = parse_marked("warnings: [not leakage, also feedback]", "p.yaml")
+    rules = read_rules("accept", node, faults, ("axial", "radial"))
+    assert len(faults) == 0
+    assert [(rule.fit, rule.bound) for rule in rules] == [
+        (fit, bound) for fit in ("axial", "radial") for bound in ("not leakage", "also feedback")
+    ]

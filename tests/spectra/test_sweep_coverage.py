@@ -60,3 +60,19 @@ def test_intervals_hold_the_truth(case: str, draws: int) -> None:
         assert np.mean(power) == pytest.approx(
             response.covariance_dof / (response.covariance_dof - 1), rel=0.03 + 0.1 / np.sqrt(draws)
         )
+
+
+def test_three_sweeps_as_repeats_are_hardly_less_sure_than_together() -> None:
+    """Nothing moves between them: every interval holds the damping, and on average is no wider than Student's
+    t of two degrees of freedom makes that of their common noise.
+    """
+    sweep, count, noise, _ = CASES["three, noise of the force too"]
+    wide = []
+    for seed in range(6):
+        response = measure([record(seed, sweep, count, noise)], FrfSettings("sweep"))
+        (each,) = identify(response, FitSettings("sdof", mass=1.0))
+        (pooled,) = identify(response, FitSettings("sdof", mass=1.0, repeats="pool"))
+        low, high = each.parameter("c").ci95
+        assert low < dict(zip(("k", "c", "f_n"), TRUTH, strict=True))["c"] < high
+        wide.append((high - low) / np.ptp(pooled.parameter("c").ci95))
+    assert 0.7 < np.exp(np.mean(np.log(wide))) < 4.3 / 1.96

@@ -23,13 +23,16 @@ from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
 from labpipe.methods.modal.model_error import (
+    LEAST_LINES,
     DrivingPoint,
     frequency_correlation,
     modal_parameters,
     model_errors,
+    narrow_modes,
     shape_record,
     strongest_points,
     with_model_errors,
+    with_window,
 )
 from labpipe.methods.modal.moved import MovedMode, aligned, aligned_measured, with_moved_modes
 from labpipe.methods.modal.poles import (
@@ -105,10 +108,6 @@ def _weights(measured: Measured) -> ComplexArray:
         return equal_weights(measured)
 
 
-# Lines in the half-power width below which a window is as wide as the mode.
-LEAST_LINES = 2.0
-
-
 def mismatch(estimate: ModalEstimate) -> float | None:
     """sqrt(chi-square per degree of freedom) where it is significantly above 1, else None."""
     if estimate.chi2_reduced is None or estimate.chi2_p is None or estimate.chi2_p >= MISMATCH_P:
@@ -168,29 +167,20 @@ def modal_findings(
     return tuple(warnings)
 
 
-def width_findings(refined: Refined, lines: Lines, *, window_known: bool) -> tuple[Finding, ...]:
-    """A warning for modes hardly wider than a line unless noise or window of the FRFs is known.
-
-    Half-power width -2 Re lambda over the distance of the lines [1].
-    """
-    width = -2 * refined.poles.real / float(np.mean(np.diff(lines.omega)))
-    narrow = (
-        []
-        if window_known
-        else [mode for mode in np.argsort(np.abs(refined.poles)) if width[mode] < LEAST_LINES]
-    )
+def _with_width_findings(fit: Fit, narrow: Mapping[int, float]) -> Fit:
+    """The fit with a warning for modes hardly wider than a line."""
     if not narrow:
-        return ()
+        return fit
     places = ", ".join(
-        f"{abs(refined.poles[mode]) / (2 * np.pi):.6g} Hz ({width[mode]:.2g})" for mode in narrow
+        f"{fit.parameter(f'f_n_{number}').value:.6g} Hz ({width:.2g})" for number, width in narrow.items()
     )
     message = (
         f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
         "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
-        "No standard error shows that. Measure with finer lines (a longer `block`), or say `window:` in the "
-        "entry of an FRF file under frfs:"
+        "The interval of the damping holds what a Hann window may add to it. Measure with finer lines (a "
+        "longer `block`), or say `window:` in the entry of an FRF file under frfs:"
     )
-    return (Finding("leakage", message),)
+    return replace(fit, findings=(*fit.findings, Finding("leakage", message)))
 
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
@@ -328,20 +318,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         whole = with_real_modes(sides.lines, whole, line_noise)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
-    fit = _reported(
-        settings,
-        band,
-        sides,
-        whole,
-        estimate,
-        aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved),
-        moved,
-    )
+    beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
+    fit = _reported(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
-    window_known = has_noise(sides.measured) or bool(response.line_correlation)
-    narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
-    quality = quality_findings(response, rows, columns, chosen)
-    fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow, *loaded, *quality))
+    if not (has_noise(sides.measured) or response.line_correlation):
+        narrow = narrow_modes(estimate.refined, sides.lines)
+        fit = _with_width_findings(with_window(fit, narrow), narrow)
+    beside = (*loaded, *quality_findings(response, rows, columns, chosen))
+    fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *beside))
     modes = shape_record(
         estimate.refined,
         terms,
@@ -505,6 +489,8 @@ def _reported(
     parameters = _parameters(settings, sides, estimate, refined)
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, whole.p_noise))
     errors: dict[int, ModelError] = {}
+    instead = [mode for mode in moved if mode.instead]
+    moved = [mode for mode in moved if not mode.instead]
     shown = misfit or bool(moved) or settings.model_settings.moving_mass is not None
     if refined.converged and (shown or (estimate.chi2_reduced is None and whole.p_noise > 0)):
         moving = settings.model_settings.moving_mass is not None
@@ -512,7 +498,7 @@ def _reported(
     # Points that differ are no fault of the modes.
     named = errors if misfit or not shown else {}
     if misfit or errors:
-        parameters = with_model_errors(parameters, errors, estimate, measured.omega / (2 * np.pi))
+        parameters = with_model_errors(parameters, errors, estimate, measured.omega / (2 * np.pi), instead)
     r2, adjusted = determination(
         measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof
     )

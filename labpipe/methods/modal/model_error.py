@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.distributions import chi2_tail, student_quantile
 from labpipe.errors import FitError
 from labpipe.estimation.derived import without_intervals
-from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, mixture, settled
+from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settled
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thinned
-from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
 from labpipe.estimation.statistics import correlation, derived, widened
-from labpipe.methods.modal.likelihood import Refined, ResidualTerms, pole_functions
-from labpipe.methods.modal.moved import MovedMode
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
+from labpipe.methods.modal.moved import MovedMode, apart, unloaded
 from labpipe.methods.modal.poles import damping_ratio, similarity
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
+from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 
 
@@ -245,9 +244,8 @@ OTHER_BANDS, LEAST_WIDTHS, INSIDE = (0.8, 1.25), 2.5, 0.5
 HALF_JUDGED = 2.0
 # Share of the evidence for a sound model below which a residual of unknown noise shows a model error.
 SOUND_SHARE = 0.05
-# A point sees a mode whose frequency it tells to this share of its half-width, and its damping to this share;
-# so many points are compared, and disagree below this chance.
-SEEN, FEWEST_POINTS, DISAGREE = 0.3, 3, 1e-3
+# A point sees a mode whose frequency it tells to this share of its half-width, and its damping to this share.
+SEEN = 0.3
 FEW = "too few lines around the mode to tell a model error"
 
 
@@ -263,7 +261,8 @@ def model_errors(
 ) -> dict[int, ModelError]:
     """The model error of every mode by its number in ascending frequency; a mode that has none in its band is
     left out. *wide*: the same FRFs beyond the band. Without *misfit* of the whole only modes that fill the
-    band, where residual terms of the FRFs may stand for a part of them, and whose own line shows one.
+    band, where residual terms of the FRFs may stand for a part of them, and whose own line shows one, or,
+    where the noise is not known, does not survive other bands.
     *moved*: modes whose points are *measured* at the mean pole; *moving*: a mass is known to move from point
     to point, without which f_n and zeta are stated.
 
@@ -281,27 +280,51 @@ def model_errors(
         ):
             continue
         try:
-            pole = complex(refined.poles[mode])
-            scatter = _scatter(measured, estimate, _near(measured, pole))
-            edges = _widened(measured, pole)
-            band = _Band.of(measured if edges is None else wide, estimate, int(mode), scatter, edges)
-            base = _ordinary(band.curve(slice(None)), pole)
-            mixed = mixture(base)
+            scatter = _scatter(measured, estimate, _near(measured, complex(refined.poles[mode])))
+            band, base, mixed = _judged(measured, wide, estimate, int(mode), scatter)
         except (FitError, np.linalg.LinAlgError):
             continue
-        if mixed.sound > SOUND_SHARE and not (misfit or moving or moved):
-            continue
-        if mixed.sound < 0.5:
+        if mixed.sound < 0.5 or scatter is not None:
             mixed = settled(mixed, _elsewhere(wide, estimate, int(mode), band, scatter))
+        rows = _rows(base, number, values)
+        if not (misfit or moving or moved) and (
+            mixed.sound > SOUND_SHARE if scatter is None else _survives(mixed)
+        ):
+            continue
         seen, shifted, of_points = band.points()
         for mode_moved in moved:
             if np.argmin(np.abs(refined.poles - mode_moved.pole)) == mode:
                 shifted = shifted + mode_moved.shifts[seen]
         points = seen, shifted, of_points
         unmoved = unloaded(*points, refined.shapes[:, mode]) if moving else {}
-        apart = {f"{name}_{number}": interval for name, interval in (unmoved or _apart(*points)).items()}
-        errors_by_mode[number] = ModelError(mixed, _rows(base, number, values), apart, unloaded=bool(unmoved))
+        differing = {f"{name}_{number}": interval for name, interval in (unmoved or apart(*points)).items()}
+        errors_by_mode[number] = ModelError(mixed, rows, differing, unloaded=bool(unmoved))
     return errors_by_mode
+
+
+def _judged(
+    measured: Measured, wide: Measured, estimate: ModalEstimate, mode: int, scatter: FloatArray | None
+) -> tuple[_Band, Fitted, Mixture]:
+    """The band of a mode, its ordinary fit and mixture; the lines next to it alone where its whole band shows
+    a stronger one.
+    """
+    pole = complex(estimate.refined.poles[mode])
+    f_r, half = abs(pole) / (2 * np.pi), HALF_JUDGED * -2 * pole.real / (2 * np.pi)
+    edges = _widened(measured, pole)
+    for of in (edges, (f_r - half, f_r + half)):
+        try:
+            band = _Band.of(measured if edges is None else wide, estimate, mode, scatter, of)
+            base = _ordinary(band.curve(slice(None)), pole)
+            return band, base, mixture(base)
+        except FitError:
+            continue
+    raise FitError("the lines of the mode show another one")
+
+
+def _survives(mixed: Mixture) -> bool:
+    """Whether all bands and numbers of residual terms speak for one mode and noise."""
+    others = mixed.others if isinstance(mixed, Settled) else ()
+    return all(of.sound >= 0.5 for of in (mixed, *others))
 
 
 def _elsewhere(
@@ -326,12 +349,17 @@ def _elsewhere(
 
 
 def with_model_errors(
-    parameters: Sequence[Parameter], errors: dict[int, ModelError], estimate: ModalEstimate, lines: FloatArray
+    parameters: Sequence[Parameter],
+    errors: dict[int, ModelError],
+    estimate: ModalEstimate,
+    lines: FloatArray,
+    instead: Sequence[MovedMode] = (),
 ) -> tuple[Parameter, ...]:
     """The parameters of each mode as its model error states them.
 
     A mode whose band is too narrow for one, on *lines* (n_line,) [Hz], counts all lines of its half-power
-    width as one where the noise is that of the residual. An unstable one has no interval.
+    width as one where the noise is that of the residual. An unstable one has no interval. Intervals of poles
+    hold those of the modes that may stand *instead* of them.
     """
     poles = estimate.refined.poles[np.argsort(np.abs(estimate.refined.poles))]
     stated: list[Parameter] = []
@@ -347,6 +375,10 @@ def with_model_errors(
             stated.append(replace(widened(parameter, float(np.sqrt(max(alike, 1.0)))), reason=FEW))
         else:
             stated.append(parameter)
+    for mode in instead:
+        numbers = {int(np.argmin(np.abs(poles - pole))) + 1 for pole in mode.instead}
+        names = [name for number in numbers for name in (f"f_n_{number}", f"zeta_{number}")]
+        stated = [mode.held_by(parameter) if parameter.name in names else parameter for parameter in stated]
     return tuple(stated)
 
 
@@ -426,44 +458,6 @@ class _Band:
         return seen, np.array(values).reshape(-1, 2), np.array(errors).reshape(-1, 2)
 
 
-def _apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str, tuple[float, float, float]]:
-    """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves from
-    point to point loads it.
-
-    mean +- t s sqrt(1 + 1/n), for another point; of points that see the mode.
-    """
-    if len(seen) < FEWEST_POINTS:
-        return {}
-    pieces = {}
-    for place, name in enumerate(("f_n", "zeta")):
-        x, weight = values[:, place], errors[:, place] ** -2.0
-        scatter = float(np.sum(weight * (x - np.average(x, weights=weight)) ** 2))
-        if chi2_tail(scatter, x.size - 1) < DISAGREE:
-            reach = student_quantile(0.975, x.size - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / x.size)
-            pieces[name] = (float(np.mean(x)), float(np.mean(x) - reach), float(np.mean(x) + reach))
-    return pieces
-
-
-def unloaded(
-    seen: list[int], values: FloatArray, errors: FloatArray, shape: ComplexArray
-) -> dict[str, tuple[float, float, float]]:
-    """Mean and ends of ln f_n and ln zeta where the mode does not move, phi^2 = 0: a mass there changes
-    nothing.
-
-    The points *seen* are repeats, *values* (n, 2) with *errors* (n, 2) [1], and phi^2 of the *shape*
-    (n_point,) [1] their covariate. Empty where too few see the mode. Equation (modal-unloaded).
-    """
-    square = np.abs(shape[seen]) ** 2 / np.max(np.abs(shape) ** 2)
-    if len(seen) <= FEWEST_POINTS:
-        return {}
-    scales = (PRIOR_SCALE * float(np.exp(np.median(values[:, 1]))), PRIOR_SCALE)
-    pieces = {}
-    for place, name in enumerate(("f_n", "zeta")):
-        mean = repeat_mean(values[:, place], errors[:, place] ** 2, scales[place], square)
-        pieces[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
-    return pieces
-
-
 def _near(measured: Measured, pole: complex) -> BoolArray:
     """The lines (n_line,) of a mode: REACH half-power widths to either side, FEWEST of them at least."""
     frequency = measured.omega / (2 * np.pi)
@@ -534,3 +528,38 @@ def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, Stat
         if value != 0:
             rows[f"{letter}_{number}"] = StatedRow(row, float(np.log(abs(value)) - row @ kept))
     return rows
+
+
+# Lines in the half-power width below which a window is as wide as the mode.
+LEAST_LINES = 2.0
+# Half-power width of a Hann window [lines], and what is said of a damping that it may have made.
+HANN_WIDTH = 1.44
+WINDOW = "hardly wider than a line: a window of the analyser may make the damping larger"
+
+
+def narrow_modes(refined: Refined, lines: Lines) -> dict[int, float]:
+    """Half-power width -2 Re lambda over the distance of the lines [1] of modes hardly wider than one, by
+    number in ascending frequency.
+    """
+    width = -2 * refined.poles.real / float(np.mean(np.diff(lines.omega)))
+    by_number = {number: float(width[mode]) for number, mode in enumerate(_ascending(refined), 1)}
+    return {number: of for number, of in by_number.items() if of < LEAST_LINES}
+
+
+def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
+    """The fit whose dampings of *narrow* modes may be those of a window of the analyser, down to what that of
+    Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE 66 (1978) 51; of
+    convolved Lorentz and Gauss curves, Olivero and Longbothum 1977).
+    """
+    left = {
+        f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
+        for number, width in narrow.items()
+        for name in ("zeta", "eta")
+    }
+    parameters = tuple(
+        replace(parameter, ci95=(left[parameter.name] * parameter.ci95[0], parameter.ci95[1]), reason=WINDOW)
+        if parameter.name in left and parameter.ci95 is not None and parameter.ci95[0] > 0
+        else parameter
+        for parameter in fit.parameters
+    )
+    return replace(fit, parameters=parameters)

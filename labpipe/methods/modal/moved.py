@@ -13,11 +13,13 @@ import numpy as np
 from scipy import optimize
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail, student_quantile
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import Measured
+from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
 from labpipe.methods.modal.likelihood import Lines, Refined, pole_functions, remaining
 from labpipe.methods.modal.poles import Completed, LineNoise, refine_with_terms, whiteness
-from labpipe.records.finding import Finding, note
+from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
 NEXT, FARTHEST = 2.0, 6.0
@@ -31,18 +33,23 @@ LIKE, BROADER = 0.9, 10.0
 HARDLY, SHOWS = 0.1, 0.3
 # Squares over those of noise, as its differences from line to line show it, up to which two poles leave none.
 AS_NOISE = 1.3
+# Points disagree on a mode below this chance.
+DISAGREE = 1e-3
+PAIR = "a pair, or one mode that moves from point to point: one reference cannot tell"
 
 
 @dataclass(frozen=True)
 class MovedMode:
     """One mode whose points have poles (n_point,) [rad/s] of their own, with residues (n_point, n_reference)
     [unit of the FRF times rad/s]; *also*: frequencies [Hz] of two poles that fit better, which the references
-    cannot tell apart.
+    cannot tell apart; *instead*: the poles [rad/s] that it may stand for, where these fit better and a single
+    reference cannot tell whether the mode moves or is a pair.
     """
 
     poles: ComplexArray
     residues: ComplexArray
     also: tuple[float, ...] = ()
+    instead: tuple[complex, ...] = ()
 
     @property
     def reference(self) -> ComplexArray:
@@ -78,6 +85,34 @@ class MovedMode:
         change = np.einsum("lp,pr->lpr", a[:, -1:] - a[:, :-1], self.residues)
         return np.asarray(change + np.einsum("lp,pr->lpr", b[:, -1:] - b[:, :-1], self.residues.conj()))
 
+    def of_a_point(self) -> tuple[tuple[float, float], ...]:
+        """Ends of ln f_n and ln zeta of another point, mean +- t s sqrt(1 + 1/n) of those that show it; none
+        of fewer than three.
+        """
+        size = np.linalg.norm(self.residues, axis=1)
+        shown = (size > SHOWS * np.max(size)) & self._seen
+        if np.count_nonzero(shown) < FEWEST_POINTS:
+            return ()
+        poles = self.poles[shown]
+        n, ends = poles.size, []
+        for x in (np.log(np.abs(poles) / (2 * np.pi)), np.log(-poles.real / np.abs(poles))):
+            reach = student_quantile(0.975, n - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / n)
+            ends.append((float(np.mean(x) - reach), float(np.mean(x) + reach)))
+        return tuple(ends)
+
+    def held_by(self, parameter: Parameter) -> Parameter:
+        """A frequency or damping of a pole that this mode may stand for, whose interval holds this mode's."""
+        ends = self.of_a_point()
+        if not ends or parameter.ci95 is None or parameter.std_error is None:
+            return parameter
+        low, high = np.exp(ends[0 if parameter.name.startswith("f_n") else 1])
+        held = (min(parameter.ci95[0], float(low)), max(parameter.ci95[1], float(high)))
+        if held == parameter.ci95:
+            return parameter
+        full = max((held[1] - held[0]) / (2 * NORMAL), parameter.std_error)
+        parts = IntervalParts(parameter.std_error, float(np.sqrt(full**2 - parameter.std_error**2)))
+        return replace(parameter, std_error_inflated=full, ci95=held, interval=parts, reason=PAIR)
+
     @property
     def finding(self) -> Finding:
         """A note that it is one mode, and between which frequencies it lies."""
@@ -102,7 +137,7 @@ def aligned(s: ComplexArray, moved: Sequence[MovedMode]) -> ComplexArray | float
     """What takes all points to the mean poles of *moved* modes, (n_line, n_point, n_reference) [unit of the
     FRF], on *s* (n_line,) [rad/s]; 0 without any.
     """
-    return sum((mode.aligned(s) for mode in moved), start=0.0)
+    return sum((mode.aligned(s) for mode in moved if not mode.instead), start=0.0)
 
 
 def aligned_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured:
@@ -116,7 +151,8 @@ def with_moved_modes(
     lines: Lines, done: Completed, noise: LineNoise, *, moving: bool
 ) -> tuple[Lines, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     """The FRFs with every point moved to the mean pole of its mode, their modes, how these moved, and notes
-    on poles that are one; as they are where none does.
+    on poles that are one; as they are where none does. Modes that may stand *instead* of several poles come
+    with how these moved, but nothing is moved by them.
 
     Poles nearer than two half-power widths are fitted as one pole per point, and as two common ones. One mode
     where BIC = sum over the FRFs of 2 n ln(residual) + p ln(2 n n_frf) is for it, where a pole of the two
@@ -126,9 +162,11 @@ def with_moved_modes(
     refined = done.refined
     if lines.hysteretic or lines.matrix.shape[1] < FEWEST_POINTS or np.any(refined.poles.real >= 0):
         return lines, done, (), ()
-    merging = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _moved(lines, refined, chain)]
+    judged = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _moved(lines, refined, chain)]
+    merging = [(chain, mode) for chain, mode in judged if not mode.instead]
+    undecided = tuple(mode for _, mode in judged if mode.instead)
     if not merging and not (moving and done.p_noise < MISMATCH_P):
-        return lines, done, (), ()
+        return lines, done, undecided, ()
     findings = tuple(mode.finding for _, mode in merging)
     merged = {number for chain, _ in merging for number in chain}
     for number in set(range(refined.poles.size)) - merged:
@@ -145,9 +183,10 @@ def with_moved_modes(
     again, terms = refine_with_terms(lines, poles, participation)
     frequency = np.abs(again.poles)
     if not again.converged or frequency.min() < lines.omega[0] or frequency.max() > lines.omega[-1]:
-        return plain, done, (), ()
+        return plain, done, undecided, ()
     p_noise = whiteness(remaining(lines, terms, again), noise)
-    return lines, replace(done, refined=again, terms=terms, p_noise=p_noise), moved, findings
+    done = replace(done, refined=again, terms=terms, p_noise=p_noise)
+    return lines, done, (*moved, *undecided), findings
 
 
 def _chains(refined: Refined) -> list[list[int]]:
@@ -173,10 +212,14 @@ def _moved(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[
     if s.size < FEWEST_LINES:
         return []
     mode = _one_mode(s, data, refined.poles[chain])
-    if mode is not None:
+    if mode is not None and not mode.instead:
         return [(chain, mode)]
     middle = len(chain) // 2
-    return [*_moved(lines, refined, chain[:middle]), *_moved(lines, refined, chain[middle:])]
+    return [
+        *([] if mode is None else [(chain, mode)]),
+        *_moved(lines, refined, chain[:middle]),
+        *_moved(lines, refined, chain[middle:]),
+    ]
 
 
 def _alone(lines: Lines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
@@ -198,16 +241,16 @@ def _alone(lines: Lines, refined: Refined, chain: list[int]) -> tuple[ComplexArr
     return s, data - np.tensordot(a, residues, 1) - np.tensordot(b, residues.conj(), 1)
 
 
-def _solved(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """Residues (n_pole, n) and squares (n,) that poles with a constant and a slope leave of *data* (n_line,
-    n).
-    """
+def _solved(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Residues (n_pole, n) and what poles with a constant and a slope leave of *data* (n_line, n)."""
     x = np.linspace(-1, 1, s.size)
     columns = np.column_stack([1 / (s[:, None] - poles), np.ones_like(x), x])
     amounts = np.linalg.lstsq(columns, data, rcond=None)[0]
-    return amounts[: poles.size], np.maximum(
-        np.sum(np.abs(data - columns @ amounts) ** 2, axis=0), np.finfo(float).tiny
-    )
+    return amounts[: poles.size], data - columns @ amounts
+
+
+def _squares(left: ComplexArray) -> FloatArray:
+    return np.asarray(np.maximum(np.sum(np.abs(left) ** 2, axis=0), np.finfo(float).tiny))
 
 
 def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexArray:
@@ -219,7 +262,7 @@ def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexAr
         return np.asarray(start.real * np.exp(decay) + 1j * (start.imag + unit * frequency))
 
     def cost(moves: FloatArray) -> float:
-        return float(np.sum(np.log(_solved(s, data, poles(moves))[1]))) * 2 * s.size / data.shape[1]
+        return float(np.sum(np.log(_squares(_solved(s, data, poles(moves))[1])))) * 2 * s.size / data.shape[1]
 
     steps = np.vstack([np.zeros(2 * start.size), 0.3 * np.eye(2 * start.size)])
     best = optimize.minimize(
@@ -234,30 +277,74 @@ def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tupl
     point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
     solved = [_solved(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
     return MovedMode(np.array(point_poles)[:, 0], np.array([amounts[0] for amounts, _ in solved])), np.array(
-        [left for _, left in solved]
+        [_squares(left) for _, left in solved]
     )
 
 
 def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> MovedMode | None:
-    """The chain as one mode with a pole per point, or None where it is two."""
+    """The chain as one mode with a pole per point, *instead* of two where one reference cannot tell, or None
+    where it is two.
+    """
     n_line, n_point, n_reference = data.shape
     moved, squares = _by_points(s, data, chain)
     flat, n_entry = data.reshape(n_line, -1), n_point * n_reference
     pair = _best(s, flat, chain[np.argsort(chain.imag)[[0, -1]]])
     amounts, left = _solved(s, flat, pair)
-    difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(left)))
+    difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(_squares(left))))
     difference += np.log(2 * n_line * n_entry) * (6 * n_entry + 2 * n_point - 8 * n_entry - 4)
     width = -2 * moved.pole.real
     out = (pair.imag < chain.imag.min() - width) | (pair.imag > chain.imag.max() + width)
     if difference < 0 or np.any(out | (-2 * pair.real > BROADER * width)):
         return moved
-    noise = np.mean(np.abs(np.diff(flat, 2, axis=0)) ** 2, axis=0) / 6
-    if np.mean(left / (n_line * noise)) < AS_NOISE:
+    # Of what is left: of a peak a few lines wide the differences of neighbours are no noise.
+    noise = np.sum(np.abs(np.diff(left, 2, axis=0)) ** 2, axis=0) / 6
+    if np.mean(_squares(left) / noise) * (1 - 2 / n_line) < AS_NOISE:
         # Two poles that are the same at all points leave noise: that is a pair.
         return None
+    if n_reference == 1:
+        return replace(moved, instead=tuple(chain.tolist()))
     a, b = amounts.reshape(2, n_point, n_reference)
     sizes = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     like = float(np.sum(np.abs(np.sum(a.conj() * b, axis=1))) / np.sum(sizes))
-    if n_reference > 1 and like > LIKE and abs(pair.imag[0] - pair.imag[1]) < width:
+    if like > LIKE and abs(pair.imag[0] - pair.imag[1]) < width:
         return replace(moved, also=tuple(float(f) for f in np.sort(np.abs(pair)) / (2 * np.pi)))
     return None
+
+
+def apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str, tuple[float, float, float]]:
+    """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves from
+    point to point loads it.
+
+    mean +- t s sqrt(1 + 1/n), for another point; of the points *seen*, *values* (n, 2) with *errors* (n, 2)
+    [1] by noise.
+    """
+    if len(seen) < FEWEST_POINTS:
+        return {}
+    pieces = {}
+    for place, name in enumerate(("f_n", "zeta")):
+        x, weight = values[:, place], errors[:, place] ** -2.0
+        scatter = float(np.sum(weight * (x - np.average(x, weights=weight)) ** 2))
+        if chi2_tail(scatter, x.size - 1) < DISAGREE:
+            reach = student_quantile(0.975, x.size - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / x.size)
+            pieces[name] = (float(np.mean(x)), float(np.mean(x) - reach), float(np.mean(x) + reach))
+    return pieces
+
+
+def unloaded(
+    seen: list[int], values: FloatArray, errors: FloatArray, shape: ComplexArray
+) -> dict[str, tuple[float, float, float]]:
+    """Mean and ends of ln f_n and ln zeta where the mode does not move, phi^2 = 0: a mass there changes
+    nothing.
+
+    The points *seen* are repeats, *values* (n, 2) with *errors* (n, 2) [1], and phi^2 of the *shape*
+    (n_point,) [1] their covariate. Empty where too few see the mode. Equation (modal-unloaded).
+    """
+    square = np.abs(shape[seen]) ** 2 / np.max(np.abs(shape) ** 2)
+    if len(seen) <= FEWEST_POINTS:
+        return {}
+    scales = (PRIOR_SCALE * float(np.exp(np.median(values[:, 1]))), PRIOR_SCALE)
+    pieces = {}
+    for place, name in enumerate(("f_n", "zeta")):
+        mean = repeat_mean(values[:, place], errors[:, place] ** 2, scales[place], square)
+        pieces[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
+    return pieces
