@@ -13,8 +13,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settling import Differences
 
-# Level of the F-test by which a line's noise exceeds that of its neighbours (a shaft-speed line, for
-# example).
+# Level of the F-test by which a line's noise exceeds that of its neighbours, as at the speed of a shaft.
 OUTLIER_LEVEL = 1e-3
 # Standard deviation of a line as a share of the channel's strongest line below which it is rounding.
 ROUNDING = 1e-12
@@ -24,11 +23,11 @@ SEEN_BESIDE = 5
 
 @dataclass(frozen=True)
 class LineSpectrum:
-    """Fourier amplitudes of all channels averaged over periods, and the noise of the averages.
+    """Fourier amplitudes X = 2/N sum x exp(-j w t) of all channels averaged over periods, with their noise.
 
-    frequency  (n_line,) [Hz] mean       (n_line, n_channel) complex amplitudes, X = 2/N sum x exp(-j w t)
-    [unit of the channel] noise      (n_line, n_channel, n_channel) complex covariance of the mean, E[e e^H],
-    or None with a single period line_dof   (n_line,) complex degrees of freedom behind each line of the noise
+    frequency (n_line,) [Hz]; mean (n_line, n_channel) [unit of the channel]; noise (n_line, n_channel,
+    n_channel): covariance E[e e^H] of the mean, None with a single period; line_dof (n_line,): complex
+    degrees of freedom of each line of the noise.
     """
 
     frequency: FloatArray

@@ -160,7 +160,7 @@ def most_probable(
     if doubtful:
         best = best[0], replace(best[1], widened=WIDENED)
     excess, bearable = normality(best[1])
-    return best[0], refitted(best[1]) if excess > bearable else best[1]
+    return best[0], replace(refitted(best[1]), normal=False) if excess > bearable else best[1]
 
 
 def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
@@ -520,6 +520,12 @@ def _notes(posterior: Posterior) -> Iterator[Finding]:
             "first-order",
             "a normal posterior does not fit the tests: its intervals are those of "
             f"{len(posterior.refits)} fits of data that were moved by their own noise",
+        )
+    elif not posterior.normal:
+        yield Finding(
+            "first-order",
+            "a normal posterior does not fit the tests, and fits of data that were moved by their own noise "
+            "lose the rotor: intervals are approximate, and another test is needed",
         )
     for what, spread in common_changes(posterior).items():
         if spread > FAINT:

@@ -36,8 +36,8 @@ RESTARTS, DRAWN, RESTART_SEED = 3, 0.6, 20261126
 STEPS = 4
 # Draws by which the normal approximation is held against the tests, and the excess over the number of
 # unknowns that it bears, in standard deviations of a median of so many; fits of randomised maximum likelihood
-# where it fails, and the steps of each.
-LOOKED, BEARABLE, REFITS, REFIT_STEPS = 20, 3.0, 100, 6
+# where it fails, the steps of each, and the standard deviations of chi-square that its end may lie high.
+LOOKED, BEARABLE, REFITS, REFIT_STEPS, SCATTER = 20, 3.0, 60, 6, 4.0
 # Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
 # alternative; intervals are then widened, since sizes are poorly known.
 MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5
@@ -113,7 +113,7 @@ class Posterior:
     of the priors as they were used, *sizes* of the small errors by group. chi2: (chi-square, data) by test.
 
     ln_evidence: of the data. widened: factor on intervals. refits (n_draw, n_unknown): fits of moved data
-    where the normal approximation fails, in place of draws of it.
+    where the normal approximation fails (not *normal*), in place of draws of it.
     """
 
     model: SystemModel
@@ -127,6 +127,7 @@ class Posterior:
     widened: float = 1.0
     alternative: str = ""
     refits: FloatArray | None = None
+    normal: bool = True
 
     @cached_property
     def spread(self) -> FloatArray:
@@ -393,12 +394,20 @@ def refitted(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Poste
     """The posterior by randomised maximum likelihood where the normal approximation fails: data and prior
     means are moved by their own standard uncertainties and fitted again, *n_draw* times (Chen and Oliver
     2012). Equation (system-draws).
+
+    Fits that end far above their minimum, which moved data raise by the degrees of freedom, have lost the
+    rotor; where most have, the normal approximation stands.
     """
     problem, rng = _problem(posterior), np.random.default_rng(seed)
     residual, jacobian = problem.residual(posterior.values), problem.jacobian(posterior.values)
+    least, dof = float(residual @ residual), residual.size - posterior.values.size
+    highest = least + dof + SCATTER * float(np.sqrt(2 * dof + 4 * least))
     fits = []
     for _ in range(n_draw):
         moved = rng.standard_normal(residual.size)
         start = posterior.values - posterior.covariance @ (jacobian.T @ moved)
-        fits.append(minimise(replace(problem, moved=moved), start, NEAR, REFIT_STEPS).values)
-    return replace(posterior, refits=np.array(fits))
+        drawn = replace(problem, moved=moved)
+        end = minimise(drawn, start, NEAR, REFIT_STEPS).values
+        if drawn.chi2(end) < highest:
+            fits.append(end)
+    return replace(posterior, refits=np.array(fits)) if 2 * len(fits) > n_draw else posterior
