@@ -20,7 +20,7 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
-from labpipe.estimation.weights import equal_weights, has_noise, whitener
+from labpipe.estimation.weights import NOISE_FREE, equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
 from labpipe.methods.modal.model_error import (
     LEAST_LINES,
@@ -487,12 +487,16 @@ def _reported(
     refined, measured = estimate.refined, sides.measured
     matrix = frequency_correlation(refined)
     parameters = _parameters(settings, sides, estimate, refined)
-    misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, whole.p_noise))
+    # What rounding leaves looks like no noise.
+    left = float(np.linalg.norm(measured.matrix - estimate.fitted))
+    exact = left <= NOISE_FREE * float(np.linalg.norm(measured.matrix))
+    p_noise = 1.0 if exact else whole.p_noise
+    misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, p_noise))
     errors: dict[int, ModelError] = {}
     instead = [mode for mode in moved if mode.instead]
     moved = [mode for mode in moved if not mode.instead]
     shown = misfit or bool(moved) or settings.model_settings.moving_mass is not None
-    if refined.converged and (shown or (estimate.chi2_reduced is None and whole.p_noise > 0)):
+    if refined.converged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
         moving = settings.model_settings.moving_mass is not None
         errors = model_errors(measured, beyond, estimate, parameters, misfit, moved, moving=moving)
     # Points that differ are no fault of the modes.
@@ -516,7 +520,7 @@ def _reported(
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=(*modal_findings(estimate, whole.p_noise, named), *mass_findings(parameters)),
+        findings=(*modal_findings(estimate, p_noise, named), *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
     )
 
