@@ -334,10 +334,10 @@ def band_of(
     width = _half_power_lines(mobility, peak)
     # Of a light damping a tenth of the frequency holds neighbours.
     reach = max(min(AROUND * float(frequency[peak]), WIDTHS * float(width) * spacing), lines / 2 * spacing)
-    lowest = float(frequency[frequency > 0][0])
-    return max(float(frequency[peak]) - reach, lowest), min(
-        float(frequency[peak]) + reach, float(frequency[-1])
-    )
+    lowest, highest = float(frequency[frequency > 0][0]), float(frequency[-1])
+    # What an end of the lines cuts off is added on the other side.
+    low = max(min(float(frequency[peak]) - reach, highest - lines * spacing), lowest)
+    return low, min(max(float(frequency[peak]) + reach, low + lines * spacing), highest)
 
 
 def _half_power_lines(mobility: FloatArray, peak: int) -> int:

@@ -426,15 +426,27 @@ def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
     moving = guessed.frequency > 0
     frequency = guessed.frequency[moving]
     mobility = np.sqrt(np.mean(np.square(sizes), axis=0))[moving] * frequency ** _order(guessed)
-    found = peaks_of(mobility)
-    between = (frequency[found[:-1]] + frequency[found[1:]]) / 2
-    limits = np.concatenate([frequency[:1], between, frequency[-1:]])
+    peaks = peaks_of(mobility)
+    ends = [*(peaks[:-1] + peaks[1:]) // 2, frequency.size - 1]
+    # Stretches of lines with their peaks: those that are too short for a fit go with the next.
+    stretches: list[tuple[int, list[int]]] = []
+    begin, inside = 0, []
+    for peak, end in zip(peaks.tolist(), ends, strict=False):
+        inside.append(peak)
+        if end - begin >= MODAL_LINES or end == ends[-1]:
+            stretches.append((begin, inside))
+            begin, inside = int(end), []
+    if len(stretches) > 1 and ends[-1] - stretches[-1][0] < MODAL_LINES:
+        begin, inside = stretches.pop()
+        stretches[-1][1].extend(inside)
     lines = []
-    for number, peak in enumerate(found):
-        low, high = band_of(frequency, mobility, int(peak), MODAL_LINES)
-        low, high = max(low, limits[number]), min(high, limits[number + 1])
-        lines += [f"  mode_{number + 1}:", "    model: modal"]
-        lines.append(f"    band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# around a peak of all points")
+    after = [*(begin for begin, _ in stretches[1:]), frequency.size - 1]
+    for number, ((begin, inside), end) in enumerate(zip(stretches, after, strict=True), 1):
+        part = slice(begin, end + 1)
+        bands = [band_of(frequency[part], mobility[part], peak - begin, MODAL_LINES) for peak in inside]
+        lines += [f"  mode_{number}:", "    model: modal"]
+        band = f"    band: {bands[0][0]:.6g}-{bands[-1][1]:.6g} Hz"
+        lines.append(band.ljust(31) + "# around a peak of all points")
     return lines or ["  modes:", "    model: modal"]
 
 

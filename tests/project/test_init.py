@@ -431,3 +431,19 @@ def test_a_swept_sine_is_evaluated_as_one(tmp_path: Path, labpipe) -> None:
     assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
     k = first_fit(tmp_path / "out")["parameters"][0]
     assert k["ci95"][0] <= K <= k["ci95"][1]
+
+
+def test_peaks_that_are_close_or_at_an_end_have_bands_that_a_modal_fit_takes(tmp_path: Path, labpipe) -> None:
+    """Modes at lines 6, 150, 160, 170 and 388 of 400: bands of 26 lines and more, which hold their modes."""
+    frequency = np.arange(1.0, 401.0)
+    s = 2j * np.pi * frequency
+    modes = [2 * np.pi * f * (-0.004 + 1j) for f in (6.0, 150.0, 160.0, 170.0, 388.0)]
+    for point in (1, 2):
+        h = sum(1 / (s - pole) + 1 / (s - np.conj(pole)) for pole in modes)
+        columns = np.column_stack([frequency, (h * point).real, (h * point).imag])
+        np.savetxt(tmp_path / f"{point}.txt", columns, header="freq[Hz] re[m/N] im[m/N]", comments="")
+    assert labpipe("init", tmp_path / "rig", tmp_path / "1.txt", tmp_path / "2.txt").code == 0
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    bands = [tuple(map(float, band)) for band in re.findall(r"band: ([\d.]+)-([\d.]+) Hz", text)]
+    assert all(any(low < f < high for low, high in bands) for f in (6, 150, 160, 170, 388)), bands
+    assert all(np.sum((frequency >= low) & (frequency <= high)) >= 24 for low, high in bands)

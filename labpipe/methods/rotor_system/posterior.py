@@ -36,8 +36,8 @@ RESTARTS, DRAWN, RESTART_SEED = 3, 0.6, 20261126
 STEPS = 4
 # Draws by which the normal approximation is held against the tests, and the excess over the number of
 # unknowns that it bears, in standard deviations of a median of so many; fits of randomised maximum likelihood
-# where it fails, the steps of each, and the standard deviations of chi-square that its end may lie high.
-LOOKED, BEARABLE, REFITS, REFIT_STEPS, SCATTER = 20, 3.0, 60, 6, 4.0
+# where it fails, the steps of each, and the chance of a chi-square beyond which it has lost the rotor.
+LOOKED, BEARABLE, REFITS, REFIT_STEPS, LOST = 20, 3.0, 60, 6, 1e-4
 # Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
 # alternative; intervals are then widened, since sizes are poorly known.
 MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5
@@ -395,13 +395,13 @@ def refitted(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Poste
     means are moved by their own standard uncertainties and fitted again, *n_draw* times (Chen and Oliver
     2012). Equation (system-draws).
 
-    Fits that end far above their minimum, which moved data raise by the degrees of freedom, have lost the
-    rotor; where most have, the normal approximation stands.
+    The chi-square of moved data is a non-central one about that of the posterior; a fit that ends beyond it
+    has lost the rotor, and where most have, the normal approximation stands.
     """
     problem, rng = _problem(posterior), np.random.default_rng(seed)
     residual, jacobian = problem.residual(posterior.values), problem.jacobian(posterior.values)
     least, dof = float(residual @ residual), residual.size - posterior.values.size
-    highest = least + dof + SCATTER * float(np.sqrt(2 * dof + 4 * least))
+    highest = float(stats.ncx2.isf(LOST, dof, least))
     fits = []
     for _ in range(n_draw):
         moved = rng.standard_normal(residual.size)

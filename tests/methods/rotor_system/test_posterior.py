@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from scipy import linalg
 
+from labpipe.estimation.descent import minimise
 from labpipe.methods.rotor.shaft import free_rotor
 from labpipe.methods.rotor.theory import margin_above, margin_below, peaks
+from labpipe.methods.rotor_system import posterior
 from labpipe.methods.rotor_system.build import PEDESTALS
 from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order
 from labpipe.methods.rotor_system.model import SystemModel, Unknown
@@ -165,6 +168,25 @@ def test_a_posterior_that_is_not_normal_is_fitted_to_moved_data() -> None:
     assert np.array_equal(by_fits.draws(5), by_fits.refits[:5])
     excess, bearable = normality(found)
     assert 0 < excess < bearable
+
+
+@pytest.mark.parametrize("lost_in", [3, 2])
+def test_fits_of_moved_data_that_lose_the_rotor_are_left_out(monkeypatch, lost_in: int) -> None:
+    """One in three far off: the spread is that of the others. One in two: the normal approximation stands."""
+    model = SystemModel((Unknown("x", 1.0, unit="kg.m"),), (), 0, 0)
+    found, count = fit_system(model, [Exponential(1.0, 0.1)]), itertools.count()
+
+    def sometimes_lost(problem, start, *rest):
+        end = minimise(problem, start, *rest)
+        return replace(end, values=end.values + 5.0) if next(count) % lost_in == 0 else end
+
+    monkeypatch.setattr(posterior, "minimise", sometimes_lost)
+    by_fits = refitted(found, 300)
+    if lost_in == 2:
+        assert by_fits.refits is None
+    else:
+        assert len(by_fits.refits) == 200
+        assert by_fits.standard_errors[0] == pytest.approx(found.standard_errors[0], rel=0.2)
 
 
 def test_springs_to_ground_interlace_and_a_negative_one_does_not() -> None:
