@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -15,7 +15,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.mirrored import results_kept, results_made
-from labpipe.artefacts.writing import is_remote, only_one, output_folder, shown
+from labpipe.artefacts.writing import is_remote, only_one, shown
 from labpipe.cli import options
 from labpipe.cli.many import check_shared, echo_failed, executor, manner
 from labpipe.cli.output import echo
@@ -104,15 +104,32 @@ def run(
     default=1,
     help="Pipelines at the same time; 0: one per processor.",
 )
+@click.option(
+    "-o",
+    "--output",
+    type=options.PATH,
+    metavar="DIR",
+    help="Keep the results, those of each pipeline in DIR/NAME of its file; what is up to date there is not "
+    "made again.",
+)
 @options.overrides
 @options.quiet
 @options.verbose
 def check(
-    pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool
+    pipelines: tuple[Path, ...],
+    jobs: int,
+    output: Path | None,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
 ) -> int:
     """Run each PIPELINE from scratch and test its expect: and accept: rules; exit code 1 when one fails."""
+    alike = next((path for path in pipelines if [p.stem for p in pipelines].count(path.stem) > 1), None)
+    if output and alike:
+        raise ConfigError(f"{alike}: two pipelines of this name would share a folder of results")
+    work = partial(outcomes_of, output=output, overrides=overrides, quiet=quiet, verbose=verbose)
     failed = 0
-    for path, outcomes in _checked(pipelines, overrides, jobs, quiet, verbose):
+    for path, outcomes in _checked(pipelines, overrides, jobs, work):
         wrong = [outcome for outcome in outcomes if not outcome.passed]
         failed += len(wrong)
         if not quiet:
@@ -123,13 +140,15 @@ def check(
 
 
 def _checked(
-    pipelines: Sequence[Path], overrides: tuple[str, ...], jobs: int, quiet: bool, verbose: bool
+    pipelines: Sequence[Path],
+    overrides: tuple[str, ...],
+    jobs: int,
+    work: Callable[[Path], tuple[RuleOutcome, ...]],
 ) -> Iterator[tuple[Path, tuple[RuleOutcome, ...]]]:
     """The outcomes of each pipeline.
 
     In parallel, pipelines with a study run last, since a study uses all processors.
     """
-    work = partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose)
     processes = min(jobs or os.cpu_count() or 1, len(pipelines))
     if processes == 1:
         yield from zip(pipelines, map(work, pipelines), strict=True)
@@ -148,13 +167,17 @@ def _checked(
 
 
 def outcomes_of(
-    path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool
+    path: Path, output: Path | None, overrides: tuple[str, ...], quiet: bool, verbose: bool
 ) -> tuple[RuleOutcome, ...]:
-    """The outcomes of a pipeline's rules; DataError when one of its tests fails."""
+    """The outcomes of a pipeline's rules, its results kept in a folder of *output* where that is given;
+    DataError when one of its tests fails.
+    """
     pipeline = load_pipeline(path, overrides)
-    manner = Manner(options.teller(quiet, verbose))
-    with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch) / "out") as folder:
-        identification = run_pipeline(pipeline, folder, manner)
+    how = Manner(options.teller(quiet, verbose))
+    with tempfile.TemporaryDirectory() as scratch:
+        place = output / path.stem if output else Path(scratch) / "out"
+        with results_made(place) as here, options.results_folder(here) as folder:
+            identification = run_pipeline(pipeline, folder, how)
     for failure in identification.failed:
         raise DataError(failure.message)
     return identification.outcomes

@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -73,6 +74,19 @@ def test_set_overrides_and_a_failing_rule_is_exit_code_1(tmp_path: Path, labpipe
     assert labpipe("check", PEDESTAL).code == 0
     ended = labpipe("check", PEDESTAL, "--set", "identify.pedestal.mass=0.9 kg")
     assert ended.code == 1 and "expect: pedestal.k" in ended.out
+
+
+def test_a_check_keeps_its_results_where_asked(tmp_path: Path, labpipe) -> None:
+    shutil.copy("pipelines/pedestal.yaml", tmp_path / "pedestal.yaml")
+    ended = labpipe("check", PEDESTAL, tmp_path / "pedestal.yaml", "-o", tmp_path / "results")
+    assert ended.code == 2 and "two pipelines of this name" in ended.err
+    assert not (tmp_path / "results").exists()
+    assert labpipe("check", PEDESTAL, "-o", tmp_path / "results").code == 0
+    result = tmp_path / "results/pedestal/identification.json"
+    before = result.stat().st_mtime_ns
+    # A run into the same folder finds it up to date.
+    assert labpipe("run", PEDESTAL, "-o", result.parent, "--set", "report.formats=[]").code == 0
+    assert result.stat().st_mtime_ns == before
 
 
 def test_identification_json_has_the_agreed_shape(tmp_path: Path, labpipe) -> None:

@@ -205,41 +205,77 @@ class SystemModel:
     def _known_parts(self) -> dict[tuple[bool, bool], tuple[IntArray, ...]]:
         return {}
 
-    def matrices(
-        self, values: FloatArray, spin: float | None = None, supported: bool = True
-    ) -> SystemMatrices:
-        """The matrices at *values* (n_unknown,) and a *spin* speed [rad/s]; without one, those parts alone
-        that do not depend on it.
+    @cached_property
+    def _spread(self) -> dict[bool, sparse.csr_array]:
+        """From what multiplies the terms (n_term,) to the constant matrices in the order of POWERS, supported
+        (True) and free: (5 n_dof^2, n_term).
         """
-        weights, _ = self._weights(values)
-        whole = {name: np.zeros((self.n_dof, self.n_dof)) for name in POWERS}
+        n, order = self.n_dof, list(POWERS.values())
+        rows, columns, entries = [], [], []
         for stack in self._stacks:
-            scaled = weights[stack.numbers, None, None] * stack.blocks
-            for name, (power, turn) in POWERS.items():
-                kept = (stack.powers == power) & (stack.turns == turn) & (supported | ~stack.support)
-                np.add.at(whole[name], (stack.dofs[kept, :, None], stack.dofs[kept, None, :]), scaled[kept])
-        if spin is not None:
-            for number, term in self._curved(supported):
-                whole[term.matrix][np.ix_(term.dofs, term.dofs)] += weights[number] * term.at(spin)
+            matrix = np.array(
+                [order.index(key) for key in zip(stack.powers.tolist(), stack.turns.tolist(), strict=True)]
+            )
+            at = (matrix[:, None, None] * n + stack.dofs[:, :, None]) * n + stack.dofs[:, None, :]
+            rows.append(at.ravel())
+            columns.append(np.broadcast_to(stack.numbers[:, None, None], at.shape).ravel())
+            entries.append(stack.blocks.ravel())
+        shape = (len(order) * n * n, len(self.terms))
+        standing = np.array([not term.support for term in self.terms])
+        if not rows:
+            return dict.fromkeys((True, False), sparse.csr_array(shape))
+        at, of, values = (np.concatenate(each) for each in (rows, columns, entries))
+        return {
+            supported: sparse.coo_array((values * (supported | standing[of]), (at, of)), shape).tocsr()
+            for supported in (True, False)
+        }
+
+    def _constant(self, weights: FloatArray, supported: bool) -> FloatArray:
+        """The matrices in the order of POWERS without what depends on the spin speed, (5, n_dof, n_dof)."""
+        return np.asarray(self._spread[supported] @ weights).reshape(len(POWERS), self.n_dof, self.n_dof)
+
+    def matrices(self, values: FloatArray, spin: float, supported: bool = True) -> SystemMatrices:
+        """The matrices at *values* (n_unknown,) and a *spin* speed [rad/s]."""
+        weights, _ = self._weights(values)
+        whole = dict(zip(POWERS, self._constant(weights, supported), strict=True))
+        for number, term in self._curved(supported):
+            whole[term.matrix][np.ix_(term.dofs, term.dofs)] += weights[number] * term.at(spin)
         return SystemMatrices(**whole)
 
     def dynamic(
-        self, values: FloatArray, spin: FloatArray, omega: FloatArray, supported: bool = True
-    ) -> ComplexArray:
-        """D (n_line, n_dof, n_dof) [N/m] at *omega* and *spin* (n_line,) [rad/s]."""
-        constant = self.matrices(values, supported=supported)
-        w, turn = (np.asarray(each, np.float64)[:, None, None] for each in (omega, spin))
-        whole: ComplexArray = (
-            constant.stiffness
-            + turn * constant.circulatory
-            - w**2 * constant.mass
-            + 1j * w * (constant.damping + turn * constant.gyroscopic)
-        )
-        for number, term in self._curved(supported):
-            power, turns = POWERS[term.matrix]
-            added = self._weights(values)[0][number] * term.at(spin) * (1j * w) ** power * turn**turns
-            whole[:, np.array(term.dofs)[:, None], term.dofs] += added
-        return whole
+        self,
+        values: FloatArray,
+        spin: FloatArray,
+        omega: FloatArray,
+        supported: bool = True,
+        parts: Sequence[IntArray] | None = None,
+    ) -> list[ComplexArray]:
+        """D (n_line, n_kept, n_kept) [N/m] at *omega* and *spin* (n_line,) [rad/s], for the dofs (n_kept,) of
+        each of the *parts*, which nothing couples; all in one without these.
+        """
+        weights, _ = self._weights(values)
+        constant = self._constant(weights, supported)
+        w, turn = np.asarray(omega, np.float64), np.asarray(spin, np.float64)
+        of_real, of_imaginary = np.stack([np.ones(w.size), turn, -(w**2)], 1), np.stack([w, w * turn], 1)
+        blocks: list[ComplexArray] = []
+        for part in [np.arange(self.n_dof)] if parts is None else parts:
+            n, kept = part.size, constant[:, part[:, None], part].reshape(len(POWERS), -1)
+            whole = np.empty((w.size, n, n), np.complex128)
+            whole.real, whole.imag = (
+                (factors @ of).reshape(whole.shape)
+                for factors, of in ((of_real, kept[:3]), (of_imaginary, kept[3:]))
+            )
+            for number, term in self._curved(supported):
+                power, turns = POWERS[term.matrix]
+                at = np.flatnonzero(np.isin(part, term.dofs))
+                if at.size:
+                    order = np.searchsorted(part, term.dofs)
+                    added = weights[number] * term.at(spin)
+                    whole[:, order[:, None], order] += (
+                        added * ((1j * w) ** power * turn**turns)[:, None, None]
+                    )
+            blocks.append(whole)
+        return blocks
 
     def slopes(
         self,
@@ -297,14 +333,21 @@ class SystemModel:
         *forces* (n_dof, n_force) or (n_line, n_dof, n_force) [N]; *omega*, *spin* (n_line,) [rad/s]. By the
         adjoint: y' = -(S D^-1) D' (D^-1 F), one factorisation for all unknowns. Equation (system-adjoint).
         """
-        stiffness = self.dynamic(values, spin, omega, supported)
-        right = np.zeros((*stiffness.shape[:2], np.shape(forces)[-1]), np.complex128)
-        left = np.zeros((stiffness.shape[0], len(outputs), self.n_dof), np.complex128)
-        for part in self._parts(bool(np.any(spin)), supported):
-            block, applied = stiffness[:, part[:, None], part], np.asarray(forces)[..., part, :]
-            right[:, part] = solved(block, np.broadcast_to(applied, (*block.shape[:2], applied.shape[-1])))
-            chosen = (part[:, None] == np.asarray(outputs)).astype(float)
-            turned = solved(block.swapaxes(1, 2), np.broadcast_to(chosen, (*block.shape[:2], len(outputs))))
+        n_line, n_force, n_output = np.size(omega), forces.shape[-1], len(outputs)
+        right = np.zeros((n_line, self.n_dof, n_force), np.complex128)
+        left = np.zeros((n_line, n_output, self.n_dof), np.complex128)
+        parts = self._parts(bool(np.any(spin)), supported)
+        for part, block in zip(parts, self.dynamic(values, spin, omega, supported, parts), strict=True):
+            loads = np.empty((n_line, part.size, n_force + n_output), np.complex128)
+            loads[:, :, :n_force] = forces[..., part, :]
+            loads[:, :, n_force:] = part[:, None] == np.asarray(outputs)
+            if np.array_equal(block, block.swapaxes(1, 2)):
+                # Nothing turns and no bearing couples one way alone: one factorisation is both.
+                both = solved(block, loads)
+                right[:, part], turned = both[:, :, :n_force], both[:, :, n_force:]
+            else:
+                right[:, part] = solved(block, loads[:, :, :n_force])
+                turned = solved(block.swapaxes(1, 2), loads[:, :, n_force:])
             left[:, :, part] = turned.swapaxes(1, 2)
         slopes = -self.slopes(values, spin, left, right, 1j * np.asarray(omega), supported)
         return right[:, list(outputs)], slopes, left

@@ -158,7 +158,7 @@ class _Reduced:
         self, values: FloatArray, speed: FloatArray, forces: ComplexArray, outputs: Sequence[int]
     ) -> FloatArray:
         """|z| (n_speed, n_output) [m] at *speed* (n_speed,) [rad/s]; *forces* (n_dof,) [kg m]."""
-        stiffness = self.model.dynamic(values, speed, speed)
+        (stiffness,) = self.model.dynamic(values, speed, speed)
         turned = self.basis.T @ forces * speed[:, None] ** 2
         motion = np.linalg.solve(stiffness, turned[:, :, None])[:, :, 0]
         return np.asarray(np.abs(motion @ self.basis[list(outputs)].T))
