@@ -17,7 +17,7 @@ from labpipe.project.executors import Execute, in_processes, serially
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.run import Manner, run
 
-RECORDINGS = 60
+RECORDINGS = 30
 GOAL = 1.7
 PIPELINE = """title: Many
 rig: {root}/configs/hmb-radial.yaml

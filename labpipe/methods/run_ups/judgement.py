@@ -81,8 +81,8 @@ class Sensitivity:
 @dataclass(frozen=True)
 class Judgement:
     """What a run-up shows: *slow_roll* (n_probe,) [m] that was taken out, peaks, and sensitivities; *curve*
-    (n_fine, n_probe) [m] of amplitudes over *fine* (n_fine,) [Hz], the *speed_range* [Hz]. In the unit of the
-    probes where they read another motion.
+    (n_fine, n_probe) [m] of amplitudes over *fine* (n_fine,) [Hz] with the *ends* (2, n_fine, n_probe) of its
+    95 % interval, the *speed_range* [Hz]. In the unit of the probes where they read another motion.
     """
 
     probes: tuple[str, ...]
@@ -91,6 +91,7 @@ class Judgement:
     sensitivities: tuple[Sensitivity, ...]
     fine: FloatArray
     curve: FloatArray
+    ends: FloatArray
     speed_range: tuple[float, float] | None
 
     @property
@@ -157,7 +158,10 @@ def judged(
         if unbalance
         else ()
     )
-    return Judgement(labels, rolled, tuple(found), sensitivities, smooth.fine, amplitude[0], speed_range)
+    ends = np.percentile(amplitude[1:], (2.5, 97.5), axis=0)
+    return Judgement(
+        labels, rolled, tuple(found), sensitivities, smooth.fine, amplitude[0], ends, speed_range
+    )
 
 
 def _by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:

@@ -14,6 +14,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
 from labpipe.cli.output import echo
+from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.judgement import Estimate, Judgement, judged
 from labpipe.methods.run_ups.measured import run_up_of
@@ -23,7 +24,19 @@ from labpipe.project.rig_file import load_rig
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Setting, parse_phasor, to_band
-from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, curve, dots, level, stacked
+from labpipe.report.chart import (
+    PALETTE_SIZE,
+    WIDTH,
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    curve,
+    dots,
+    level,
+    stacked,
+    upright,
+)
 from labpipe.report.document import Figure
 from labpipe.report.figures import PHASE, phase_degrees
 from labpipe.spectra.orders import OrderTrack, plane_track, track_order
@@ -156,6 +169,35 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> Panel:
     return Panel(Axis("x", unit), Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True)
 
 
+def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
+    """Amplitudes without the slow roll over speed, critical speeds with their intervals, operating speeds."""
+    unit, factor = _unit(quantity)
+    series: list[Series] = []
+    for number, label in enumerate(verdict.probes):
+        low, high = factor * verdict.ends[:, :, number]
+        size, colour = factor * verdict.curve[:, number], number % PALETTE_SIZE
+        series.append(curve(label, 60 * verdict.fine, size, colour, band=(low, high), opacity=0.2))
+    axis = _amplitude_axis("amplitude", unit, series)
+    for peak in verdict.peaks:
+        colour = verdict.probes.index(peak.probe) % PALETTE_SIZE
+        sizes = [factor * each for each in (peak.amplitude.low, peak.amplitude.high)]
+        ends = 60 * np.array([peak.speed.low, peak.speed.high])
+        top = factor * peak.amplitude.value
+        series.append(curve("", ends, [top, top], colour, width=2.0))
+        bars = tuple([size] for size in sizes)
+        series.append(dots("", [60 * peak.speed.value], [top], colour, marker="o", bars=bars))
+    shade = ""
+    if verdict.speed_range is not None:
+        series += [upright(60 * end, line="--") for end in verdict.speed_range]
+        shade = " Between the dashed lines: operating speeds."
+    caption = (
+        f"{name}: amplitude, 0-to-peak, {'with' if verdict.slow_roll is None else 'without'} its slow roll, "
+        f"and critical speeds; shaded and bars: 95 % intervals.{shade}"
+    )
+    panel = Panel(Axis("speed", "rpm"), axis, tuple(series))
+    return Figure(stacked([panel], 3.2), caption, f"Amplitude of {name} over speed with its critical speeds")
+
+
 Column = tuple[str, FloatArray]
 
 
@@ -216,8 +258,6 @@ def track_run(
 
 
 def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
-    from labpipe.document.charts import svg_file
-
     _write_table(run, output.write_path("orders.csv"))
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
     for circles in run.circles:
@@ -371,7 +411,9 @@ def track_and_write(
             folder.write_path("judgement.json").write_text(
                 json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n", encoding="utf-8"
             )
-            names.append("judgement.json")
+            figure = judged_figure(run.name, verdict, run.quantity)
+            folder.write_path("judgement.svg").write_text(svg_file(figure), encoding="utf-8")
+            names += ["judgement.json", "judgement.svg"]
         speeds = (
             0 if save_run_up is None or conditions is None else write_run_up(run, save_run_up, *conditions)
         )

@@ -11,6 +11,7 @@ import pytest
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rotor.theory import BROKEN, KEPT, UNDECIDED, decision, margin_below
 from labpipe.methods.run_ups.judgement import judged
+from labpipe.methods.run_ups.orders import judged_figure
 from labpipe.records.response import Port
 from labpipe.spectra.orders import OrderTrack
 
@@ -48,6 +49,22 @@ def half_power(zeta: float) -> tuple[float, float, float]:
     inside = speed[size >= size.max() * np.sqrt(0.5)]
     peak = speed[np.argmax(size)]
     return float(peak), float(size.max()), float(peak / (inside[-1] - inside[0]))
+
+
+def test_the_figure_shows_curve_peak_and_operating_speeds() -> None:
+    """The closed form lies in the band in 9 of 10 places; units are those of people."""
+    verdict = judged(track(laval(SPEED, 0.05)), slow_roll=(8.0, 14.0), speed_range=(60.0, 70.0))
+    (panel,) = judged_figure("run", verdict, "displacement").graphic.panels
+    line = panel.series[0]
+    true = 1e6 * np.abs(laval(line.x / 60, 0.05))
+    assert np.mean((line.low <= true) & (true <= line.high)) > 0.9
+    assert [float(part.x[0]) for part in panel.series if part.kind == "vline"] == [3600.0, 4200.0]
+    (dot,) = [part for part in panel.series if part.marker]
+    speed, amplitude, _ = half_power(0.05)
+    assert dot.x[0] == pytest.approx(60 * speed, rel=0.005) and dot.y[0] == pytest.approx(
+        1e6 * amplitude, rel=0.03
+    )
+    assert panel.y.label == "amplitude [um]"
 
 
 @pytest.mark.parametrize("zeta", [0.02, 0.05, 0.12])
