@@ -138,7 +138,9 @@ def judged(
     curves = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
     rolled = None
     if slow_roll is not None:
-        offsets = _slow_roll(speed, readings, slow_roll, rng)
+        whole = np.abs(smooth.fitted)
+        tops = [at for each in whole.T for at in signal.find_peaks(each, prominence=SMALL * each.max())[0]]
+        offsets = _slow_roll(speed, readings, slow_roll, smooth.fine[min(tops, default=-1)], rng)
         rolled, curves = offsets[0], curves - offsets[:, None, :]
     amplitude = np.abs(curves)
     labels = tuple(port.label for port in track.ports)
@@ -228,10 +230,15 @@ def _left(smoother: FloatArray, readings: ComplexArray, weight: FloatArray) -> f
 
 
 def _slow_roll(
-    speed: FloatArray, readings: ComplexArray, band: tuple[float, float], rng: np.random.Generator
+    speed: FloatArray,
+    readings: ComplexArray,
+    band: tuple[float, float],
+    critical: float,
+    rng: np.random.Generator,
 ) -> ComplexArray:
-    """Vectors s of z = s + a Omega^2 in the band, since unbalance moves the rotor there already, and draws of
-    them, (1 + DRAWS, n_probe) [unit of the readings].
+    """Vectors s of z = s + a Omega^2 / (1 - Omega^2 / Omega_c^2) in the band, since unbalance moves the rotor
+    there already, below the first *critical* speed [Hz] (or the end of the run), and draws of them, (1 +
+    DRAWS, n_probe) [unit of the readings].
     """
     slow = (speed >= band[0]) & (speed <= band[1])
     if slow.sum() < FEWEST_SLOW:
@@ -239,7 +246,9 @@ def _slow_roll(
             f"--slow-roll: {int(slow.sum())} stretches of the run lie in it",
             hint=f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm",
         )
-    design = np.column_stack([np.ones(slow.sum()), (speed[slow] / band[1]) ** 2])
+    # A band that reaches up to the critical speed is none of slow roll: no more than half as much again.
+    risen = np.minimum((speed[slow] / critical) ** 2, 1 / 3)
+    design = np.column_stack([np.ones(slow.sum()), risen / (1 - risen)])
     fitted = np.linalg.lstsq(design, readings[slow], rcond=None)[0]
     left = readings[slow] - design @ fitted
     variance = np.sum(np.abs(left) ** 2, axis=0) / (slow.sum() - 2) * np.linalg.inv(design.T @ design)[0, 0]
