@@ -102,6 +102,9 @@ def identify(
     check_kind(settings, _kind_of(measured))
     fits = _fits(measured, settings, judging)
     if isinstance(measured, FrequencyResponse):
+        if settings.repeat_groups and measured.repeats is None:
+            what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
+            raise ConfigError(what, hint="several, of which each has all of the FRFs", field="repeat_groups")
         if judging and settings.repeats == "each" and measured.repeats is not None:
             fits = over_repeats(fits, measured, settings, _fits)
         fits = tuple(

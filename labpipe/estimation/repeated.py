@@ -19,7 +19,10 @@ from labpipe.estimation.repeats import (
     Kept,
     RepeatMean,
     follows,
+    groups_of,
+    in_groups,
     kept_repeats,
+    mean_of_groups,
     repeat_mean,
 )
 from labpipe.estimation.settings import FitSettings
@@ -177,7 +180,9 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         return pooled
     columns = {name: _Values.of([of_repeat[name] for of_repeat in by_name]) for name in names}
     judged = [name for name in names if name.startswith((*FREQUENCY, *DAMPING))] or names
-    kept, covariate, at = _course(test.levels(list(repeats)), [columns[name] for name in judged])
+    groups = groups_of(test.settings.repeat_groups, list(repeats)) if test.settings.repeat_groups else ()
+    levels = None if groups else test.levels(list(repeats))
+    kept, covariate, at = _course(levels, [columns[name] for name in judged], groups)
     used = [bool(of_repeat) for of_repeat in kept.used]
     good = [fit for fit, is_used in zip(repeats.values(), used, strict=True) if is_used]
     common = {parameter.name: parameter for parameter in _common(pooled, good, test)}
@@ -194,7 +199,13 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         if name in columns or 2 * len(shown) > len(good) > 1:
             of = _Values.of([by_name[place][name] for place in shown])
             along = None if covariate is None else covariate[[sum(used[:place]) for place in shown]]
-            means[name] = repeat_mean(of.values, of.variances, _scale(parameter, of, ratios), along)
+            scale = _scale(parameter, of, ratios)
+            of_groups = [groups[place] for place in shown] if groups else ()
+            means[name] = (
+                mean_of_groups(of.values, of.variances, of_groups, scale)
+                if len(set(of_groups)) > 1
+                else repeat_mean(of.values, of.variances, scale, along)
+            )
             summary = Repeats(
                 len(test.response.repeat_names),
                 of.values.size,
@@ -202,6 +213,7 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
                 (),
                 "" if at is None else LEVEL,
                 at,
+                len(set(of_groups)),
             )
             stated.append(_stated(parameter, means[name], of, common.get(name), pooled.dof, summary))
         else:
@@ -210,12 +222,12 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         pooled,
         parameters=tuple(stated),
         findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means, test)),
-        notes=(*pooled.notes, _said(sum(used), test.response, at)),
+        notes=(*pooled.notes, _said(sum(used), test, at)),
     )
 
 
 def _course(
-    levels: FloatArray | None, judged: Sequence[_Values]
+    levels: FloatArray | None, judged: Sequence[_Values], groups: Sequence[str]
 ) -> tuple[Kept, FloatArray | None, float | None]:
     """Which repeats are used; where what is *judged* follows their *levels* (n,), these over the middle one
     less 1 (n_used,), and the middle one.
@@ -224,7 +236,7 @@ def _course(
         np.stack([getattr(of, part) for of in judged], axis=1) for part in ("values", "variances")
     )
     if levels is None:
-        return kept_repeats(values, variances), None, None
+        return kept_repeats(values, variances, groups=groups), None, None
     middle = float(np.median(levels))
     covariate = levels / middle - 1
     kept = kept_repeats(values, variances, covariate if np.ptp(covariate) >= LEAST_RANGE else None)
@@ -352,9 +364,11 @@ def _stated(
     )
 
 
-def _said(used: int, response: FrequencyResponse, at: float | None) -> str:
+def _said(used: int, test: _Test, at: float | None) -> str:
+    response = test.response
     recorded, what = len(response.repeat_names), response.repeats_are
     over = f"{used} {what}" if used == recorded else f"{used} of {recorded} {what}"
+    over += in_groups(test.settings.repeat_groups)
     level = ""
     if at is not None:
         size = "a peak" if what == "hits" else "an r.m.s."
@@ -376,7 +390,7 @@ def _findings(
     if kept.two_populations:
         message = (
             f"more than a quarter of the {what} lie apart from the others: two populations, and the mean "
-            "is of both. Name the groups"
+            "is of both. Name the groups (repeat_groups)"
         )
         return [Finding("two-populations", message)]
     findings = [
@@ -390,7 +404,8 @@ def _findings(
     if ordered:
         message = (
             f"{', '.join(ordered)}: neighbouring {what} are alike, so the values drift or come in "
-            "steps (temperature, mounting). The interval allows for it; record what changes"
+            "steps (temperature, mounting). The interval allows for it; record what changes, or name "
+            "the groups (repeat_groups)"
         )
         findings.append(note("repeats-in-order", message))
     return findings

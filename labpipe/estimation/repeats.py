@@ -8,13 +8,15 @@ show that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 
 import numpy as np
 from scipy import special
 
 from labpipe.arrays import BoolArray, FloatArray
-from labpipe.errors import FitError
+from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.statistics import student_limit
 
 # Repeats that stand out against the others. Below this number none can be told, below the second more is
@@ -78,18 +80,26 @@ class Kept:
     two_populations: bool = False
 
 
-def kept_repeats(values: FloatArray, variances: FloatArray, covariate: FloatArray | None = None) -> Kept:
+def kept_repeats(
+    values: FloatArray, variances: FloatArray, covariate: FloatArray | None = None, groups: Sequence[str] = ()
+) -> Kept:
     """Drops repeats beyond k sqrt(MAD^2 + v_i) in any of their quantities, k = 7 for n < 8, else 4.5; none
     for n < 5.
 
     *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] the
-    residuals of a line of least absolute deviations are judged. More than a quarter outside are two
-    populations, and all stay. Equation (repeats-outliers).
+    residuals of a line of least absolute deviations are judged, with *groups* (n,) the values less the
+    median of their group. More than a quarter outside are two populations, and all stay. Equation
+    (repeats-outliers).
     """
     n = len(values)
     if n < LEAST_FOR_OUTLIERS:
         return Kept(np.ones(n, bool))
-    off = values - (np.median(values, axis=0) if covariate is None else _least_absolute(values, covariate))
+    if groups:
+        labels = np.array(groups)
+        middle = np.array([np.median(values[labels == label], axis=0) for label in groups])
+    else:
+        middle = np.median(values, axis=0) if covariate is None else _least_absolute(values, covariate)
+    off = values - middle
     deviation = MAD_SCALE * np.median(np.abs(off), axis=0)
     far = FAR_OF_FEW if n < FEW else FAR
     outside = np.any(np.abs(off) > far * np.sqrt(deviation**2 + variances), axis=1)
@@ -222,20 +232,51 @@ def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray
     return float(solution[0]), q * float(inverse[0, 0])
 
 
-def mean_of_groups(values: FloatArray, variances: FloatArray, groups: list[str], scale: float) -> RepeatMean:
+def groups_of(patterns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """The pattern that each of the *names* of recordings matches, which is its group.
+
+    ConfigError for a name that does not match one of them, and where all are of one group.
+    """
+    groups = []
+    for name in names:
+        matching = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
+        if len(matching) != 1:
+            which = " and ".join(f"'{pattern}'" for pattern in matching) or "none of them"
+            raise ConfigError(
+                f"repeat_groups: '{name}' matches {which}", hint=f"there are {', '.join(names)}"
+            )
+        groups.append(matching[0])
+    if len(set(groups)) < 2:
+        raise ConfigError(f"repeat_groups: all are of the group '{groups[0]}'", hint="name two at least")
+    return tuple(groups)
+
+
+def in_groups(patterns: Sequence[str]) -> str:
+    """How a note goes on behind what the mean is over, where *patterns* name groups."""
+    listed = ", ".join(patterns)
+    return f" in the groups {listed}, the mean of each of which is one repeat" if patterns else ""
+
+
+def mean_of_groups(
+    values: FloatArray, variances: FloatArray, groups: Sequence[str], scale: float
+) -> RepeatMean:
     """The mean over known *groups* (n,), such as days or mountings, the mean of each is one repeat.
 
-    *values* (n,) [any unit], *variances* (n,) [unit^2] and *scale* as in repeat_mean. Equation
-    (repeats-group).
+    *values* (n,) [any unit], *variances* (n,) [unit^2] and *scale* as in repeat_mean; weights and residuals
+    are those of the values. Equation (repeats-group).
     """
     names, labels = list(dict.fromkeys(groups)), np.array(groups)
-    means = []
-    for name in names:
+    means, within = [], np.zeros((len(names), values.size))
+    for number, name in enumerate(names):
         members = labels == name
         y, v = values[members], variances[members]
-        means.append((float(y[0]), float(v[0])) if y.size == 1 else hartung_knapp(y, v, np.ones((y.size, 1))))
+        ones = np.ones((y.size, 1))
+        means.append((float(y[0]), float(v[0])) if y.size == 1 else hartung_knapp(y, v, ones))
+        weights = 1 / (v + (0.0 if y.size == 1 else paule_mandel(y, v, ones)))
+        within[number, members] = weights / weights.sum()
     of_groups = np.array(means)
-    return repeat_mean(of_groups[:, 0], of_groups[:, 1], scale)
+    mean = repeat_mean(of_groups[:, 0], of_groups[:, 1], scale)
+    return replace(mean, weights=mean.weights @ within, residual=values - mean.value)
 
 
 def order_in_time(residual: FloatArray) -> tuple[float, float]:

@@ -33,7 +33,7 @@ EVERY = ("model", "estimator", "band", "coverage", "test")
 # Keys that every model linear in its parameters takes besides.
 LINEAR = (
     *("mass", "input", "output", "bands", "sliding", "subtract", "share", "eliminate", "fixed", "weight"),
-    *("bootstrap", "monte_carlo", "compare", "repeats"),
+    *("bootstrap", "monte_carlo", "compare", "repeats", "repeat_groups"),
 )
 
 
@@ -218,6 +218,11 @@ class FitSettings(Settings):
         choices=("each", "pool"),
         default="each",
     )
+    repeat_groups: tuple[str, ...] = setting(
+        "names",
+        "days, mountings: the names of the recordings of each, as patterns; a group is one repeat",
+        default=(),
+    )
     name: str = ""
     model_settings: Any = None
     uncertainties: Uncertainties = ()
@@ -269,6 +274,14 @@ class FitSettings(Settings):
 
     def _check_combinations(self) -> None:
         """ConfigError for keys that change nothing, or have no meaning, beside others."""
+        if self.repeat_groups and self.repeats == "pool":
+            what = "'repeat_groups' needs every recording fitted alone"
+            raise ConfigError(what, hint="leave out repeats: pool", field="repeat_groups")
+        if len(self.repeat_groups) == 1:
+            hint = "for example [mon-*, tue-*, wed-*]"
+            raise ConfigError(
+                "one group does not show what groups scatter by", hint=hint, field="repeat_groups"
+            )
         if not 0 < self.coverage < 1:
             raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
         if self.damping != VISCOUS and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1:

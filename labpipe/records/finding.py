@@ -87,6 +87,7 @@ class Repeats:
     (tau) [unit of the value].
 
     *covariate*: what they follow, where they do, and the value of it *at* which the mean is stated [SI].
+    groups: number of groups, such as days, that are the repeats, each of several values; 0 where none are.
     """
 
     n: int
@@ -95,6 +96,7 @@ class Repeats:
     values: tuple[float, ...]
     covariate: str = ""
     at: float | None = None
+    groups: int = 0
 
 
 @dataclass(frozen=True)

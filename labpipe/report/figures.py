@@ -418,11 +418,11 @@ def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
 
 def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
     """Every repeat that the values of *parameters* are the means of, with the mean and its interval."""
-    panels, used, recorded = [], 0, 0
+    panels, used, recorded, groups = [], 0, 0, 0
     for parameter in parameters:
         repeats, factor = parameter.repeats, scale_of(parameter.unit)
         assert repeats is not None
-        used, recorded = repeats.used, repeats.n
+        used, recorded, groups = repeats.used, repeats.n, repeats.groups
         values = factor * np.array(repeats.values)
         series = [
             dots("repeats", np.arange(1, values.size + 1), values, marker="o"),
@@ -432,6 +432,8 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
             series.append(span(factor * parameter.ci95[0], factor * parameter.ci95[1], GREY))
         panels.append(Panel(Axis("repeat"), Axis(parameter.name, unit_text(parameter.unit)), tuple(series)))
     left_out = f", of {recorded} (the notes name the others)" if used < recorded else ""
+    if groups:
+        left_out += f", in {groups} groups"
     caption = (
         f"{fit_title(fit)}: {used} repeats whose means the values are{left_out}. Line and shade: mean "
         "and 95 % interval."

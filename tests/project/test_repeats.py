@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from scipy import signal
 
 import labpipe
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, LabpipeError
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.records.identification import Fit
 
@@ -25,7 +26,7 @@ PIPELINE = """
 rig: rig.yaml
 tests: [{name: t, recordings: "r*.csv"KEYS}]
 frf: {excitation: periodic, period: 2 s, skip: 2}
-identify: {peak: {model: sdof, band: 30-50 Hz}}
+identify: {peak: {model: sdof, band: 30-50 HzFIT}}
 """
 F_N, ZETA = 40.0, 0.02
 
@@ -41,11 +42,20 @@ def record(path: Path, f_n: float, seed: int) -> None:
     np.savetxt(path, np.column_stack([f, y]), delimiter=",", header="f,y", comments="")
 
 
-def identified(folder: Path, keys: str = "") -> Fit:
+# How far the frequency of each recording is off [Hz]; two days differ by more than runs of one day.
+RUNS = {f"r{number}": moved for number, moved in enumerate((-0.02, 0.05, -0.04, 0.03, 0.0))}
+DAYS = {
+    f"r-{day}{run}": at + off
+    for day, at in (("mon", -0.1), ("tue", 0.0), ("wed", 0.14))
+    for run, off in enumerate((-0.01, 0.0, 0.01))
+}
+
+
+def identified(folder: Path, keys: str = "", fit: str = "", runs: Mapping[str, float] = RUNS) -> Fit:
     (folder / "rig.yaml").write_text(RIG)
-    (folder / "p.yaml").write_text(PIPELINE.replace("KEYS", keys))
-    for number, moved in enumerate((-0.02, 0.05, -0.04, 0.03, 0.0)):
-        record(folder / f"r{number}.csv", F_N + moved, number)
+    (folder / "p.yaml").write_text(PIPELINE.replace("KEYS", keys).replace("FIT", fit))
+    for number, (name, moved) in enumerate(runs.items()):
+        record(folder / f"{name}.csv", F_N + moved, number)
     (fit,) = labpipe.run(folder / "p.yaml", folder / "out").fits
     return fit
 
@@ -64,9 +74,40 @@ def test_a_test_may_pool_them(tmp_path: Path) -> None:
     assert fit.parameter("f_n").repeats is None
 
 
+def test_days_are_the_repeats_where_they_are_named(tmp_path: Path) -> None:
+    """Three days of three runs: the interval is Student's of three means, 4.30 / sqrt(3) of their standard
+    deviation .121 Hz. Nine runs in their order, without the days named, are seen to come in steps, and their
+    interval is three times as wide and more.
+    """
+    (tmp_path / "days").mkdir()
+    plain = identified(tmp_path, runs=DAYS).parameter("f_n")
+    fit = identified(tmp_path / "days", fit=", repeat_groups: [r-mon*, r-tue*, r-wed*]", runs=DAYS)
+    f_n = fit.parameter("f_n")
+    assert f_n.repeats.used == 9 and f_n.repeats.groups == 3
+    assert f_n.value == pytest.approx(F_N + 0.04 / 3, abs=0.004)
+    width, forgetful = (p.ci95[1] - p.ci95[0] for p in (f_n, plain))
+    assert width / 2 == pytest.approx(4.30 / np.sqrt(3) * 0.1206, rel=0.35) and forgetful > 3 * width
+    assert any("in the groups r-mon*, r-tue*, r-wed*" in text for text in fit.notes)
+
+
+@pytest.mark.parametrize(
+    ("fit", "what"),
+    [
+        (", repeat_groups: [r-mon*, r-tue*]", "'r-wed0' matches none of them"),
+        (", repeat_groups: [r-*, r-mon*]", r"'r-mon0' matches 'r-\*' and 'r-mon\*'"),
+        (", repeat_groups: [r-*, other*]", r"all are of the group 'r-\*'"),
+        (", repeat_groups: [r-*]", "one group does not show"),
+        (", repeats: pool, repeat_groups: [r-mon*, r-tue*]", "needs every recording fitted alone"),
+    ],
+)
+def test_groups_that_cannot_be_are_refused(tmp_path: Path, fit: str, what: str) -> None:
+    with pytest.raises(LabpipeError, match=what):
+        identified(tmp_path, fit=fit, runs=DAYS)
+
+
 def test_another_word_is_refused_at_its_line(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(RIG)
-    (tmp_path / "p.yaml").write_text(PIPELINE.replace("KEYS", ", repeats: some"))
+    (tmp_path / "p.yaml").write_text(PIPELINE.replace("KEYS", ", repeats: some").replace("FIT", ""))
     (tmp_path / "r1.csv").write_text("f,y\n1,2\n")
     with pytest.raises(ConfigError, match=r"p\.yaml:3:.*unknown 'some'"):
         load_pipeline(tmp_path / "p.yaml")

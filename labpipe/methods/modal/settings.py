@@ -74,6 +74,6 @@ MODAL = ModelKind(
     times_mass=True,
     own_damping=True,
     any_input=True,
-    keys=("mass", "input", "output", "damping", "repeats"),
+    keys=("mass", "input", "output", "damping", "repeats", "repeat_groups"),
     estimators=("ml",),
 )

@@ -79,7 +79,7 @@ DECAY = ModelKind(
     optional=True,
     of=DECAYS,
     times_mass=True,
-    keys=("mass", "output", "repeats"),
+    keys=("mass", "output", "repeats", "repeat_groups"),
     estimators=("ml",),
 )
 
@@ -307,8 +307,10 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     columns = chosen_ports(decays.outputs, settings.output, "response")
     pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
     repeated = None
+    if len(pieces) < 2 and settings.repeat_groups:
+        raise ConfigError("'repeat_groups' needs several decays", hint="leave it out", field="repeat_groups")
     if len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats):
-        repeated = repeated_decays(decays, columns, pieces, settings.band, decay_settings.modes)
+        repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
     if repeated is None:
         fitted = most_likely(
             decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes

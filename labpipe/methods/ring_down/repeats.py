@@ -12,7 +12,18 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.repeats import PRIOR_SCALE, Kept, RepeatMean, follows, kept_repeats, repeat_mean
+from labpipe.estimation.repeats import (
+    PRIOR_SCALE,
+    Kept,
+    RepeatMean,
+    follows,
+    groups_of,
+    in_groups,
+    kept_repeats,
+    mean_of_groups,
+    repeat_mean,
+)
+from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import student_limit
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely
 from labpipe.records.finding import Finding, IntervalParts, Parameter, Repeats, note
@@ -25,7 +36,8 @@ class RepeatedDecays:
     in words.
 
     *kept*: which of the fits are used; *means*: of ln f and ln zeta of every mode; *at*: the amplitude
-    (n_mode,) [unit] at which the values hold where they follow it, nan elsewhere.
+    (n_mode,) [unit] at which the values hold where they follow it, nan elsewhere; the *groups*, if any, that
+    are the repeats.
     """
 
     total: int
@@ -35,6 +47,7 @@ class RepeatedDecays:
     kept: Kept
     means: tuple[tuple[RepeatMean, RepeatMean], ...]
     at: FloatArray
+    groups: tuple[str, ...] = ()
 
     @property
     def places(self) -> IntArray:
@@ -60,13 +73,10 @@ class RepeatedDecays:
 
 
 def repeated_decays(
-    decays: FreeDecays,
-    columns: Sequence[int],
-    pieces: Sequence[Piece],
-    band: tuple[float, float] | None,
-    n_mode: int,
+    decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], settings: FitSettings, n_mode: int
 ) -> RepeatedDecays | None:
-    """Every decay fitted alone, and the means.
+    """Every decay fitted alone in the band of the *settings*, and the means over decays, or over groups of
+    recordings.
 
     None where fewer than two can be, or one mode does not decay in most of them.
     """
@@ -74,7 +84,9 @@ def repeated_decays(
     failed = []
     for number, (decay, piece) in enumerate(zip(decays.decays, pieces, strict=True)):
         try:
-            fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
+            fitted = most_likely(
+                [decays.decays[number]], columns, [piece], decays.sample_rate, settings.band, n_mode
+            )
             if not fitted.converged:
                 raise FitError("its fit does not converge")
             if np.any(fitted.poles.real >= 0):
@@ -89,17 +101,25 @@ def repeated_decays(
         return None
     numbers, own = tuple(fits), tuple(fits.values())
     logs, variances = (np.array(parts) for parts in zip(*(_logarithms(fit) for fit in own), strict=True))
-    kept = kept_repeats(logs, variances)
+    recordings = [decays.decays[number].recording for number in numbers]
+    groups = groups_of(settings.repeat_groups, recordings) if settings.repeat_groups else ()
+    kept = kept_repeats(logs, variances, groups=groups)
     used = kept.used
+    groups = tuple(group for group, is_used in zip(groups, used, strict=False) if is_used)
     sizes = np.array([np.max(np.abs(fit.pieces[0].amplitudes), axis=1) for fit in own])[used]
     means, at = [], np.full(n_mode, np.nan)
     for mode in range(n_mode):
         pair, at[mode] = _means(
-            logs[used][:, [mode, n_mode + mode]], variances[used][:, [mode, n_mode + mode]], sizes[:, mode]
+            logs[used][:, [mode, n_mode + mode]],
+            variances[used][:, [mode, n_mode + mode]],
+            sizes[:, mode],
+            groups,
         )
         means.append(pair)
     failed.extend(_outliers(decays, numbers, kept, logs, n_mode))
-    return RepeatedDecays(len(pieces), numbers, own, tuple(failed), kept, tuple(means), at)
+    return RepeatedDecays(
+        len(pieces), numbers, own, tuple(failed), kept, tuple(means), at, settings.repeat_groups
+    )
 
 
 def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
@@ -116,9 +136,14 @@ def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
 
 
 def _means(
-    logs: FloatArray, variances: FloatArray, sizes: FloatArray
+    logs: FloatArray, variances: FloatArray, sizes: FloatArray, groups: Sequence[str]
 ) -> tuple[tuple[RepeatMean, RepeatMean], float]:
     scales = (PRIOR_SCALE * float(np.exp(np.median(logs[:, 1]))), PRIOR_SCALE)
+    if len(set(groups)) > 1:
+        frequency, damping = (
+            mean_of_groups(logs[:, which], variances[:, which], groups, scales[which]) for which in (0, 1)
+        )
+        return (frequency, damping), np.nan
     middle = float(np.median(sizes))
     covariate = (sizes - middle) / middle
     is_course = any(follows(logs[:, which], variances[:, which], covariate) for which in (0, 1))
@@ -135,7 +160,7 @@ def _outliers(
     if kept.two_populations:
         message = (
             "more than a quarter of the decays lie apart from the others: two populations, and the "
-            "mean is of both. Name the groups"
+            "mean is of both. Name the groups (repeat_groups)"
         )
         return [Finding("two-populations", message)]
     findings = []
@@ -243,6 +268,7 @@ def _parameter(
             values=tuple(float(one) for one, is_used in zip(own[0], used, strict=True) if is_used),
             covariate="amplitude" if follows else "",
             at=float(at) if follows else None,
+            groups=len(repeated.groups),
         ),
     )
 
@@ -251,6 +277,7 @@ def repeat_notes(repeated: RepeatedDecays, units: Sequence[str]) -> tuple[str, .
     """How many decays the values are the mean of, and what they scatter by."""
     used = int(np.count_nonzero(repeated.kept.used))
     over = f"{used} decays" if used == repeated.total else f"{used} of {repeated.total} decays"
+    over += in_groups(repeated.groups)
     notes = []
     for mode, (frequency, damping) in enumerate(repeated.means):
         text = (

@@ -50,6 +50,34 @@ def named(fit: dict[str, Any]) -> dict[str, Any]:
     return {parameter["name"]: parameter for parameter in fit["parameters"]}
 
 
+def test_mountings_are_the_repeats_where_they_are_named(tmp_path: Path, labpipe: Command) -> None:
+    """Two mountings 0.2 Hz apart, four decays each: the mean is that of the mountings, and two means tell an
+    interval of more than their distance.
+    """
+    for number, (name, f_n) in enumerate((("one", 39.9), ("two", 40.1))):
+        np.savetxt(
+            tmp_path / f"{name}.csv",
+            struck([f_n] * 4, [0.005] * 4, [1.0] * 4, number),
+            header="y",
+            comments="",
+        )
+    channel = "channels: {y: {quantity: displacement, unit: m, role: output, dof: y}}"
+    (tmp_path / "rig.yaml").write_text(f"name: mass\nsample_rate: {RATE:g} Hz\n{channel}\n")
+    fit = "ring: {model: decay, modes: 1, repeat_groups: [one, two]}"
+    (tmp_path / "p.yaml").write_text(
+        f"rig: rig.yaml\nrecordings: [one.csv, two.csv]\nidentify: {{{fit}}}\nfrf: {{excitation: decay}}\n"
+        "report: {formats: []}\n"
+    )
+    ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    (entry,) = json.loads((tmp_path / "out" / "identification.json").read_text())["fits"]
+    f = named(entry)["f_n_1"]
+    assert f["value"] == pytest.approx(np.sqrt(39.9 * 40.1), abs=0.01)
+    assert (f["repeats"]["used"], f["repeats"]["groups"]) == (8, 2)
+    assert 0.2 < f["ci95"][1] - f["ci95"][0] < 4
+    assert any("in the groups one, two" in text for text in entry["notes"])
+
+
 @pytest.mark.long
 def test_twenty_one_decays_of_a_frequency_that_scatters(
     tmp_path: Path, labpipe: Command, rng: np.random.Generator
