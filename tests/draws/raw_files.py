@@ -27,15 +27,10 @@ from pyarrow import parquet
 from scipy import stats
 
 import labpipe
-from labpipe.estimation.fitting import identify
-from labpipe.estimation.settings import FitSettings
-from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.planning.plan_file import read_plan
 from labpipe.methods.planning.records import Plan
 from labpipe.records.finding import WARNING, Finding, Parameter
-from labpipe.simulate.virtual_rigs import recordings
-from labpipe.spectra.all_channels import channel_spectra
-from tests.methods.floating_bearing.test_stated_numbers import BENCH, FILM, LINES
+from tests.methods.floating_bearing.test_stated_numbers import BENCH, FILM, fitted
 from tests.methods.magnetic_bearing.recorded_axis import Axis, certificate_pipeline, fit_pipeline, written
 from tests.methods.planning.test_settling import DAMPING, PLAN, STIFFNESS, from_rest
 from tests.methods.planning.test_settling import MASS as SEISMIC
@@ -87,10 +82,7 @@ def floating(folder: Path, rng: np.random.Generator, fault: bool) -> World:
     """A stator whose mass is off by 0.12 kg; fault: by 3 %."""
     mass = 25.0 + (0.75 if fault else STATOR * rng.standard_normal())
     seed = int(rng.integers(1 << 31))
-    runs = recordings(replace(BENCH, stator_mass=mass), seed, ["film-plus", "film-minus"])
-    section = DynamicStiffnessSettings(stator_mass="25 kg +- 0.12 kg", form="kcm")
-    settings = FitSettings("dynamic-stiffness", name="film", model_settings=section)
-    (fit,) = identify(channel_spectra(runs, LINES), settings.kind.begin(settings, ()))
+    fit = fitted(folder, "25 kg +- 0.12 kg", seed, replace(BENCH, stator_mass=mass))
     matrices = {"k": FILM.stiffness, "c": FILM.damping, "m": FILM.mass}
     truth = {
         f"{letter}_{row}{column}": matrix["xy".index(row)]["xy".index(column)]

@@ -37,7 +37,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     loop_fit,
 )
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
-from labpipe.methods.magnetic_bearing.measured_margins import GAIN, MEASURED, measured_margins
+from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
 from labpipe.methods.magnetic_bearing.sensitivity import (
     MeasuredSensitivity,
     Peak,
@@ -378,10 +378,7 @@ def _measured_amounts(
         amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
     dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
-    factors = [amount.name for amount in amounts if amount.name.startswith(f"{MEASURED}{GAIN}")]
-    return with_budget(
-        amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof, factors
-    )
+    return with_budget(amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof)
 
 
 def _fitted(

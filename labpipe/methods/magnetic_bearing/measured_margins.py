@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from labpipe.distributions import chi2_quantile, f_quantile
+from labpipe.distributions import chi2_quantile, f_quantile, normal_tail
 from labpipe.records.finding import Parameter
 from labpipe.uncertainty.amounts import from_log, with_error
 
@@ -32,6 +32,8 @@ ENOUGH = 0.05
 SURE = 3.0
 # Standard errors that a gain margin is away from zero where it is told.
 TELLING = 4.0
+# Standard errors below that limit at which a loop is told in fewer than one of five thousand tests.
+SELDOM = 3.6
 # How names of margins without a model begin, and of gain margins after that.
 MEASURED, GAIN = "measured_", "gain_margin"
 FINE = 32
@@ -205,8 +207,7 @@ def measured_margins(
     }
     return [
         (
-            # A gain margin is a factor: its logarithm is nearer to a normal distribution.
-            from_log(f"{MEASURED}{name}{suffix}", "1", float(np.log(value)), error / value, quantile)
+            factor(f"{MEASURED}{name}{suffix}", value, error, quantile)
             if name.startswith(GAIN)
             else with_error(f"{MEASURED}{name}{suffix}", units[name], value, error, quantile),
             moved,
@@ -217,6 +218,24 @@ def measured_margins(
 
 def _value(found: Found) -> float:
     return found[0]
+
+
+def factor(name: str, value: float, error: float, quantile: float) -> Parameter:
+    """A gain margin *value* [1] with its standard *error* [1] and the interval of a factor, which reaches
+    further up as far as it holds given that a margin is told.
+
+    Told are loops that noise lets look larger than they are rather than smaller: where that decides, the loop
+    may be as small as chance, given that it is told, allows. Equation (comp-gain-told).
+    """
+    # A factor's logarithm is nearer to a normal distribution.
+    plain = from_log(name, "1", float(np.log(value)), error / value, quantile)
+    assert plain.ci95 is not None
+    size, limit = (quantile / -np.expm1(-quantile * share) for share in (error / value, 1 / TELLING))
+    told = normal_tail(quantile)
+    smaller = np.linspace(limit - SELDOM, size - quantile, PLACES)
+    chances = (normal_tail(size - one) / normal_tail(limit - one) for one in smaller)
+    least = next((one for one, chance in zip(smaller, chances, strict=True) if chance >= told), smaller[-1])
+    return replace(plain, ci95=(plain.ci95[0], max(plain.ci95[1], float(value * size / least))))
 
 
 def _crossings(

@@ -10,9 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
 import labpipe
 from labpipe.artefacts.header import Header
@@ -23,24 +21,12 @@ from labpipe.records.identification import Fit
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.settings import FrfSettings
-from tests.methods.floating_bearing.test_stated_numbers import BENCH
+from tests.methods.floating_bearing.test_stated_numbers import BENCH, on_disk
 
 STIFFNESS, MASS = 1.1e6, 25.0
-RIG = """name: Dry stator on hoses
-sample_rate: 1000 Hz
-channels:
-  fx: {quantity: force, unit: N, role: input, dof: x}
-  fy: {quantity: force, unit: N, role: input, dof: y}
-  dx: {quantity: displacement, unit: m, role: output, dof: x}
-  dy: {quantity: displacement, unit: m, role: output, dof: y}
-  ax: {quantity: acceleration, unit: m/s^2, role: output, dof: x}
-  ay: {quantity: acceleration, unit: m/s^2, role: output, dof: y}
-  ux: {quantity: voltage, unit: V, role: reference, dof: x}
-  uy: {quantity: voltage, unit: V, role: reference, dof: y}
-"""
 PIPELINE = """title: Dry stator
 rig: rig.yaml
-recordings: dry.parquet
+recordings: dry-random.parquet
 frf: {{excitation: random, block: 500 ms, band: 20-60 Hz, result: spectra}}
 identify:
   dry: {{model: dynamic-stiffness, estimator: {estimator}, form: kc, motion: absolute, stator_mass: 25 kg}}
@@ -63,11 +49,7 @@ def bench(zeta: float):
 
 
 def fitted(folder: Path, zeta: float, seed: int, estimator: str = "ml") -> Fit:
-    (record,) = recordings(bench(zeta), seed, ["dry-random"])
-    names = [channel.name.replace("_", "") for channel in record.channels]
-    columns = {name: samples for name, samples in zip(names, record.samples.T, strict=True) if name != "n"}
-    parquet.write_table(pa.table(columns), folder / "dry.parquet")
-    (folder / "rig.yaml").write_text(RIG)
+    on_disk(folder, recordings(bench(zeta), seed, ["dry-random"]))
     (folder / "pipeline.yaml").write_text(PIPELINE.format(estimator=estimator))
     (fit,) = labpipe.run(folder / "pipeline.yaml").fits
     return fit

@@ -1,13 +1,17 @@
-"""Given numbers that the data contradict, from recordings of a bench of its own, a film without added mass
+"""Given numbers that the data contradict, from raw files of a bench of its own, a film without added mass
 among them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 import labpipe
 from labpipe.estimation.fitting import identify
@@ -15,6 +19,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.floating_bearing.virtual_rig import Condition, FloatingNoise, FloatingRig
 from labpipe.records.identification import Fit
+from labpipe.records.recording import Recording
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.settings import FrfSettings
@@ -39,22 +44,50 @@ BENCH = FloatingRig(
 LINES = FrfSettings("periodic", period="0.5 s", skip=0, band="20-160 Hz", result="spectra")
 
 
-def fitted(stated: str, seed: int = 1, rig: FloatingRig = BENCH) -> Fit:
-    settings = FitSettings(
-        "dynamic-stiffness",
-        name="film",
-        model_settings=DynamicStiffnessSettings(stator_mass=stated, form="kcm"),
-    )
-    spectra = channel_spectra(recordings(rig, seed, ["film-plus", "film-minus"]), LINES)
-    (fit,) = identify(spectra, settings.kind.begin(settings, ()))
+RIG = """name: Bench of a floating stator
+sample_rate: 1000 Hz
+channels:
+  fx: {quantity: force, unit: N, role: input, dof: x}
+  fy: {quantity: force, unit: N, role: input, dof: y}
+  dx: {quantity: displacement, unit: m, role: output, dof: x}
+  dy: {quantity: displacement, unit: m, role: output, dof: y}
+  ax: {quantity: acceleration, unit: m/s^2, role: output, dof: x}
+  ay: {quantity: acceleration, unit: m/s^2, role: output, dof: y}
+"""
+VOLTAGES = """  ux: {quantity: voltage, unit: V, role: reference, dof: x}
+  uy: {quantity: voltage, unit: V, role: reference, dof: y}
+"""
+PIPELINE = """title: Film
+rig: rig.yaml
+recordings: [film-plus.parquet, film-minus.parquet]
+frf: {{excitation: periodic, period: 500 ms, skip: 0, band: 20-160 Hz, result: spectra}}
+identify:
+  film: {{model: dynamic-stiffness, form: kcm, stator_mass: {stated}}}
+"""
+
+
+def on_disk(folder: Path, runs: Sequence[Recording]) -> None:
+    """A raw file for each recording, without its tacho, and the rig file."""
+    for run in runs:
+        names = [channel.name.replace("_", "") for channel in run.channels]
+        columns = dict(zip(names, run.samples.T, strict=True))
+        columns.pop("n")
+        parquet.write_table(pa.table(columns), folder / f"{run.name}.parquet")
+    (folder / "rig.yaml").write_text(RIG + VOLTAGES * ("ux" in columns))
+
+
+def fitted(folder: Path, stated: str, seed: int = 1, rig: FloatingRig = BENCH) -> Fit:
+    on_disk(folder, recordings(rig, seed, ["film-plus", "film-minus"]))
+    (folder / "pipeline.yaml").write_text(PIPELINE.format(stated=stated))
+    (fit,) = labpipe.run(folder / "pipeline.yaml").fits
     return fit
 
 
-def test_a_mass_that_the_data_contradict_is_named_with_the_one_they_ask_for() -> None:
+def test_a_mass_that_the_data_contradict_is_named_with_the_one_they_ask_for(tmp_path: Path) -> None:
     """25 kg, stated 24.25 +- 0.12 kg: three per cent, six uncertainties. Added mass and stator mass act with
     two motions, of film and of stator, which the shaft's motion tells apart.
     """
-    fit = fitted("24.25 kg +- 0.12 kg")
+    fit = fitted(tmp_path, "24.25 kg +- 0.12 kg")
     (said,) = [finding.message for finding in fit.findings if finding.code == "mass"]
     assert "mass of the stator, 24.25 kg +- 0.12 kg" in said
     asked = float(said.split("they ask for ")[1].split()[0])
@@ -64,14 +97,17 @@ def test_a_mass_that_the_data_contradict_is_named_with_the_one_they_ask_for() ->
     assert added.ci95[0] <= 6.0 <= added.ci95[1]
 
 
-def test_numbers_within_what_was_stated_are_not_named() -> None:
+def test_numbers_within_what_was_stated_are_not_named(tmp_path: Path) -> None:
     """30 benches whose mass is off by what was stated: named in none (0.3 % by chance)."""
     rng = np.random.default_rng(5)
     named = [
         finding.code
         for seed in range(30)
         for finding in fitted(
-            "25 kg +- 0.12 kg", seed, replace(BENCH, stator_mass=25.0 + 0.12 * rng.standard_normal())
+            tmp_path,
+            "25 kg +- 0.12 kg",
+            seed,
+            replace(BENCH, stator_mass=25.0 + 0.12 * rng.standard_normal()),
         ).findings
     ]
     assert not {"mass", "stated-value", "model-mismatch"} & set(named)

@@ -17,7 +17,15 @@ from labpipe.project.rules import Rule
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, Goodness
 from labpipe.uncertainty.settings import CompareSettings
-from tests.methods.magnetic_bearing.recorded_axis import ASKED, Axis, certificate_pipeline, written
+from tests.methods.magnetic_bearing import recorded_axis
+from tests.methods.magnetic_bearing.recorded_axis import (
+    ASKED,
+    BEARING,
+    ROLES,
+    Axis,
+    certificate_pipeline,
+    written,
+)
 
 AXIS = Axis(lines=np.unique(np.round(np.geomspace(4, 450, 90))).astype(int))
 
@@ -79,6 +87,58 @@ def test_a_loop_of_another_controller_decides_nothing(certified, columns) -> Non
     assert code == 1 and found["verdict"] == "undecided" and "check signs, units" in found["statement"]
     assert not any(rule["passed"] for rule in rules)
     assert "probability_log_decrement" not in [amount["name"] for amount in found["amounts"]]
+
+
+def test_damping_of_the_rotor_itself_is_none_of_the_file(certified) -> None:
+    """400 N s/m between rotor and housing, as of eddy currents or a fluid: no unknown stands for it."""
+    damped = AXIS.other(damping=400.0)
+    code, found, rules = certified(damped.record(np.random.default_rng(5)))
+    assert code == 1 and found["verdict"] == "undecided" and not any(rule["passed"] for rule in rules)
+    assert "model-mismatch" in [finding["code"] for finding in found["findings"]]
+
+
+def test_a_late_probe_outside_of_the_loop_is_the_channel_s_delay(certified, columns) -> None:
+    """Two samples of 4 kHz between the loop's reading and its record. As a delay of the channel it leaves the
+    loop as it is; the file's own delay is that between command and current, and does not explain it.
+    """
+    late = {**columns, "x": np.roll(columns["x"], 2)}
+    _, unstated, _ = certified(late)
+    assert unstated["verdict"] == "undecided"
+    code, found, _ = certified(
+        late, channels=ROLES.replace("{invert: true}", "{invert: true, delay: 0.5 ms}")
+    )
+    amounts = {amount["name"]: amount for amount in found["amounts"]}
+    assert code == 0 and amounts["delay"]["ci95"][0] < AXIS.delay < amounts["delay"]["ci95"][1]
+
+
+class Computed(Axis):
+    """The axis whose controller computes for 50 us, ahead of the sum at which the loop is excited."""
+
+    def controller(self, s: np.ndarray) -> np.ndarray:
+        return super().controller(s) * np.exp(-50e-6 * s)
+
+
+def test_a_power_of_z_in_the_controller_is_a_delay_of_the_loop(certified, monkeypatch) -> None:
+    """The 50 us as z^-1 at 20 kHz in the file: poles are those of Newton's method on 1 + L of the rig.
+
+    Where the sampled path dropped it the damping was overstated by 7 %. The file's loop is sampled and held,
+    the rig's is continuous: without noise their poles differ by 0.03 %, the delays by 0.5 us.
+    """
+    axis = Computed(lines=AXIS.lines, delay=70e-6)
+    law = BEARING[BEARING.index("  proportional") : BEARING.index("  sensor")]
+    pid = ", ".join(line.strip() for line in law.splitlines() if "lag" not in line)
+    step = "{{form: polynomial, numerator: [0, 1], denominator: [1, 0], rate: 20 kHz}}"
+    blocks = f"  controller: [{{{{form: pid, {pid}}}}}, {step}]\n"
+    monkeypatch.setattr(recorded_axis, "BEARING", BEARING.replace(law, blocks))
+    code, found, _ = certified(axis.record(np.random.default_rng(5)), axis)
+    assert code == 0, found["statement"]
+    amounts = {amount["name"]: amount for amount in found["amounts"]}
+    pole = axis.pole()
+    truth = {"pole_real_1": pole.real, "pole_imag_1": pole.imag, "log_decrement_1": axis.log_decrement()}
+    for name, true in truth.items():
+        off = abs(amounts[name]["value"] - true)
+        assert off < 4 * amounts[name]["std_error"] + 5e-4 * abs(true) < 0.01 * abs(true), name
+    assert amounts["delay"]["value"] == pytest.approx(70e-6, abs=1e-6)
 
 
 def unmodelled(folder: Path, columns: dict[str, np.ndarray], axis: Axis, certificate: str) -> Path:
