@@ -147,7 +147,7 @@ class FollowedFit:
         self._looked_at = estimate.n
         self._next_look = int(np.ceil(NEXT_LOOK * estimate.least))
         try:
-            response = self._response()
+            response = self.response()
             fits = [] if response is None else list(identify(response, replace(self.settings, test=())))
         except (LabpipeError, LinAlgError):
             return
@@ -162,7 +162,8 @@ class FollowedFit:
             if (parts := parameter.interval) is not None and parameter.name in now
         }
 
-    def _response(self) -> FrequencyResponse | None:
+    def response(self) -> FrequencyResponse | None:
+        """The FRFs on the fit's lines by all averages so far; None before every direction had two."""
         n_output = len(self.setup.outputs)
         mean, noise = self.sums.mean, self.sums.covariance()
         motion, force = (part.swapaxes(1, 2) for part in (mean[..., :n_output], mean[..., n_output:]))
@@ -319,6 +320,10 @@ class Bench(Watch):
     def hits(self) -> bool:
         return self.frf.excitation == "impact"
 
+    def restart(self) -> None:
+        """The samples that follow belong to another recording."""
+        self.cutter.restart()
+
     def add(self, block: FloatArray) -> list[Update]:
         """What the next samples (n, n_channel) [SI] change, average by average."""
         made = []
@@ -340,10 +345,12 @@ class Bench(Watch):
             return self._update((f"{what} {average.number} at {at:.3f} s is left out: {average.fault}",))
         if not self.fits:
             self._waiting.append(average)
-            if len(self._waiting) < 2:
+            # Noise is told by two averages of one direction.
+            alike = [a for a in self._waiting if self._shaken(a)[0] == self._shaken(average)[0]]
+            if len(alike) < 2:
                 self.averages = len(self._waiting)
                 return self._update(())
-            self._begin()
+            self._begin(alike)
             waiting, self._waiting, self.averages = self._waiting, [], 0
             for earlier in waiting[:-1]:
                 self._follow(earlier)
@@ -354,9 +361,15 @@ class Bench(Watch):
             return self._update((f"{what} {average.number} at {at:.3f} s is left out: {fault}",))
         return self._update((f"{what} {average.number} at {at:.3f} s",))
 
-    def _begin(self) -> None:
+    def _shaken(self, average: Average) -> tuple[int, float]:
+        """The number of an average's strongest force, and the size of all its forces [N]."""
+        force = average.amplitude[:, list(self.layout.input_columns[0])]
+        sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
+        return int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
+
+    def _begin(self, alike: Sequence[Average]) -> None:
         frequency = self.cutter.frequency
-        amplitudes = np.array([average.amplitude for average in self._waiting])
+        amplitudes = np.array([average.amplitude for average in alike])
         excited = np.ones(frequency.size, bool)
         if not self.hits:
             mean = amplitudes.mean(axis=0)
@@ -378,10 +391,8 @@ class Bench(Watch):
 
     def _follow(self, average: Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
-        force = average.amplitude[:, list(self.layout.input_columns[0])]
-        sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
         # Directions are shaken one after the other: an average belongs to that of its strongest force.
-        direction, level = int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
+        direction, level = self._shaken(average)
         parts = [fit.picked(average) for fit in self.fits]
         for fit, z in zip(self.fits, parts, strict=True):
             if fit.estimate is None:

@@ -12,7 +12,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
@@ -64,7 +64,7 @@ class Series:
         """The normal score of the next *value*, studentised by the values before it."""
         dof = PRIOR + len(self.past)
         spread = np.sqrt((PRIOR + sum(entry**2 for entry in self.past)) / dof)
-        size = float(stats.norm.isf(max(stats.t.sf(abs(value) / spread, dof), 1e-300)))
+        size = -float(special.ndtri(max(special.stdtr(dof, -abs(value) / spread), 1e-300)))
         return float(np.copysign(size, value))
 
     def take(self, value: float, score: float, number: int) -> None:
@@ -114,7 +114,12 @@ class Charts:
             z = z / z[..., -1:]
         else:
             share = np.full(z.shape[:2], 1.0 / sums.n)
-        residual = (self._fit.equation.gain(before.values)[:, None] @ z[..., None])[..., 0]
+        gain = self._fit.equation.gain(before.values)[:, None]
+        of_energy = share
+        if before.misfit:
+            # What the model does not explain is in every average: this one is held against those before it.
+            z, of_energy = z - mean, share / (1 + share)
+        residual = (gain @ z[..., None])[..., 0]
         n_parameter = slopes.shape[-1]
         flat = (weighted * share[..., None, None]).reshape(-1, n_parameter)
         gradient = 2 * (flat.conj().T @ residual.reshape(-1)).real
@@ -127,7 +132,7 @@ class Charts:
         shift = -own @ (gradient / scale)
         whitened = np.linalg.solve(np.linalg.cholesky(own + others), shift)
         energy = np.sum(
-            share * np.sum((residual.conj() * (inverse @ residual[..., None])[..., 0]).real, axis=2)
+            of_energy * np.sum((residual.conj() * (inverse @ residual[..., None])[..., 0]).real, axis=2)
         )
         return whitened, float(energy / residual.size)
 
@@ -143,7 +148,7 @@ class Charts:
         size = z.shape[0] * z.shape[1] * self._fit.equation.n_output
         smoothed = (number - 2) * (2 * HALF_WIDTH + 1)
         expected = smoothed / max(smoothed - self._fit.equation.n_output, 1)
-        expected *= 1 + n_parameter / (2 * size * (number - 1))
+        expected *= 1 + (0 if before.misfit else n_parameter / (2 * size * (number - 1)))
         variance = (1 + 1 / (number - 2)) / size
         # The logarithm of a mean of squares is nearly normal.
         raised = float((np.log(energy) - np.log(expected) + variance / 2) / np.sqrt(variance))
@@ -208,7 +213,10 @@ def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale:
     def half(averages: float) -> float:
         later = dof * (averages - 1) / (n - 1)
         return float(
-            stats.t.ppf((1 + coverage) / 2, later) * np.sqrt(1 + 2 / later) * error * np.sqrt(n / averages)
+            special.stdtrit(later, (1 + coverage) / 2)
+            * np.sqrt(1 + 2 / later)
+            * error
+            * np.sqrt(n / averages)
         )
 
     if half(n) <= goal:
@@ -244,6 +252,13 @@ def forecast(
     low = None if ends[0] is None else max(n + 1, int(np.floor(ends[0] * np.exp(-BAND * moved))))
     high = None if ends[1] is None else int(np.ceil(ends[1] * np.exp(BAND * moved)))
     return Forecast(expected, low, high)
+
+
+def at_twice_the_level(more: int) -> int:
+    """Averages at twice the level of force that tell as much as *more* at this one, where the noise is that
+    of the sensors.
+    """
+    return -(-more // 4)
 
 
 def hit_variation(energies: Sequence[float]) -> float:
@@ -354,13 +369,13 @@ class Update:
                 parameters[name]["goal"] = standing.goal
             if standing.remaining is not None:
                 left = standing.remaining
+                more = None if left.expected is None else left.expected - self.averages
                 remaining[name] = {
-                    "averages": None if left.expected is None else left.expected - self.averages,
+                    "averages": more,
+                    "at_twice_the_level": None if more is None else at_twice_the_level(more),
                     "low": None if left.low is None else left.low - self.averages,
                     "high": None if left.high is None else left.high - self.averages,
-                    "seconds": None
-                    if left.expected is None
-                    else (left.expected - self.averages) * self.seconds,
+                    "seconds": None if more is None else more * self.seconds,
                 }
         return {
             "averages": self.averages,
