@@ -150,7 +150,6 @@ def _response(fit: FollowedFit) -> Figure | None:
         np.eye(len(response.inputs)), (response.frequency.size, *2 * (equation.n_force,))
     )
     motion, _ = equation.split(np.concatenate([response.matrix.swapaxes(1, 2), forces], axis=2))
-    measured = np.abs(motion).swapaxes(1, 2)
     share = response.variance / np.abs(response.matrix) ** 2
     coherence = 1 / (1 + response.averages * share)
     dense = np.linspace(equation.omega[0], equation.omega[-1], DENSE)
@@ -158,8 +157,7 @@ def _response(fit: FollowedFit) -> Figure | None:
     panels, coherences = [], []
     for row, output in enumerate(response.outputs):
         for column, force in enumerate(response.inputs):
-            name = f"{output.label}/{force.label}"
-            size = measured[:, row, column]
+            name, size = f"{output.label}/{force.label}", np.abs(motion[:, column, row])
             # Of an amplitude, whose error is one of both components.
             half = NORMAL * size * np.sqrt(share[:, row, column] / 2)
             ends = (np.maximum(size - half, 1e-3 * size), size + half)
