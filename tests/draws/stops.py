@@ -253,6 +253,8 @@ def faulty(options: argparse.Namespace) -> None:
     print("| rig | fault | named before the end | silent and wrong | averages |\n|---|---|---|---|---|")
     for kind in options.rigs or FAULTY_GOALS:
         for name, fault in FAULTS.items():
+            if options.only not in name:
+                continue
             goal, most, times = (1e-5, 50, 3) if fault is SOUND else (FAULTY_GOALS[kind], 40, 1)
             stops = drawn(options, kind, FAULTY_NOISE, goal, times, fault=fault, most=most)
             named = np.mean([stop.named for stop in stops])
@@ -270,6 +272,7 @@ def main() -> None:
     parser.add_argument("rigs", nargs="*")
     parser.add_argument("--seed", type=int, default=20261125)
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--only", default="", help="faults with this in their name")
     parser.add_argument("--goal", type=float, help="only this one [1]")
     options = parser.parse_args()
     if options.faults:

@@ -18,7 +18,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.live.running_fit import HALF_WIDTH, Estimate, HitSums, RunningFit, Sums
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.finding import Finding, Parameter
+from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.recording import Channel
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -136,14 +136,9 @@ class Charts:
         )
         return whitened, float(energy / residual.size)
 
-    def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
-        """The verdict on the next average *z* (n_line, n_experiment, n_channel) [channels' units].
-
-        *level*: size of its force [N].
-        """
+    def _scored(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[list[float], list[float], bool]:
+        """Values and normal scores of the energy and coefficients of *z*, and whether it is a jump."""
         number, n_parameter = sums.n + 1, len(self._scores)
-        if number < 3:
-            return Verdict()
         whitened, energy = self.monitors(z, sums, before)
         size = z.shape[0] * z.shape[1] * self._fit.equation.n_output
         smoothed = (number - 2) * (2 * HALF_WIDTH + 1)
@@ -158,6 +153,23 @@ class Charts:
         jump |= (
             stats.chi2.sf(sum(score**2 for score in scores[1:]), n_parameter) < SCORE_JUMP * ALPHA / HORIZON
         )
+        return values, scores, bool(jump)
+
+    def jumps(self, z: ComplexArray, sums: Sums, others: Estimate) -> bool:
+        """Whether the average *z* (n_line, n_experiment, n_channel) [channels' units] does not agree with the
+        *others*, of which *sums* are.
+        """
+        return self._scored(z, sums, others)[2]
+
+    def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
+        """The verdict on the next average *z* (n_line, n_experiment, n_channel) [channels' units].
+
+        *level*: size of its force [N].
+        """
+        number = sums.n + 1
+        if number < 3:
+            return Verdict()
+        values, scores, jump = self._scored(z, sums, before)
         if jump:
             return Verdict(jump=True)
         for series, value, score in zip(self._all, values, scores, strict=True):
@@ -275,6 +287,18 @@ def no_longer_falls(widths: Sequence[float]) -> bool:
     return n >= 4 and widths[-1] > widths[n // 2 - 1] * 2 ** (-0.25)
 
 
+def sequence_factor(n: float, tuned: float, dof: float, alpha: float = 0.05) -> float:
+    """Half-width over standard error of an interval that holds for all numbers of averages at once, [1].
+
+    rho = n_opt / (-W_-1(-alpha^2 / e) - 1), q = (sqrt((n + rho) / rho) / alpha)^(2 / (nu + 1)),
+    factor^2 = nu (q - 1) / (1 - q rho / (n + rho)); infinite where the denominator is not positive.
+    """
+    rho = tuned / (-float(special.lambertw(-(alpha**2) / np.e, -1).real) - 1)
+    q = (np.sqrt((n + rho) / rho) / alpha) ** (2 / (dof + 1))
+    below = 1 - q * rho / (n + rho)
+    return float(np.sqrt(dof * (q - 1) / below)) if below > 0 else np.inf
+
+
 # What a rule may name: half the width of the stated interval, or the standard error of noise.
 WIDTHS = ("expanded", "std_error")
 # Updates that are remembered for the course of the test.
@@ -312,6 +336,21 @@ class Goal:
             return parse_value(self.limit, parameter.unit)
         except UnitError as error:
             raise ConfigError(f"--until: '{self.text}': {error.what}", hint=error.hint) from None
+
+
+@dataclass(frozen=True)
+class Common:
+    """What more averages do not take from the interval of a coefficient: the standard uncertainty *error* of
+    model error and of stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*.
+    """
+
+    error: float
+    shift: float
+    reason: str
+
+    @property
+    def half(self) -> float:
+        return NORMAL * self.error
 
 
 @dataclass(frozen=True)

@@ -259,6 +259,18 @@ def test_a_bad_period_is_left_out_and_named_and_a_change_is_no_end(bench, follow
     assert {f["code"] for line in lines for f in line["findings"]} & {"changes", "bad-averages"}
 
 
+def test_a_bad_first_period_is_left_out_before_the_stop(bench, follow):
+    """The first period that counts has a gain that is wrong by 5 %; no other was there to hold it against."""
+    rows = samples(40)
+    rows[N : 2 * N, 1] *= 1.05
+    write_csv(bench / "test.csv", rows)
+    lines = follow(bench / "test.csv", "--until", "s.c.expanded<=0.6%")
+    left_out = [event for line in lines for event in line["events"] if "left out" in event]
+    assert left_out == ["period 1 is left out: it does not agree with the averages after it"]
+    k, last = lines[-1]["parameters"]["s.k"], lines[-1]
+    assert last["stop"] and k["ci95"][0] < STIFFNESS < k["ci95"][1]
+
+
 def test_sources_that_grow_give_what_was_written(tmp_path):
     """Written piece by piece by another hand, with a line that is cut off in the middle."""
     rows = samples(1)[:300]
