@@ -13,11 +13,11 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.rotor_system.build import Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.methods.rotor_system.posterior import Posterior
-from labpipe.methods.rotor_system.records import BalanceResult, InfluenceResult, WeightResult
+from labpipe.methods.rotor_system.records import BalanceResult, InfluenceResult, VibrationResult, WeightResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 
-# Draws behind what one more run would leave.
-LOOKED = 60
+# Draws behind what one more run would leave, and behind the vibration over so many speeds.
+LOOKED, SPEEDS = 60, 61
 
 
 def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
@@ -42,7 +42,32 @@ def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) 
         (low, high),
         _next_weights(built, posterior, test, weights),
         known_influence(built, posterior, test),
+        _over_speed(settings, built, posterior, test, weights),
     )
+
+
+def _over_speed(
+    settings: RotorSystemSettings,
+    built: Built,
+    posterior: Posterior,
+    test: RunUpVectors,
+    weights: ComplexArray,
+) -> VibrationResult:
+    """What the weights do from half the lowest of the speeds they are made for to beyond the highest, and to
+    the operating speed.
+    """
+    asked, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
+    speed = np.linspace(0.5 * min(asked), max(1.1 * max(asked), operating), SPEEDS)
+    wide = replace(test, speed=2 * np.pi * speed)
+    before, after = [], []
+    for values in posterior.draws(LOOKED, settings.seed):
+        h, u = vectors_of_unbalance(built, wide, values)
+        for into, acting in ((before, u), (after, u + weights)):
+            into.append(np.sqrt(np.mean(np.abs((h @ acting).reshape(SPEEDS, -1)) ** 2, axis=1)))
+    low, high = np.percentile(after, (2.5, 97.5), axis=0)
+    middles = (np.sqrt(np.mean(np.square(part), axis=0)) for part in (before, after))
+    columns = (speed, *middles, low, posterior.widened * high)
+    return VibrationResult(*(tuple(float(value) for value in column) for column in columns))
 
 
 def known_influence(built: Built, posterior: Posterior, test: RunUpVectors) -> InfluenceResult:

@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -83,6 +84,13 @@ def test_weights_calm_the_rotor_that_was_recorded(result) -> None:
     """A twentieth of the vibration, in the independent calculation's rotors 2.4 % in the median."""
     balance = result[0].sections["rotor_system"].balance
     assert balance.after < 0.05 * balance.before and balance.interval[0] < balance.after < balance.interval[1]
+    # Over the speeds that the weights are made for it is the same vibration.
+    course = balance.vibration
+    within = [28 < speed < 39 for speed in course.speed]
+    before, after = (np.array(part)[within] for part in (course.before, course.after))
+    assert before.min() < balance.before < before.max() and np.all(after < 0.1 * before)
+    page = (result[1] / "out/report.html").read_text()
+    assert "with the weights" in page
 
 
 def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> None:
