@@ -26,8 +26,8 @@ UNLIKELY, WORTHWHILE = 0.01, 0.8
 )
 @options.overrides
 def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ...]) -> None:
-    """Balance weights by trial runs, by a model of the rotor, or by both: what to set where, the vibration that
-    is left with its interval, and whether one more run would pay.
+    """Balance weights by trial runs, by a model of the rotor, or by both: what to set where, the vibration
+    that is left with its interval, and whether one more run would pay.
     """
     from labpipe.artefacts.writing import output_file
     from labpipe.methods.balancing.balance_file import balance_entry, balanced, load_balance

@@ -471,8 +471,9 @@ class Bench(Watch):
                 continue
             events.append(f"{what} {number} is left out: it does not agree with the averages after it")
             self.averages, self.dropped = self.averages - 1, self.dropped + 1
-            for first in (self._unjudged, *(fit.first for fit in self.fits)):
-                del first[place]
+            del self._unjudged[place]
+            for fit in self.fits:
+                del fit.first[place]
         return events
 
     def _standings(self, variation: float, again: bool = False) -> dict[str, Standing]:

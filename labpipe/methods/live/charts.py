@@ -6,6 +6,7 @@ test of a hundred. Hawkins (1987), self-starting CUSUM charts; Siegmund (1985) f
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -293,7 +294,7 @@ def sequence_factor(n: float, tuned: float, dof: float, alpha: float = 0.05) -> 
     rho = n_opt / (-W_-1(-alpha^2 / e) - 1), q = (sqrt((n + rho) / rho) / alpha)^(2 / (nu + 1)),
     factor^2 = nu (q - 1) / (1 - q rho / (n + rho)); infinite where the denominator is not positive.
     """
-    rho = tuned / (-float(special.lambertw(-(alpha**2) / np.e, -1).real) - 1)
+    rho = tuned / (-float(special.lambertw(-(alpha**2) / math.e, -1).real) - 1)
     q = (np.sqrt((n + rho) / rho) / alpha) ** (2 / (dof + 1))
     below = 1 - q * rho / (n + rho)
     return float(np.sqrt(dof * (q - 1) / below)) if below > 0 else np.inf

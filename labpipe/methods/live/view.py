@@ -20,7 +20,7 @@ from labpipe.methods.live.course import coefficients_of, course_figure
 from labpipe.methods.live.session import Session
 from labpipe.quantities import to_display
 from labpipe.records.finding import NORMAL
-from labpipe.report.chart import Axis, Panel, curve, stacked
+from labpipe.report.chart import Axis, Panel, Series, curve, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 # Points of a fitted curve between its first and last line.
@@ -154,7 +154,8 @@ def _response(fit: FollowedFit) -> Figure | None:
     coherence = 1 / (1 + response.averages * share)
     dense = np.linspace(equation.omega[0], equation.omega[-1], DENSE)
     fitted = np.abs(fit.model.receptance(estimate.values, dense))
-    panels, coherences = [], []
+    panels: list[Panel] = []
+    coherences: list[Series] = []
     for row, output in enumerate(response.outputs):
         for column, force in enumerate(response.inputs):
             name, size = f"{output.label}/{force.label}", np.abs(motion[:, column, row])

@@ -59,7 +59,8 @@ def _over_speed(
     asked, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
     speed = np.linspace(0.5 * min(asked), max(1.1 * max(asked), operating), SPEEDS)
     wide = replace(test, speed=2 * np.pi * speed)
-    before, after = [], []
+    before: list[FloatArray] = []
+    after: list[FloatArray] = []
     for values in posterior.draws(LOOKED, settings.seed):
         h, u = vectors_of_unbalance(built, wide, values)
         for into, acting in ((before, u), (after, u + weights)):
