@@ -9,12 +9,14 @@ in the model), raw.
 
 Prints how many 95 % intervals hold the truth, by prediction: frequency and decrement of the first two modes
 at speed, first critical speed with amplification and peak, onset; of the unknowns; of the vibration that
-weights leave, set without a trial run.
+weights leave, set without a trial run, by trial runs, and by both.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
 import tempfile
 import time
 from collections import Counter, defaultdict
@@ -25,6 +27,8 @@ import numpy as np
 import yaml
 
 from labpipe.errors import LabpipeError
+from labpipe.methods.balancing.balance_file import modelled
+from labpipe.methods.balancing.influence import Noise, Run, best_weights, influence, residual_of
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, followed, peaks
 from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built
@@ -38,7 +42,8 @@ from labpipe.methods.rotor_system.predictions import (
     onset,
     unbalance_forces,
 )
-from labpipe.methods.rotor_system.weights import expected, influence, interval_of
+from labpipe.methods.rotor_system.records import InfluenceResult
+from labpipe.methods.rotor_system.weights import expected, interval_of, known_influence, vectors_of_unbalance
 from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, run_up
 
 ROOT = Path(__file__).parent.parent.parent
@@ -145,13 +150,56 @@ def judge(
             held[what].append(abs(off) < 1.96 * found.standard_errors[number])
     speeds = 60 * peak.speed * np.array([0.6, 0.72, 0.84]) if peak is not None else np.array([1600.0, 2000.0])
     weights, predicted, _ = expected(this, run_up(this, speeds), found, 200, 5)
-    h, unbalance = influence(of, run_up(of, speeds), truth)
+    h, unbalance = vectors_of_unbalance(of, run_up(of, speeds), truth)
     left = np.sqrt(np.mean(np.abs(h @ (unbalance + weights)) ** 2))
     before = np.sqrt(np.mean(np.abs(h @ unbalance) ** 2))
     low, high = interval_of(predicted, found.widened)
     held["left"].append(low < left < high)
     held["left, upper"].append(left < high)
     held["% left"].append(100 * left / before)
+    ways_to_balance(held, (h, unbalance), known_influence(this, found, run_up(this, speeds)), before)
+
+
+# What readings repeat to, and a trial weight in either plane [kg m].
+READING, TRIAL = Noise(1.5e-7, 0.01), 1.5e-4
+
+
+def ways_to_balance(
+    held: Held, truth: tuple[np.ndarray, np.ndarray], stated: InfluenceResult, before: float
+) -> None:
+    """Weights by the model, by trial runs, and by both, set and measured again: the rms of the readings
+    within its interval, and what is left without noise.
+    """
+    h, unbalance = truth
+    rng = np.random.default_rng(len(held["left"]))
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "identification.json"
+        entry = {"influence": dataclasses.asdict(stated)}
+        path.write_text(json.dumps({"rotor_system": {"balance": entry}}))
+        prior, _ = modelled(path, stated.planes, ())
+
+    def run(weights: np.ndarray) -> Run:
+        z = h @ (unbalance + weights)
+        noise = rng.standard_normal(z.size) + 1j * rng.standard_normal(z.size)
+        return Run("", weights, z + np.sqrt(READING.variance(z) / 2) * noise)
+
+    trials = [run(weights) for weights in np.array([[0, 0], [TRIAL, 0], [0, TRIAL]], complex)]
+    first = run(best_weights(prior))
+    ways = {
+        "model": influence([], READING, prior),
+        "model, found, 1 trial": influence(trials[:2], READING, prior),
+        "model, found, 2 trials": influence(trials, READING, prior),
+        "model, trimmed": influence([first], READING, prior),
+        "found, 2 trials": influence(trials, READING),
+    }
+    for name, known in ways.items():
+        weights = best_weights(known)
+        low, high = residual_of(known, weights, READING).interval
+        reading = np.sqrt(np.mean(np.abs(run(weights).readings) ** 2))
+        held[f"by {name}"].append(low < reading < high)
+        held[f"by {name}, below"].append(reading > low)
+        left = np.sqrt(np.mean(np.abs(h @ (unbalance + weights)) ** 2))
+        held[f"% left by {name}"].append(100 * left / before)
 
 
 def by_numbers(kind: str, n_draw: int, seconds: float, seed: int) -> tuple[Held, Counter[str]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
+from labpipe.methods.balancing.influence import Influence, Noise, Run, best_weights, influence
 from labpipe.methods.journal_bearing.bearing import (
     JournalBearing,
     journal_equilibrium,
@@ -422,6 +423,63 @@ def falah() -> list[Claim]:
     return found
 
 
+# Goodman (1964), table 1: zero-rotor data and response coefficients of three locations.
+GOODMAN = np.array([[1, 3, -2], [-1, 5, -2], [0, 5, -3]], complex)
+# Feese and Grazier (2004), table 1, at forward x and y, aft x and y [mil, deg]: baseline, 11.1 g at 35 deg
+# aft, 3.7 g at 135 deg forward as well; residual vibrations as printed.
+FEESE = (
+    ((0.68, 32), (0.56, 86), (1.94, 231), (2.07, 335)),
+    ((1.31, 1), (1.25, 75), (0.93, 251), (1.00, 342)),
+    ((0.54, 9), (0.52, 75), (0.81, 196), (0.90, 296)),
+)
+FEESE_LEFT = ((0.08, 138), (0.09, 49), (0.05, 231), (0.05, 166))
+
+
+def at(size: float, degrees: float) -> complex:
+    return complex(size * np.exp(1j * np.radians(degrees)))
+
+
+def vector_rows(
+    name: str, value: complex, size: float, degrees: float, unit: str, last: float
+) -> list[Claim]:
+    """A vector within half of the *last* printed digit of its size, and of a degree."""
+    turned = float(np.degrees(np.angle(value * np.exp(-1j * np.radians(degrees)))))
+    kind, source = "printed calculation", "Feese, Grazier 2004"
+    return [
+        within(f"{name}, size", abs(value), size, last / 2, unit, kind, source),
+        within(f"{name}, angle", degrees + turned, degrees, 0.5, "deg", kind, source),
+    ]
+
+
+def balancing() -> list[Claim]:
+    """Weights by influence coefficients, and what they leave, as the authors computed them."""
+    known = Influence(GOODMAN, np.zeros((18, 18)))
+    weights = best_weights(known)
+    left = GOODMAN @ np.concatenate([[1.0], weights])
+    kind, source = "printed calculation", "Goodman 1964"
+    found = [
+        within("two planes, three readings: weight 1", weights[0].real, 0.81, 0.005, "1", kind, source),
+        within("two planes, three readings: weight 2", weights[1].real, 1.48, 0.005, "1", kind, source),
+        within("rms residual", np.sqrt(np.mean(np.abs(left) ** 2)), 0.356, 0.0005, "1", kind, source),
+    ]
+    aft, forward = at(11.1, 35), at(3.7, 135)
+    readings = [np.array([at(*reading) for reading in run]) for run in FEESE]
+    both = np.array([[0, 0], [aft, 0], [aft, forward]])
+    runs = [Run(str(number), *pair) for number, pair in enumerate(zip(both, readings, strict=True))]
+    known = influence(runs, Noise(1e-9, 0.0))
+    weights = best_weights(known)
+    found += vector_rows("compressor at 17,500 rpm: aft weight", weights[0], 15.3, 3, "g", 0.1)
+    found += vector_rows("compressor at 17,500 rpm: forward weight", weights[1], 6.6, 113, "g", 0.1)
+    left = known.mean @ np.concatenate([[1.0], weights])
+    names = ("forward x", "forward y", "aft x", "aft y")
+    rows = [
+        row
+        for name, z, printed in zip(names, left, FEESE_LEFT, strict=True)
+        for row in vector_rows(name, z, *printed, "mil", 0.01)
+    ]
+    return [*found, worst(rows, "residual vibration")]
+
+
 METHOD = Method(
     "rotors",
     "Rotors",
@@ -432,6 +490,7 @@ METHOD = Method(
         "onset": onset,
         "mendes": mendes,
         "falah": falah,
+        "balancing": balancing,
         "not tested": partial(gaps, "rotors"),
     },
 )

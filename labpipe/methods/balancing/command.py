@@ -26,8 +26,8 @@ UNLIKELY, WORTHWHILE = 0.01, 0.8
 )
 @options.overrides
 def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ...]) -> None:
-    """Balance weights by trial runs: what to set where, the vibration that is left with its interval, and
-    whether one more run would pay.
+    """Balance weights by trial runs, by a model of the rotor, or by both: what to set where, the vibration
+    that is left with its interval, and whether one more run would pay.
     """
     from labpipe.artefacts.writing import output_file
     from labpipe.methods.balancing.balance_file import balance_entry, balanced, load_balance
@@ -80,6 +80,7 @@ def sentences(result: Balanced) -> Iterator[str]:
     best = min(result.next_runs, key=lambda name: result.next_runs[name])
     if result.next_runs[best] < WORTHWHILE * residual.rms:
         left = plain_text(result.next_runs[best], file.unit, 3)
-        yield f"one more run with {best} first is expected to leave {left}"
+        share = 100 * result.next_runs[best] / residual.rms
+        yield f"one more run with {best} first is expected to leave {left}, {share:.0f} % of that"
     else:
         yield "one more run is not expected to lower it by a fifth"

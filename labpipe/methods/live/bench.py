@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.linalg import LinAlgError
-from scipy import special
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
@@ -28,6 +27,7 @@ from labpipe.estimation.transfer_mode import transfer_of
 from labpipe.methods.live.charts import (
     MOST_DROPPED,
     Charts,
+    Common,
     Forecast,
     Goal,
     Standing,
@@ -38,6 +38,7 @@ from labpipe.methods.live.charts import (
     half_width,
     hit_variation,
     no_longer_falls,
+    sequence_factor,
 )
 from labpipe.methods.live.running_fit import (
     CUTTERS,
@@ -49,7 +50,7 @@ from labpipe.methods.live.running_fit import (
     Estimate,
     RunningFit,
 )
-from labpipe.records.finding import NORMAL, Finding, Parameter
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Goodness
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
@@ -63,21 +64,6 @@ from labpipe.spectra.settings import FrfSettings
 # The fit of a run is made of the averages so far when there are so many in every direction, and again when
 # there are so many times more: what it adds to noise moves little from average to average.
 FIRST_LOOK, NEXT_LOOK = 3, 1.4
-
-
-@dataclass(frozen=True)
-class Common:
-    """What more averages do not take from the interval of a coefficient: the standard uncertainty *error* of
-    model error and of stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*.
-    """
-
-    error: float
-    shift: float
-    reason: str
-
-    @property
-    def half(self) -> float:
-        return NORMAL * self.error
 
 
 class FollowedFit:
@@ -113,6 +99,7 @@ class FollowedFit:
         self.model = model
         self.estimate: Estimate | None = None
         self.widths: dict[str, list[float]] = {}
+        self.first: list[tuple[ComplexArray, int]] = []
         self.common: Mapping[str, Common] = {}
         self._looked_at, self._next_look = 0, FIRST_LOOK
 
@@ -126,6 +113,8 @@ class FollowedFit:
     def add(self, z: ComplexArray, direction: int) -> None:
         """Take in an average's amplitudes *z* (n_line, 1, n_channel) [channels' units] in that direction."""
         sums = self.sums.of(direction)
+        if sums.n < 2:
+            self.first.append((z, direction))
         sums.add(z)
         if sums.n == 2:
             # What another direction tells is far from where the one before left the coefficients.
@@ -134,6 +123,19 @@ class FollowedFit:
             self.estimate = self.fit.update(self.sums)
         if self.estimate is not None and self.estimate.least >= self._next_look:
             self.look()
+
+    def move(self, place: int, sign: int) -> None:
+        """Take one of the first averages out (*sign* -1) or in again."""
+        z, direction = self.first[place]
+        self.sums.of(direction).add(z, sign)
+        self.estimate = self.fit.update(self.sums)
+
+    def first_disagrees(self, place: int) -> bool:
+        """Take one of the first averages out; whether it does not agree with the others."""
+        self.move(place, -1)
+        z, direction = self.first[place]
+        assert self.estimate is not None
+        return self.charts.jumps(z, self.sums.of(direction), self.estimate)
 
     def look(self) -> None:
         """Ask the fit of a run for what it adds to noise, of the averages so far.
@@ -147,7 +149,7 @@ class FollowedFit:
         self._looked_at = estimate.n
         self._next_look = int(np.ceil(NEXT_LOOK * estimate.least))
         try:
-            response = self._response()
+            response = self.response()
             fits = [] if response is None else list(identify(response, replace(self.settings, test=())))
         except (LabpipeError, LinAlgError):
             return
@@ -162,7 +164,8 @@ class FollowedFit:
             if (parts := parameter.interval) is not None and parameter.name in now
         }
 
-    def _response(self) -> FrequencyResponse | None:
+    def response(self) -> FrequencyResponse | None:
+        """The FRFs on the fit's lines by all averages so far; None before every direction had two."""
         n_output = len(self.setup.outputs)
         mean, noise = self.sums.mean, self.sums.covariance()
         motion, force = (part.swapaxes(1, 2) for part in (mean[..., :n_output], mean[..., n_output:]))
@@ -285,6 +288,8 @@ def names_of_fit(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
 # A coefficient that would take so many times the averages of the slowest reachable goal is not told by this
 # direction.
 OUT_OF_REACH = 20
+# Averages after which the first two, which had none before them, are held against the others.
+FIRST_AGAIN = 5
 # A force acts in an average when its amplitude is this share of the strongest one's.
 ACTS = 0.1
 
@@ -311,6 +316,7 @@ class Bench(Watch):
         self._energies: list[float] = []
         self._last_start = 0
         self._starts: list[int] = []
+        self._unjudged: list[int] = []
         self.findings: dict[tuple[str, str], Finding] = {}
         names = {fit.name: names_of_fit(fit, self.layout) for fit in self._settings}
         check_names(self.goals, names)
@@ -318,6 +324,10 @@ class Bench(Watch):
     @property
     def hits(self) -> bool:
         return self.frf.excitation == "impact"
+
+    def restart(self) -> None:
+        """The samples that follow belong to another recording."""
+        self.cutter.restart()
 
     def add(self, block: FloatArray) -> list[Update]:
         """What the next samples (n, n_channel) [SI] change, average by average."""
@@ -340,10 +350,12 @@ class Bench(Watch):
             return self._update((f"{what} {average.number} at {at:.3f} s is left out: {average.fault}",))
         if not self.fits:
             self._waiting.append(average)
-            if len(self._waiting) < 2:
+            # Noise is told by two averages of one direction.
+            alike = [a for a in self._waiting if self._shaken(a)[0] == self._shaken(average)[0]]
+            if len(alike) < 2:
                 self.averages = len(self._waiting)
                 return self._update(())
-            self._begin()
+            self._begin(alike)
             waiting, self._waiting, self.averages = self._waiting, [], 0
             for earlier in waiting[:-1]:
                 self._follow(earlier)
@@ -354,9 +366,15 @@ class Bench(Watch):
             return self._update((f"{what} {average.number} at {at:.3f} s is left out: {fault}",))
         return self._update((f"{what} {average.number} at {at:.3f} s",))
 
-    def _begin(self) -> None:
+    def _shaken(self, average: Average) -> tuple[int, float]:
+        """The number of an average's strongest force, and the size of all its forces [N]."""
+        force = average.amplitude[:, list(self.layout.input_columns[0])]
+        sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
+        return int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
+
+    def _begin(self, alike: Sequence[Average]) -> None:
         frequency = self.cutter.frequency
-        amplitudes = np.array([average.amplitude for average in self._waiting])
+        amplitudes = np.array([average.amplitude for average in alike])
         excited = np.ones(frequency.size, bool)
         if not self.hits:
             mean = amplitudes.mean(axis=0)
@@ -378,10 +396,8 @@ class Bench(Watch):
 
     def _follow(self, average: Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
-        force = average.amplitude[:, list(self.layout.input_columns[0])]
-        sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
         # Directions are shaken one after the other: an average belongs to that of its strongest force.
-        direction, level = int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
+        direction, level = self._shaken(average)
         parts = [fit.picked(average) for fit in self.fits]
         for fit, z in zip(self.fits, parts, strict=True):
             if fit.estimate is None:
@@ -398,6 +414,8 @@ class Bench(Watch):
                 self._note(Finding("level-dependent", message))
         self._energies.append(level**2)
         self.averages += 1
+        if self.fits[0].sums.of(direction).n < 2:
+            self._unjudged.append(average.number)
         for fit, z in zip(self.fits, parts, strict=True):
             fit.add(z, direction)
         self._starts.append(average.start)
@@ -424,9 +442,11 @@ class Bench(Watch):
             share = 100 * self.dropped / (self.averages + self.dropped)
             message = f"{share:.0f} % of the averages are left out: a loose connection, or bad hits"
             self._note(Finding("bad-averages", message))
-        if self._enough(standings):
+        enough = self._enough(standings)
+        if enough or self.averages == FIRST_AGAIN:
+            events = (*events, *self._first_again())
             # The last word is that of the fit of all averages.
-            for fit in self.fits:
+            for fit in self.fits if enough else ():
                 fit.look()
             standings = self._standings(variation, again=True)
         return Update(
@@ -437,6 +457,24 @@ class Bench(Watch):
             seconds=self.seconds,
             events=events,
         )
+
+    def _first_again(self) -> list[str]:
+        """The first two averages of a direction, which had none before them, held against the others."""
+        events = []
+        what = "hit" if self.hits else "period"
+        for place, number in reversed(list(enumerate(self._unjudged))):
+            # Every fit takes it out.
+            disagree = [fit.first_disagrees(place) for fit in self.fits]
+            if not any(disagree):
+                for fit in self.fits:
+                    fit.move(place, 1)
+                continue
+            events.append(f"{what} {number} is left out: it does not agree with the averages after it")
+            self.averages, self.dropped = self.averages - 1, self.dropped + 1
+            del self._unjudged[place]
+            for fit in self.fits:
+                del fit.first[place]
+        return events
 
     def _standings(self, variation: float, again: bool = False) -> dict[str, Standing]:
         standings: dict[str, Standing] = {}
@@ -560,15 +598,3 @@ class Bench(Watch):
                     value, half = value + common.shift, math.hypot(half, common.half)
                 intervals[f"{fit.settings.name}.{name}"] = (float(value - half), float(value + half))
         return intervals
-
-
-def sequence_factor(n: float, tuned: float, dof: float, alpha: float = 0.05) -> float:
-    """Half-width over standard error of an interval that holds for all numbers of averages at once, [1].
-
-    rho = n_opt / (-W_-1(-alpha^2 / e) - 1), q = (sqrt((n + rho) / rho) / alpha)^(2 / (nu + 1)),
-    factor^2 = nu (q - 1) / (1 - q rho / (n + rho)); infinite where the denominator is not positive.
-    """
-    rho = tuned / (-float(special.lambertw(-(alpha**2) / math.e, -1).real) - 1)
-    q = (np.sqrt((n + rho) / rho) / alpha) ** (2 / (dof + 1))
-    below = 1 - q * rho / (n + rho)
-    return float(np.sqrt(dof * (q - 1) / below)) if below > 0 else np.inf

@@ -6,19 +6,20 @@ test of a hundred. Hawkins (1987), self-starting CUSUM charts; Siegmund (1985) f
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.live.running_fit import HALF_WIDTH, Estimate, HitSums, RunningFit, Sums
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.finding import Finding, Parameter
+from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.recording import Channel
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -64,7 +65,7 @@ class Series:
         """The normal score of the next *value*, studentised by the values before it."""
         dof = PRIOR + len(self.past)
         spread = np.sqrt((PRIOR + sum(entry**2 for entry in self.past)) / dof)
-        size = float(stats.norm.isf(max(stats.t.sf(abs(value) / spread, dof), 1e-300)))
+        size = -float(special.ndtri(max(special.stdtr(dof, -abs(value) / spread), 1e-300)))
         return float(np.copysign(size, value))
 
     def take(self, value: float, score: float, number: int) -> None:
@@ -114,7 +115,12 @@ class Charts:
             z = z / z[..., -1:]
         else:
             share = np.full(z.shape[:2], 1.0 / sums.n)
-        residual = (self._fit.equation.gain(before.values)[:, None] @ z[..., None])[..., 0]
+        gain = self._fit.equation.gain(before.values)[:, None]
+        of_energy = share
+        if before.misfit:
+            # What the model does not explain is in every average: this one is held against those before it.
+            z, of_energy = z - mean, share / (1 + share)
+        residual = (gain @ z[..., None])[..., 0]
         n_parameter = slopes.shape[-1]
         flat = (weighted * share[..., None, None]).reshape(-1, n_parameter)
         gradient = 2 * (flat.conj().T @ residual.reshape(-1)).real
@@ -127,23 +133,18 @@ class Charts:
         shift = -own @ (gradient / scale)
         whitened = np.linalg.solve(np.linalg.cholesky(own + others), shift)
         energy = np.sum(
-            share * np.sum((residual.conj() * (inverse @ residual[..., None])[..., 0]).real, axis=2)
+            of_energy * np.sum((residual.conj() * (inverse @ residual[..., None])[..., 0]).real, axis=2)
         )
         return whitened, float(energy / residual.size)
 
-    def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
-        """The verdict on the next average *z* (n_line, n_experiment, n_channel) [channels' units].
-
-        *level*: size of its force [N].
-        """
+    def _scored(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[list[float], list[float], bool]:
+        """Values and normal scores of the energy and coefficients of *z*, and whether it is a jump."""
         number, n_parameter = sums.n + 1, len(self._scores)
-        if number < 3:
-            return Verdict()
         whitened, energy = self.monitors(z, sums, before)
         size = z.shape[0] * z.shape[1] * self._fit.equation.n_output
         smoothed = (number - 2) * (2 * HALF_WIDTH + 1)
         expected = smoothed / max(smoothed - self._fit.equation.n_output, 1)
-        expected *= 1 + n_parameter / (2 * size * (number - 1))
+        expected *= 1 + (0 if before.misfit else n_parameter / (2 * size * (number - 1)))
         variance = (1 + 1 / (number - 2)) / size
         # The logarithm of a mean of squares is nearly normal.
         raised = float((np.log(energy) - np.log(expected) + variance / 2) / np.sqrt(variance))
@@ -153,6 +154,23 @@ class Charts:
         jump |= (
             stats.chi2.sf(sum(score**2 for score in scores[1:]), n_parameter) < SCORE_JUMP * ALPHA / HORIZON
         )
+        return values, scores, bool(jump)
+
+    def jumps(self, z: ComplexArray, sums: Sums, others: Estimate) -> bool:
+        """Whether the average *z* (n_line, n_experiment, n_channel) [channels' units] does not agree with the
+        *others*, of which *sums* are.
+        """
+        return self._scored(z, sums, others)[2]
+
+    def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
+        """The verdict on the next average *z* (n_line, n_experiment, n_channel) [channels' units].
+
+        *level*: size of its force [N].
+        """
+        number = sums.n + 1
+        if number < 3:
+            return Verdict()
+        values, scores, jump = self._scored(z, sums, before)
         if jump:
             return Verdict(jump=True)
         for series, value, score in zip(self._all, values, scores, strict=True):
@@ -208,7 +226,10 @@ def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale:
     def half(averages: float) -> float:
         later = dof * (averages - 1) / (n - 1)
         return float(
-            stats.t.ppf((1 + coverage) / 2, later) * np.sqrt(1 + 2 / later) * error * np.sqrt(n / averages)
+            special.stdtrit(later, (1 + coverage) / 2)
+            * np.sqrt(1 + 2 / later)
+            * error
+            * np.sqrt(n / averages)
         )
 
     if half(n) <= goal:
@@ -246,6 +267,13 @@ def forecast(
     return Forecast(expected, low, high)
 
 
+def at_twice_the_level(more: int) -> int:
+    """Averages at twice the level of force that tell as much as *more* at this one, where the noise is that
+    of the sensors.
+    """
+    return -(-more // 4)
+
+
 def hit_variation(energies: Sequence[float]) -> float:
     """Squared coefficient of variation of the energy of hits, beside what is usual, [1]."""
     if len(energies) < 2:
@@ -258,6 +286,18 @@ def no_longer_falls(widths: Sequence[float]) -> bool:
     """Whether half-widths (n,) fell less than half as fast as noise over the last doubling."""
     n = len(widths)
     return n >= 4 and widths[-1] > widths[n // 2 - 1] * 2 ** (-0.25)
+
+
+def sequence_factor(n: float, tuned: float, dof: float, alpha: float = 0.05) -> float:
+    """Half-width over standard error of an interval that holds for all numbers of averages at once, [1].
+
+    rho = n_opt / (-W_-1(-alpha^2 / e) - 1), q = (sqrt((n + rho) / rho) / alpha)^(2 / (nu + 1)),
+    factor^2 = nu (q - 1) / (1 - q rho / (n + rho)); infinite where the denominator is not positive.
+    """
+    rho = tuned / (-float(special.lambertw(-(alpha**2) / math.e, -1).real) - 1)
+    q = (np.sqrt((n + rho) / rho) / alpha) ** (2 / (dof + 1))
+    below = 1 - q * rho / (n + rho)
+    return float(np.sqrt(dof * (q - 1) / below)) if below > 0 else np.inf
 
 
 # What a rule may name: half the width of the stated interval, or the standard error of noise.
@@ -297,6 +337,21 @@ class Goal:
             return parse_value(self.limit, parameter.unit)
         except UnitError as error:
             raise ConfigError(f"--until: '{self.text}': {error.what}", hint=error.hint) from None
+
+
+@dataclass(frozen=True)
+class Common:
+    """What more averages do not take from the interval of a coefficient: the standard uncertainty *error* of
+    model error and of stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*.
+    """
+
+    error: float
+    shift: float
+    reason: str
+
+    @property
+    def half(self) -> float:
+        return NORMAL * self.error
 
 
 @dataclass(frozen=True)
@@ -354,13 +409,13 @@ class Update:
                 parameters[name]["goal"] = standing.goal
             if standing.remaining is not None:
                 left = standing.remaining
+                more = None if left.expected is None else left.expected - self.averages
                 remaining[name] = {
-                    "averages": None if left.expected is None else left.expected - self.averages,
+                    "averages": more,
+                    "at_twice_the_level": None if more is None else at_twice_the_level(more),
                     "low": None if left.low is None else left.low - self.averages,
                     "high": None if left.high is None else left.high - self.averages,
-                    "seconds": None
-                    if left.expected is None
-                    else (left.expected - self.averages) * self.seconds,
+                    "seconds": None if more is None else more * self.seconds,
                 }
         return {
             "averages": self.averages,

@@ -154,7 +154,7 @@ def _course(
                 return []
             bench = Bench(recording.channels, recording.sample_rate, frf, plain, settings.goals)
         else:
-            bench.cutter.restart()
+            bench.restart()
         for block in recording.blocks(BLOCK):
             for update in bench.add(block):
                 if update.stop and enough is None:

@@ -58,15 +58,15 @@ class PeriodSums:
         self.mean = np.empty((0, 0, 0), np.complex128)
         self._scatter = np.empty((0, 0, 0, 0), np.complex128)
 
-    def add(self, z: ComplexArray) -> None:
-        """The next average *z* (n_line, n_experiment, n_channel) [channels' units]."""
+    def add(self, z: ComplexArray, sign: int = 1) -> None:
+        """The average *z* (n_line, n_experiment, n_channel) [channels' units]; *sign* -1 takes it out."""
         if not self.n:
             self.mean = np.zeros(z.shape, np.complex128)
             self._scatter = np.zeros((*z.shape, z.shape[2]), np.complex128)
-        self.n += 1
-        before = z - self.mean
-        self.mean += before / self.n
-        self._scatter += before[..., :, None] * (z - self.mean)[..., None, :].conj()
+        self.n += sign
+        here = z - self.mean
+        self.mean += sign * here / self.n
+        self._scatter += sign * here[..., :, None] * (z - self.mean)[..., None, :].conj()
 
     def covariance(self) -> ComplexArray:
         """Of the mean, averaged over neighbouring lines, (n_line, n_experiment, n_channel, n_channel)
@@ -91,17 +91,19 @@ class HitSums:
         self._xf = self._xx = np.empty(0, np.complex128)
         self._ff = np.empty(0)
 
-    def add(self, z: ComplexArray) -> None:
-        """The next hit or block *z* (n_line, n_experiment, n_channel) [channels' units], the force last."""
+    def add(self, z: ComplexArray, sign: int = 1) -> None:
+        """The next hit or block *z* (n_line, n_experiment, n_channel) [channels' units], the force last;
+        *sign* -1 takes it out.
+        """
         x, f = z[..., :-1], z[..., -1]
         if not self.n:
             self._xf = np.zeros(x.shape, np.complex128)
             self._ff = np.zeros(f.shape)
             self._xx = np.zeros((*x.shape, x.shape[2]), np.complex128)
-        self.n += 1
-        self._xf += x * f[..., None].conj()
-        self._ff += np.abs(f) ** 2
-        self._xx += x[..., :, None] * x[..., None, :].conj()
+        self.n += sign
+        self._xf += sign * x * f[..., None].conj()
+        self._ff += sign * np.abs(f) ** 2
+        self._xx += sign * x[..., :, None] * x[..., None, :].conj()
 
     @property
     def mean(self) -> ComplexArray:

@@ -17,7 +17,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.bench import Bench, obstacle
+from labpipe.methods.live.bench import Bench, names_of_fit, obstacle
 from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, half_width
 from labpipe.methods.live.sources import MOST_ROWS, Folder, SampleStream, is_old
 from labpipe.project.ingest import Calibration, channel_screen
@@ -25,19 +25,25 @@ from labpipe.project.measured import OTHERS
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.records.finding import WARNING, Finding, note
-from labpipe.records.recording import Channel
+from labpipe.records.identification import Fit
+from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import Rig
+from labpipe.records.spectra import FreeDecays
 from labpipe.spectra.measurement import measure
+from labpipe.spectra.ports import find_layout
 from labpipe.spectra.settings import FrfSettings
 
 # Rows of a time column by which the rate is known.
 ROWS_OF_RATE = 64
 # A step of time beyond so many usual ones is a gap.
 GAP = 1.5
-# Averages from which a fit of all samples so far is judged, and how much longer they are at its next look.
-LEAST_WHOLE, NEXT_LOOK = 10, 1.15
+# Averages from which a fit of all samples so far is judged, and how much longer they are at its next look:
+# before, when nothing can be enough yet, and from then on.
+LEAST_WHOLE, EARLY_LOOK, NEXT_LOOK = 10, 1.4, 1.15
 # Pause between two looks at a source that had nothing new [s].
 PAUSE = 0.1
+# Time by which the picture may lag behind the samples before that is said [s].
+BEHIND = 1.0
 
 
 class Kept:
@@ -63,39 +69,44 @@ class Kept:
         self.n_row += rows.shape[0]
         return True
 
-    def blocks(self, n_row: int) -> Iterator[FloatArray]:
-        """Consecutive blocks (n, n_column) [unit in which they came] of at most *n_row* rows."""
+    def blocks(self, n_row: int, first: int = 0, end: int | None = None) -> Iterator[FloatArray]:
+        """Consecutive blocks (n, n_column) [unit in which they came] of at most *n_row* rows, of those from
+        *first* to *end*.
+        """
+        end = self.n_row if end is None else end
         if self.n_row:
             whole = np.memmap(self.path, np.float64, "r", shape=(self.n_row, self._n_column))
-            for start in range(0, self.n_row, n_row):
-                yield np.array(whole[start : start + n_row])
+            for start in range(first, end, n_row):
+                yield np.array(whole[start : min(start + n_row, end)])
 
     def close(self) -> None:
         self._file.close()
 
 
 @dataclass(frozen=True)
-class Prefix:
-    """The samples so far, on disk."""
+class Part:
+    """One recording of those that came so far: samples *first* to *end* of what is on disk."""
 
     channels: tuple[Channel, ...]
     sample_rate: float
     kept: Kept
-    name: str = "live"
+    first: int
+    end: int
+    name: str
     findings: tuple[Finding, ...] = ()
 
     @property
     def n_sample(self) -> int:
-        return self.kept.n_row
+        return self.end - self.first
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks (n, n_channel) [SI] of at most *n_sample* samples."""
-        return self.kept.blocks(n_sample)
+        return self.kept.blocks(n_sample, self.first, self.end)
 
 
 class WholeFits(Watch):
     """Fits that cannot follow single averages: made anew of all samples so far, at looks ever further
-    apart.
+    apart. What begins anew (a file that falls into a folder, a gap) is another recording, as in a run.
     """
 
     def __init__(
@@ -110,8 +121,13 @@ class WholeFits(Watch):
         self._fits = tuple(fits)
         self._folder = tempfile.TemporaryDirectory(prefix="labpipe-live-")
         self._kept = Kept(Path(self._folder.name) / "samples", len(self.channels))
-        self._next = 0.0
-        self.response: Any = None
+        self._next, self._looked_at = 0.0, 0
+        self._firsts = [0]
+
+    def restart(self) -> None:
+        """The samples that follow belong to another recording."""
+        if self.n_sample > self._firsts[-1]:
+            self._firsts.append(self.n_sample)
 
     def add(self, block: FloatArray) -> list[Update]:
         """Keep the next samples (n, n_channel) [SI]; an update where it is time for a look."""
@@ -121,8 +137,9 @@ class WholeFits(Watch):
         self._next = self._next or 3 * length * self.sample_rate
         if self.n_sample < self._next:
             return []
-        self._next = NEXT_LOOK * self.n_sample
-        return self.look()
+        looked = self.look()
+        self._next = (NEXT_LOOK if self.averages >= LEAST_WHOLE else EARLY_LOOK) * self.n_sample
+        return looked
 
     def close(self) -> None:
         """Leave no samples on disk."""
@@ -133,21 +150,42 @@ class WholeFits(Watch):
     def n_sample(self) -> int:
         return self._kept.n_row
 
-    def look(self) -> list[Update]:
-        prefix = Prefix(self.channels, self.sample_rate, self._kept)
-        seconds = self.n_sample / self.sample_rate
+    def _parts(self) -> list[Part]:
+        ends = [*self._firsts[1:], self.n_sample]
+        return [
+            Part(self.channels, self.sample_rate, self._kept, first, end, f"recording {number}")
+            for number, (first, end) in enumerate(zip(self._firsts, ends, strict=True), 1)
+            if end > first
+        ]
+
+    def _fitted(self, parts: Sequence[Part]) -> tuple[Any, list[Fit]]:
+        """What the recordings give, and the fits of it; what has just begun may not do yet."""
+        kind = OTHERS.get(self.frf.gives)
         try:
-            kind = OTHERS.get(self.frf.gives)
-            measured = measure([prefix], self.frf) if kind is None else kind.make([prefix], self.frf)
-            fits = [fit for settings in self._fits for fit in identify(measured, settings)]
+            measured = measure(parts, self.frf) if kind is None else kind.make(parts, self.frf)
+            return measured, [fit for settings in self._fits for fit in identify(measured, settings)]
+        except LabpipeError:
+            if len(parts) < 2 or parts[-1].end < self.n_sample:
+                raise
+        return self._fitted(parts[:-1])
+
+    def look(self) -> list[Update]:
+        """An update by all samples so far, none where these were looked at already."""
+        seconds = self.n_sample / self.sample_rate
+        if self._looked_at == self.n_sample:
+            return []
+        self._looked_at = self.n_sample
+        try:
+            measured, fits = self._fitted(self._parts())
         except LabpipeError as error:
             full = _no_room(self._kept, self.sample_rate)
             update = Update(self.averages, findings=(*full, Finding("not-yet", error.what)))
             self.keep(update)
             return [update]
-        self.response = measured
         check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
-        self.averages = int(getattr(measured, "averages", 0)) or round(seconds / (self.frf.period or 1.0))
+        decays = measured.decays if isinstance(measured, FreeDecays) else ()
+        counted = len(decays) or getattr(measured, "averages", 0)
+        self.averages = int(counted or round(seconds / (self.frf.period or 1.0)))
         standings = {
             f"{fit.name}.{parameter.name}": self._standing(fit.name, parameter)
             for fit in fits
@@ -221,7 +259,7 @@ class Session:
 
     def updates(self) -> Iterator[Update]:
         """What each new average changes, until the source ends, rests too long, or *stopped* says so."""
-        rested = 0.0
+        rested, waited = 0.0, (time.monotonic(), 0)
         try:
             while not self.stopped():
                 rows = self.stream.read()
@@ -232,14 +270,26 @@ class Session:
                         break
                     time.sleep(PAUSE)
                     rested += PAUSE
+                    waited = (time.monotonic(), self.n_row)
                     continue
                 rested = 0.0
-                yield from self._taken(rows)
+                for update in self._taken(rows):
+                    yield replace(update, findings=(*update.findings, *self._behind(*waited)))
             yield from self._ended()
         finally:
             for open_one in (self.kept, self.bench):
                 if isinstance(open_one, Kept | WholeFits):
                     open_one.close()
+
+    def _behind(self, since: float, done: int) -> list[Finding]:
+        """What is said where samples come faster than they are followed, *since* a time [s] when *done* were
+        followed and no more were there.
+        """
+        if self._rate is None:
+            return []
+        lag = time.monotonic() - since - (self.n_row - done) / self._rate
+        message = f"the picture is {lag:.0f} s behind the samples; none is lost"
+        return [note("behind", message)] if lag > BEHIND else []
 
     def _taken(self, rows: FloatArray) -> Iterator[Update]:
         if self.kept is not None and not self.kept.full and not self.kept.add(rows):
@@ -252,8 +302,8 @@ class Session:
             if self.findings:
                 yield Update(0, findings=tuple(self.findings))
         assert self.bench is not None
-        if self.stream.restarted and isinstance(self.bench, Bench):
-            self.bench.cutter.restart()
+        if self.stream.restarted:
+            self.bench.restart()
         for piece in self._without_gaps(rows):
             block = self._calibration.with_sums(self._calibration.measured(piece))
             measured = block[:, : len(self.rig.channels)]
@@ -280,7 +330,7 @@ class Session:
         channels = self.rig.all_channels
         reasons = {fit.name: obstacle(fit, frf, channels, rate) for fit in fits}
         followed = [fit for fit in fits if not reasons[fit.name]]
-        wanted = {goal.fit for goal in self.goals}
+        wanted = self._waited_for(fits, followed, rate)
         # A fit that nobody waits for is left to the run at the end.
         whole = [fit for fit in fits if fit not in followed and (not followed or fit.name in wanted)]
         self.findings += [
@@ -293,6 +343,26 @@ class Session:
         else:
             self.bench = Bench(channels, rate, frf, followed, self.goals)
         return True
+
+    def _waited_for(
+        self, fits: Sequence[FitSettings], followed: Sequence[FitSettings], rate: float
+    ) -> set[str]:
+        """The fits that a goal is set for; one that names no fit is for all that have its coefficient, and,
+        if no fit that is followed has it, for all whose coefficients are only known by their values.
+        """
+        linear = [fit for fit in fits if fit.kind.equations is not None]
+        names: dict[str, tuple[str, ...]] = {}
+        if linear and any(not goal.fit for goal in self.goals):
+            channels = self.rig.all_channels
+            layout = find_layout([Recording(tuple(channels), np.zeros((2, len(channels))), rate)])
+            names = {fit.name: names_of_fit(fit, layout) for fit in linear}
+        known = {name for fit in followed for name in names.get(fit.name, ())}
+        return {goal.fit for goal in self.goals} | {
+            fit.name
+            for fit in fits
+            for goal in self.goals
+            if not goal.fit and (goal.name in names.get(fit.name, ()) or goal.name not in known)
+        }
 
     def _without_gaps(self, rows: FloatArray) -> Iterator[FloatArray]:
         if not self.rig.time:
@@ -314,8 +384,8 @@ class Session:
         for end in (*gaps.tolist(), rows.shape[0]):
             if end > begin:
                 yield rows[begin:end, 1:]
-            if end < rows.shape[0] and isinstance(self.bench, Bench):
-                self.bench.cutter.restart()
+            if end < rows.shape[0] and self.bench is not None:
+                self.bench.restart()
             begin = end
 
     def write_recording(self, path: Path) -> None:
@@ -329,7 +399,7 @@ class Session:
     def _ended(self) -> Iterator[Update]:
         if self.bench is None:
             raise DataError("the source ended before it held enough samples", hint="is it the right one?")
-        if isinstance(self.bench, WholeFits) and self.bench.n_sample:
+        if isinstance(self.bench, WholeFits):
             for update in self.bench.look():
                 yield replace(update, findings=(*update.findings, *self.findings))
 
@@ -352,7 +422,8 @@ def _no_room(kept: Kept, rate: float | None) -> list[Finding]:
 def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
     """What is said at the beginning of a test of a fit that cannot be followed."""
     instead = (
-        f"it is made anew of all samples, each time after {100 * (NEXT_LOOK - 1):.0f} % more of them"
+        f"it is made anew of all samples, each time after {100 * (NEXT_LOOK - 1):.0f} % more of them "
+        f"({100 * (EARLY_LOOK - 1):.0f} % before average {LEAST_WHOLE})"
         if whole
         else "it is made once the test has ended"
     )

@@ -14,12 +14,13 @@ import numpy as np
 
 from labpipe.display import difference_in, shown_unit, unit_label, with_error
 from labpipe.document.html_page import render_html
-from labpipe.methods.live.bench import FollowedFit
-from labpipe.methods.live.charts import Standing, Update
+from labpipe.methods.live.bench import Bench, FollowedFit
+from labpipe.methods.live.charts import Standing, Update, at_twice_the_level
 from labpipe.methods.live.course import coefficients_of, course_figure
-from labpipe.methods.live.session import Session, WholeFits
+from labpipe.methods.live.session import Session
 from labpipe.quantities import to_display
-from labpipe.report.chart import Axis, Panel, curve, stacked
+from labpipe.records.finding import NORMAL
+from labpipe.report.chart import Axis, Panel, Series, curve, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 # Points of a fitted curve between its first and last line.
@@ -54,13 +55,12 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
     text = f"{more} more {what}{'s' if more != 1 else ''}, about {duration(more * update.seconds)}"
     if left.low is not None and left.high is not None:
         text += f" (80 %: {max(left.low - update.averages, 0)}-{left.high - update.averages})"
-    return text
+    return text + (f"; at twice the level {at_twice_the_level(more)}" if left.low is not None else "")
 
 
 def level_text(session: Session, name: str, size: float) -> str:
     """The largest size of a channel in its unit, and its share of the range where the rig states one."""
-    units = {channel.name: channel.unit for channel in session.rig.all_channels}
-    unit = shown_unit(units[name], size, None)
+    unit = shown_unit(next(one.unit for one in session.rig.all_channels if one.name == name), size, None)
     text = f"{difference_in(size, unit):.3g} {unit_label(unit)}"
     of_rig = {channel.channel.name: channel for channel in session.rig.channels}.get(name)
     if of_rig is None or of_rig.limits is None:
@@ -80,7 +80,7 @@ def what_of(session: Session) -> str:
     """What an average of the test is."""
     frf = session.pipeline.frf
     assert frf is not None
-    return {"impact": "hit", "periodic": "period"}.get(frf.excitation, "average")
+    return {"impact": "hit", "periodic": "period", "decay": "decay"}.get(frf.excitation, "average")
 
 
 def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]:
@@ -134,39 +134,47 @@ def course(session: Session, update: Update) -> Document:
 
 
 def _responses(session: Session) -> list[Figure]:
-    bench = session.bench
-    if bench is None or isinstance(bench, WholeFits):
-        return []
-    figures = []
-    for fit in bench.fits:
-        if fit.estimate is not None and len(fit.setup.inputs) == 1:
-            figures.append(_response(fit))
-    return figures
+    fits = session.bench.fits if isinstance(session.bench, Bench) else []
+    return [figure for fit in fits if (figure := _response(fit)) is not None]
 
 
-def _response(fit: FollowedFit) -> Figure:
-    equation, estimate = fit.fit.equation, fit.estimate
-    assert estimate is not None
-    mean = fit.sums.mean[:, 0]
-    motion, force = equation.split(mean[:, None])
-    frequency = equation.omega / (2 * np.pi)
-    measured = np.abs(motion[:, 0] / force[:, 0, :1])
-    dense = np.linspace(equation.omega[0], equation.omega[-1], DENSE)
-    fitted = np.abs(fit.model.receptance(estimate.values, dense))[:, :, 0]
-    panels = []
-    for row, port in enumerate(fit.setup.outputs):
-        series = (
-            curve("measured", frequency, measured[:, row], line="", marker="."),
-            curve("fitted", dense / (2 * np.pi), fitted[:, row], colour=1),
-        )
-        amplitude = Axis(f"|{port.label}|", "m/N", logarithmic=True)
-        panels.append(Panel(Axis("frequency", "Hz"), amplitude, series))
-    name = fit.settings.name
-    return Figure(
-        stacked(panels, 1.8 * len(panels) + 0.8),
-        f"{name}: receptance so far, and the fitted model.",
-        f"Measured and fitted receptance of {name}",
+def _response(fit: FollowedFit) -> Figure | None:
+    """Measured receptances with their 95 % bands, the fitted ones, and the coherences of the averages; None
+    before every direction was shaken twice.
+    """
+    estimate, response = fit.estimate, None if fit.estimate is None else fit.response()
+    if estimate is None or response is None or response.variance is None:
+        return None
+    equation = fit.fit.equation
+    forces = np.broadcast_to(
+        np.eye(len(response.inputs)), (response.frequency.size, *2 * (equation.n_force,))
     )
+    motion, _ = equation.split(np.concatenate([response.matrix.swapaxes(1, 2), forces], axis=2))
+    share = response.variance / np.abs(response.matrix) ** 2
+    coherence = 1 / (1 + response.averages * share)
+    dense = np.linspace(equation.omega[0], equation.omega[-1], DENSE)
+    fitted = np.abs(fit.model.receptance(estimate.values, dense))
+    panels: list[Panel] = []
+    coherences: list[Series] = []
+    for row, output in enumerate(response.outputs):
+        for column, force in enumerate(response.inputs):
+            name, size = f"{output.label}/{force.label}", np.abs(motion[:, column, row])
+            # Of an amplitude, whose error is one of both components.
+            half = NORMAL * size * np.sqrt(share[:, row, column] / 2)
+            ends = (np.maximum(size - half, 1e-3 * size), size + half)
+            series = (
+                curve("measured", response.frequency, size, line="", marker=".", band=ends),
+                curve("fitted", dense / (2 * np.pi), fitted[:, row, column], colour=1),
+            )
+            amplitude = Axis(f"|{name}|", "m/N", logarithmic=True)
+            panels.append(Panel(Axis("frequency", "Hz"), amplitude, series))
+            coherences.append(
+                curve(name, response.frequency, coherence[:, row, column], colour=len(coherences))
+            )
+    panels.append(Panel(Axis("frequency", "Hz"), Axis("coherence", low=0.0, high=1.0), tuple(coherences)))
+    name, chart = fit.settings.name, stacked(panels, 1.8 * len(panels) + 0.8)
+    caption = f"{name}: receptance so far with its 95 % band, the fitted model, and the coherence."
+    return Figure(chart, caption, f"Measured and fitted receptance of {name}")
 
 
 ADDRESS = "127.0.0.1"

@@ -97,9 +97,36 @@ class WeightResult:
 
 
 @dataclass(frozen=True)
+class VibrationResult:
+    """Rms of the probes [m] over *speed* [Hz], *before* and *after* weights, with the 95 % interval of the
+    latter, *low* to *high*.
+    """
+
+    speed: tuple[float, ...]
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class InfluenceResult:
+    """What the rotor's tests say of the vibration z_0 [m] and the influence alpha [m/(kg m)] of the *planes*
+    at every reading: *mean* and *root* of their joint covariance, a row for the real part of each, then for
+    the imaginary part of each; by reading, z_0 before the planes.
+    """
+
+    planes: tuple[str, ...]
+    readings: tuple[str, ...]
+    mean: tuple[float, ...]
+    root: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
 class BalanceResult:
     """Weights without a trial run; rms of the readings *before* and *after* them [m] with the 95 % interval
-    of the latter; *next_runs*: what is expected to be left [m] if that run is made first.
+    of the latter; *next_runs*: what is expected to be left [m] if that run is made first; *influence*: what
+    `labpipe balance` takes trial runs together with; *vibration*: what the weights do over the speeds.
     """
 
     speeds: tuple[float, ...]
@@ -108,6 +135,8 @@ class BalanceResult:
     after: float
     interval: tuple[float, float]
     next_runs: Mapping[str, float] = field(default_factory=dict)
+    influence: InfluenceResult | None = None
+    vibration: VibrationResult | None = None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,13 @@ from labpipe.display import amount_text, number, plain_text, with_error
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
-from labpipe.methods.rotor_system.records import CriticalResult, RotorSystemResult, Row, UnknownResult
+from labpipe.methods.rotor_system.records import (
+    CriticalResult,
+    RotorSystemResult,
+    Row,
+    UnknownResult,
+    VibrationResult,
+)
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
@@ -186,6 +192,8 @@ def result_blocks(result: RotorSystemResult) -> tuple[Block, ...]:
     if result.tests:
         blocks += [unknown_table(result), test_table(result), small_error_table(result)]
     blocks.append(campbell_figure(result))
+    if result.balance is not None and result.balance.vibration is not None:
+        blocks.append(vibration_figure(result.balance.vibration))
     if result.tests:
         blocks.append(unknown_figure(result))
     return tuple(blocks)
@@ -273,6 +281,30 @@ def small_error_table(result: RotorSystemResult) -> Table:
 
 def _column(rows: tuple[Row, ...], mode: int) -> np.ndarray:
     return np.array([np.nan if row[mode] is None else row[mode] for row in rows], dtype=float)
+
+
+def vibration_figure(vibration: VibrationResult) -> Figure:
+    """The vibration over speed as it is, and with the weights."""
+    speed, ends = RPM * np.array(vibration.speed), (vibration.low, vibration.high)
+    series = (
+        curve("as it is", speed, UM * np.array(vibration.before), line="--"),
+        curve(
+            "with the weights",
+            speed,
+            UM * np.array(vibration.after),
+            1,
+            band=(UM * np.array(ends[0]), UM * np.array(ends[1])),
+        ),
+    )
+    axis = Axis("rms of the probes", "um", logarithmic=True)
+    caption = (
+        "Vibration that is expected over speed, as it is and with the weights, the latter with its 95 % band."
+    )
+    return Figure(
+        stacked([Panel(Axis("speed", "rpm"), axis, series)], 3.0),
+        caption,
+        "Vibration before and after weights",
+    )
 
 
 def campbell_figure(result: RotorSystemResult) -> Figure:

@@ -13,11 +13,11 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.rotor_system.build import Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.methods.rotor_system.posterior import Posterior
-from labpipe.methods.rotor_system.records import BalanceResult, WeightResult
+from labpipe.methods.rotor_system.records import BalanceResult, InfluenceResult, VibrationResult, WeightResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 
-# Draws behind what one more run would leave.
-LOOKED = 60
+# Draws behind what one more run would leave, and behind the vibration over so many speeds.
+LOOKED, SPEEDS = 60, 61
 
 
 def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
@@ -41,7 +41,60 @@ def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) 
         float(np.sqrt(np.mean(left**2))),
         (low, high),
         _next_weights(built, posterior, test, weights),
+        known_influence(built, posterior, test),
+        _over_speed(settings, built, posterior, test, weights),
     )
+
+
+def _over_speed(
+    settings: RotorSystemSettings,
+    built: Built,
+    posterior: Posterior,
+    test: RunUpVectors,
+    weights: ComplexArray,
+) -> VibrationResult:
+    """What the weights do from half the lowest of the speeds they are made for to beyond the highest, and to
+    the operating speed.
+    """
+    asked, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
+    speed = np.linspace(0.5 * min(asked), max(1.1 * max(asked), operating), SPEEDS)
+    wide = replace(test, speed=2 * np.pi * speed)
+    before: list[FloatArray] = []
+    after: list[FloatArray] = []
+    for values in posterior.draws(LOOKED, settings.seed):
+        h, u = vectors_of_unbalance(built, wide, values)
+        for into, acting in ((before, u), (after, u + weights)):
+            into.append(np.sqrt(np.mean(np.abs((h @ acting).reshape(SPEEDS, -1)) ** 2, axis=1)))
+    low, high = np.percentile(after, (2.5, 97.5), axis=0)
+    middles = (np.sqrt(np.mean(np.square(part), axis=0)) for part in (before, after))
+    columns = (speed, *middles, low, posterior.widened * high)
+    return VibrationResult(*(tuple(float(value) for value in column) for column in columns))
+
+
+def known_influence(built: Built, posterior: Posterior, test: RunUpVectors) -> InfluenceResult:
+    """z_0 = H u and alpha = H at the speeds and probes of a *test*, with the root of their covariance: the
+    half differences over one standard deviation to either side along each axis of the posterior, which is
+    widened where intervals are.
+    """
+
+    def parts(values: FloatArray) -> FloatArray:
+        h, u = vectors_of_unbalance(built, test, values)
+        both = np.concatenate([(h @ u)[:, None], h], axis=1).ravel()
+        return np.concatenate([both.real, both.imag])
+
+    scale = posterior.standard_errors
+    sizes, axes = np.linalg.eigh(posterior.spread / np.outer(scale, scale))
+    steps = (scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))).T
+    middle = posterior.values
+    root = [posterior.widened * (parts(middle + step) - parts(middle - step)) / 2 for step in steps]
+    readings = tuple(
+        f"{dof // 4 + 1} {'yz'[dof % 4]} {speed * 30 / np.pi:.0f} rpm"
+        for speed in test.speed
+        for dof in test.outputs
+    )
+    columns = tuple(tuple(float(value) for value in row) for row in np.array(root).T)
+    planes = tuple(f"node {node}" for node in built.planes)
+    return InfluenceResult(planes, readings, tuple(float(value) for value in parts(middle)), columns)
 
 
 def expected(
@@ -50,7 +103,7 @@ def expected(
     """Weights (n_plane,) [kg m], the rms of the readings that they leave in every draw (n_draw,) [m], and the
     rms of the readings before [m].
     """
-    each = [influence(built, test, values) for values in posterior.draws(n_draw, seed)]
+    each = [vectors_of_unbalance(built, test, values) for values in posterior.draws(n_draw, seed)]
     weights = best_weights(each)
     left = np.array([np.sqrt(np.mean(np.abs(h @ (u + weights)) ** 2)) for h, u in each])
     return weights, left, float(np.sqrt(np.mean([np.mean(np.abs(h @ u) ** 2) for h, u in each])))
@@ -64,7 +117,9 @@ def interval_of(left: FloatArray, widened: float) -> tuple[float, float]:
     return float(low), float(widened * high)
 
 
-def influence(built: Built, test: RunUpVectors, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def vectors_of_unbalance(
+    built: Built, test: RunUpVectors, values: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
     """H (n_reading, n_plane) [m/(kg m)] and u (n_plane,) [kg m] at *values* (n_unknown,), for the speeds and
     probes of a test.
     """
@@ -102,7 +157,7 @@ def _next_weights(
         _, jacobian = run.residual(built.model, posterior.values)
         covariance = np.linalg.inv(information + jacobian.T @ jacobian)
         narrowed = replace(posterior, covariance=covariance, refits=None)
-        each = [influence(built, test, values) for values in narrowed.draws(LOOKED)]
+        each = [vectors_of_unbalance(built, test, values) for values in narrowed.draws(LOOKED)]
         chosen = best_weights(each)
         by_run[name] = float(np.sqrt(np.mean([np.mean(np.abs(h @ (u + chosen)) ** 2) for h, u in each])))
     return by_run

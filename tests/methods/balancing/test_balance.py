@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from labpipe.methods.balancing.balance_file import (
+from labpipe.methods.balancing.influence import (
+    Influence,
     Noise,
     Places,
     Run,
@@ -119,6 +120,109 @@ def test_readings_beyond_the_stated_noise_are_seen():
     assert known.dof == 16 and known.misfit > 100
 
 
+def model(rng: np.random.Generator, n_line: int, n_plane: int, share: float) -> tuple[Influence, np.ndarray]:
+    """A model whose influence coefficients have errors of a *share*, alike in all lines and one of each, and
+    whose unbalance has errors as well: what it says, and the root of its covariance.
+    """
+    alpha = rig(rng, n_line, n_plane)[1]
+    u = 5 * np.exp(2j * np.pi * rng.random(n_plane))
+    columns = []
+    for line in range(n_line + 1):
+        for turn in (1, 1j):
+            moved = (
+                share * turn * alpha * (1 if line == n_line else 0.3 * (np.arange(n_line) == line)[:, None])
+            )
+            columns.append(np.column_stack([moved @ u, moved]))
+    for plane in range(n_plane):
+        for turn in (1, 1j):
+            columns.append(np.column_stack([share * turn * alpha[:, plane] * 5, 0 * alpha]))
+    parts = np.array([np.concatenate([c.real.ravel(), c.imag.ravel()]) for c in columns]).T
+    mean = np.column_stack([alpha @ u, alpha])
+    return Influence(mean, parts @ parts.T, modelled=True), parts
+
+
+def world(known: Influence, parts: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """z_0 and alpha drawn from what a model says, (n_line, n_plane + 1)."""
+    real, imaginary = np.split(parts @ rng.standard_normal(parts.shape[1]), 2)
+    return known.mean + (real + 1j * imaginary).reshape(known.mean.shape)
+
+
+def test_a_run_after_a_model_is_the_sum_of_their_informations():
+    """N(m, C) and readings y = A x + e give x = (C^-1 + A^T R^-1 A)^-1 (C^-1 m + A^T R^-1 y)."""
+    rng, noise = np.random.default_rng(2), Noise(0.05, 0.02)
+    n_line, n = 3, 3
+    root = rng.standard_normal((2 * n_line * n, 40))
+    known = Influence(rig(rng, n_line, n - 1)[1] @ np.ones((n - 1, n)), root @ root.T / 40, modelled=True)
+    run = Run("r", rng.standard_normal(2) + 1j * rng.standard_normal(2), rng.standard_normal(n_line) + 0.5j)
+    run.readings[1] = np.nan
+    after = influence([run], noise, known)
+    x = np.concatenate([known.mean.real.ravel(), known.mean.imag.ravel()])
+    rows, y, r = [], [], []
+    for line in (0, 2):
+        for part in ("real", "imag"):
+            row = np.zeros((2, n_line, n))
+            for unknown, weight in enumerate([1.0, *run.weights]):
+                row[0, line, unknown] = getattr(complex(weight), part)
+                row[1, line, unknown] = getattr(1j * complex(weight), part)
+            rows.append(row.ravel())
+            y.append(getattr(run.readings[line], part))
+            r.append((2 * 0.05**2 + (0.02 * abs(run.readings[line])) ** 2) / 2)
+    a, inverse = np.array(rows), np.linalg.inv(known.joint)
+    covariance = np.linalg.inv(inverse + a.T @ np.diag(1 / np.array(r)) @ a)
+    mean = covariance @ (inverse @ x + a.T @ (np.array(y) / r))
+    np.testing.assert_allclose(after.joint, covariance, atol=1e-9)
+    np.testing.assert_allclose(
+        np.concatenate([after.mean.real.ravel(), after.mean.imag.ravel()]), mean, atol=1e-9
+    )
+    assert after.dof == 4
+
+
+def test_a_model_that_says_nothing_leaves_the_runs_alone():
+    rng, noise = np.random.default_rng(4), Noise(0.02, 0.02)
+    z_0, alpha = rig(rng, 4, 2)
+    runs = measured(rng, z_0, alpha, noise)
+    nothing = Influence(np.zeros((4, 3), complex), 1e8 * np.eye(24), modelled=True)
+    alone, after = influence(runs, noise), influence(runs, noise, nothing)
+    np.testing.assert_allclose(after.mean, alone.mean, rtol=1e-5)
+    np.testing.assert_allclose(after.covariance, alone.covariance, rtol=1e-4, atol=1e-10)
+    np.testing.assert_allclose(best_weights(after), best_weights(alone), rtol=1e-5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("n_run", [0, 1, 2])
+def test_what_a_model_and_runs_leave_lies_in_its_interval(n_run):
+    """Rigs drawn from what a model says, 200 each: weights by it alone, with the rig as found, and with a
+    trial run as well; what is left falls with every run.
+    """
+    rng, noise = np.random.default_rng([n_run, 21]), Noise(0.02, 0.01)
+    held, left, without = [], [], []
+    for _ in range(200):
+        known, parts = model(rng, 6, 2, 0.1)
+        truth = world(known, parts, rng)
+        runs = measured(rng, truth[:, 0], truth[:, 1:], noise)[:n_run]
+        after = influence(runs, noise, known)
+        weights = best_weights(after)
+        stated = residual_of(after, weights, noise)
+        z = truth @ np.concatenate([[1.0], weights])
+        spread = np.sqrt(noise.variance(z) / 2)
+        reading = z + spread * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
+        held.append(stated.interval[0] <= np.sqrt(np.mean(np.abs(reading) ** 2)) <= stated.interval[1])
+        left.append(np.mean(np.abs(z) ** 2))
+        without.append(np.mean(np.abs(truth @ np.concatenate([[1.0], best_weights(known)])) ** 2))
+    # Three standard errors of 200 draws about 95 %.
+    assert abs(np.mean(held) - 0.95) <= 3 * np.sqrt(0.95 * 0.05 / 200)
+    assert np.mean(left) < (1.0 if n_run == 0 else 0.5) * np.mean(without) * (1 + 1e-9)
+
+
+def test_weights_in_holes_at_given_angles(labpipe):
+    planes = "{left: {radius: 40 mm, angles: [0 deg, 100 deg, 215 deg]}, right: {radius: 40 mm, places: 4}}"
+    ended = labpipe("balance", EXAMPLE, "--set", f"planes={planes}")
+    left, _, right = ended.out.partition("plane right")
+    # 325.6 deg lies between holes at 215 and 360 deg, 68.3 deg between 0 and 90 deg.
+    assert "g at 215.0 deg" in left and "g at 0.0 deg" in left and "100.0" not in left
+    assert "g at 0.0 deg" in right and "g at 90.0 deg" in right
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("n_line", "n_plane", "share"), [(4, 2, 0.02), (6, 2, 0.05), (4, 1, 0.03)])
 def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
@@ -154,6 +258,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         ({"planes": ["left"]}, "runs.3.weights.right: there is no such plane; planes: left"),
         ({"runs": "none"}, "runs: a list of runs is needed"),
         ({"repeatability": "1 mm"}, "repeatability: "),
+        ({"noise": "1 mm/s"}, "noise: "),
         ({"grade": "2.5"}, "grade: '2.5' has no unit"),
         ({"speeed": "50 Hz"}, "speeed: unknown key; did you mean 'speed'?"),
         ({"planes": {"left": {"places": 12}, "right": {}}}, "'places' needs a radius"),

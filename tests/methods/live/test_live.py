@@ -13,6 +13,7 @@ import threading
 import time
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -23,8 +24,17 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
-from labpipe.methods.live.sources import Folder, GrowingHdf5, GrowingTable, GrowingText, GrowingWav
-from labpipe.methods.live.view import Page
+from labpipe.methods.live.session import Session
+from labpipe.methods.live.sources import (
+    Folder,
+    GrowingHdf5,
+    GrowingTable,
+    GrowingText,
+    GrowingWav,
+    open_source,
+)
+from labpipe.methods.live.view import Page, course
+from labpipe.project.pipeline_file import load_for_stream
 from labpipe.report.document import Document, Paragraph, Section
 from tests.conftest import Command
 
@@ -249,6 +259,18 @@ def test_a_bad_period_is_left_out_and_named_and_a_change_is_no_end(bench, follow
     assert {f["code"] for line in lines for f in line["findings"]} & {"changes", "bad-averages"}
 
 
+def test_a_bad_first_period_is_left_out_before_the_stop(bench, follow):
+    """The first period that counts has a gain that is wrong by 5 %; no other was there to hold it against."""
+    rows = samples(40)
+    rows[N : 2 * N, 1] *= 1.05
+    write_csv(bench / "test.csv", rows)
+    lines = follow(bench / "test.csv", "--until", "s.c.expanded<=0.6%")
+    left_out = [event for line in lines for event in line["events"] if "left out" in event]
+    assert left_out == ["period 1 is left out: it does not agree with the averages after it"]
+    k, last = lines[-1]["parameters"]["s.k"], lines[-1]
+    assert last["stop"] and k["ci95"][0] < STIFFNESS < k["ci95"][1]
+
+
 def test_sources_that_grow_give_what_was_written(tmp_path):
     """Written piece by piece by another hand, with a line that is cut off in the middle."""
     rows = samples(1)[:300]
@@ -356,6 +378,57 @@ def test_an_excitation_that_is_not_followed_is_looked_at_as_a_whole(bench, follo
     assert "random data are known by all samples together" in said and "after 15 % more" in said
 
 
+def test_decays_that_fall_into_a_folder_are_repeats(bench, follow):
+    """A mode of 30 Hz, released twelve times; the file that is written meanwhile counts once it is whole."""
+    f_n, zeta = 30.0, 0.01
+    (bench / "rig.yaml").write_text(RIG.replace("  f: {quantity: force, unit: N, role: input, dof: y}\n", ""))
+    ring = "  ring: {model: decay, modes: 1}\n"
+    (bench / "pipeline.yaml").write_text(f"rig: rig.yaml\nfrf: {{excitation: decay}}\nidentify:\n{ring}")
+    rng, folder, t = np.random.default_rng(6), bench / "falling", np.arange(3 * N) / RATE
+    folder.mkdir()
+    for number in range(12):
+        w, phase = 2 * np.pi * f_n * np.sqrt(1 - zeta**2), rng.uniform(0, 6)
+        y = 50 * np.exp(-zeta * 2 * np.pi * f_n * t) * np.cos(w * t + phase)
+        y += 0.5 * rng.standard_normal(t.size)
+        (folder / f"{number:02}.csv").write_text("y\n" + "".join(f"{value:.9g}\n" for value in y))
+    time.sleep(1.1)
+    lines = follow(folder, "--until", "zeta_1.expanded<=2%", "-o", str(bench / "out"))
+    assert lines[-1]["stop"] and 10 <= lines[-1]["averages"] <= 12
+    assert [line["averages"] for line in lines[1:4]] == [1, 2, 3]
+    low, high = lines[-1]["parameters"]["ring.zeta_1"]["ci95"]
+    assert low < zeta < high and (high - low) / 2 <= 0.02 * zeta
+    # The run at the end takes the same decays.
+    fit = json.loads((bench / "out" / "identification.json").read_text())["fits"][0]
+    by_run = {p["name"]: p["value"] for p in fit["parameters"]}
+    assert by_run["zeta_1"] == pytest.approx(lines[-1]["parameters"]["ring.zeta_1"]["value"], rel=1e-6)
+
+
+def test_a_modal_fit_of_hits_and_a_goal_that_names_no_fit(bench, follow):
+    """`zeta_1` is no coefficient of the fit that is followed, so the goal waits for the modal one."""
+    rng = np.random.default_rng(2)
+    push = np.zeros(2 * N)
+    push[100:104] = [20.0, 50.0, 50.0, 20.0]
+    w = 2 * np.pi * np.fft.rfftfreq(push.size, 1 / RATE)
+    flexible = 1 / (STIFFNESS - w**2 * MASS + 6j * w * DAMPING)
+    motion = np.fft.irfft(np.fft.rfft(push) * flexible, push.size) * 1e6
+    rows = np.tile(np.stack([push, motion], axis=1), (11, 1))
+    write_csv(bench / "test.csv", rows + rng.standard_normal(rows.shape) * [0.02, 0.2])
+    fits = "  s: {model: sdof, input: f, output: y, band: 40-90 Hz}\n"
+    fits += "  m: {model: modal, band: 50-80 Hz, repeats: pool}\n"
+    frf = "frf: {excitation: impact, block: 2 s, band: 20-150 Hz}\n"
+    (bench / "pipeline.yaml").write_text(f"rig: rig.yaml\n{frf}identify:\n{fits}")
+    lines = follow(bench / "test.csv", "--until", "zeta_1.expanded<=1%")
+    assert lines[-1]["stop"] and lines[-1]["averages"] >= 10
+    zeta = 6 * DAMPING / (2 * np.sqrt(STIFFNESS * MASS))
+    low, high = lines[-1]["parameters"]["m.zeta_1"]["ci95"]
+    assert low < zeta < high
+    (said,) = [f["message"] for f in lines[0]["findings"] if f["code"] == "not-followed"]
+    assert said.startswith("m cannot be followed") and "after 15 % more" in said
+    # A coefficient of the followed fit is waited for there alone.
+    followed = follow(bench / "test.csv", "--until", "c.expanded<=1%")
+    assert "s.c" in followed[-1]["parameters"] and "m.zeta_1" not in followed[-1]["parameters"]
+
+
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
@@ -400,6 +473,47 @@ def test_a_full_disk_ends_neither_the_test_nor_what_was_kept(bench):
     assert pq.read_metadata(bench / "out" / "recording.parquet").num_rows == kept
     (course,) = json.loads((bench / "out" / "identification.json").read_text())["courses"]
     assert 2 <= course["averages"] == kept // N - SKIPPED < 12
+
+
+def test_samples_that_come_faster_than_they_are_followed(bench, monkeypatch):
+    """Each second of samples takes three seconds to follow: the picture is late by 8 s in the
+    end, and every sample is followed.
+    """
+    pieces, clock = np.split(samples(6), 6), [0.0]
+
+    class Source:
+        sample_rate, restarted = RATE, False
+
+        def read(self) -> np.ndarray | None:
+            clock[0] += 3.0
+            return pieces.pop(0) if pieces else None
+
+    monkeypatch.setattr("labpipe.methods.live.session.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    pipeline = load_for_stream(bench / "pipeline.yaml", ())
+    updates = list(Session(pipeline, pipeline.rig, Source()).updates())
+    said = [finding.message for finding in updates[2].findings if finding.code == "behind"]
+    assert said == ["the picture is 8 s behind the samples; none is lost"]
+    assert updates[-1].averages == 5
+
+
+def test_the_page_shows_responses_with_their_bands_and_coherences(bench):
+    """White noise of 0.5 um on lines of some 10 um: coherence by the closed form 1 / (1 + noise / motion)."""
+    write_csv(bench / "test.csv", samples(20))
+    pipeline = load_for_stream(bench / "pipeline.yaml", ())
+    session = Session(pipeline, pipeline.rig, open_source(bench / "test.csv", ["f", "y"]), idle=0.2)
+    *_, last = session.updates()
+    (_, figure) = course(session, last).sections[1].blocks
+    receptance, coherence = figure.graphic.panels
+    measured, shown = receptance.series[0], coherence.series[0]
+    frequency = np.asarray(shown.x)
+    w = 2 * np.pi * frequency
+    h = 1 / (STIFFNESS + 1j * w * DAMPING - w**2 * MASS)
+    # A line of a period of N samples with noise of the rms s has the complex variance 4 s^2 / N.
+    noise = 4 * (0.5e-6**2 + np.abs(h) ** 2 * 0.05**2) / N
+    force = 0.1
+    np.testing.assert_allclose(shown.y, 1 / (1 + noise / np.abs(h * force) ** 2), atol=0.01)
+    inside = (measured.low <= np.abs(h)) & (np.abs(h) <= measured.high)
+    assert 0.85 < np.mean(inside) <= 1
 
 
 def test_a_pause_and_a_logger_that_begins_anew(bench):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.estimation.model import DynamicModel, entry_term, fixed_matrices
-from labpipe.methods.live.bench import sequence_factor
-from labpipe.methods.live.charts import Charts, cusum_limit, forecast, no_longer_falls
+from labpipe.methods.live.charts import Charts, cusum_limit, forecast, no_longer_falls, sequence_factor
 from labpipe.methods.live.running_fit import Equation, HitSums, PeriodSums, RunningFit, moving_mean
 
 # Estimates relative to the truth, standard errors, degrees of freedom, half-widths and chi-square per degree
@@ -176,3 +175,18 @@ def test_factor_of_the_confidence_sequence():
     # rho) / (rho alpha^2)), 3.03 at the number of averages that it is tuned to.
     assert sequence_factor(25, 25, 1e7) == pytest.approx(3.03, abs=0.01)
     assert sequence_factor(25, 25, 5) > sequence_factor(25, 25, 500) > 3.03
+
+
+@pytest.mark.parametrize("kind", [PeriodSums, HitSums])
+def test_an_average_that_is_taken_out_leaves_the_sums_of_the_others(kind):
+    rng = np.random.default_rng(1)
+    averages = rng.normal(size=(6, 20, 1, 2)) + 1j * rng.normal(size=(6, 20, 1, 2))
+    sums, others = kind(), kind()
+    for number, z in enumerate(averages):
+        sums.add(z)
+        if number != 1:
+            others.add(z)
+    sums.add(averages[1], -1)
+    assert sums.n == 5
+    np.testing.assert_allclose(sums.mean, others.mean, atol=1e-14)
+    np.testing.assert_allclose(sums.covariance(), others.covariance(), atol=1e-14)

@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -83,6 +84,43 @@ def test_weights_calm_the_rotor_that_was_recorded(result) -> None:
     """A twentieth of the vibration, in the independent calculation's rotors 2.4 % in the median."""
     balance = result[0].sections["rotor_system"].balance
     assert balance.after < 0.05 * balance.before and balance.interval[0] < balance.after < balance.interval[1]
+    # Over the speeds that the weights are made for it is the same vibration.
+    course = balance.vibration
+    within = [28 < speed < 39 for speed in course.speed]
+    before, after = (np.array(part)[within] for part in (course.before, course.after))
+    assert before.min() < balance.before < before.max() and np.all(after < 0.1 * before)
+    page = (result[1] / "out/report.html").read_text()
+    assert "with the weights" in page
+
+
+def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> None:
+    """`labpipe balance` by the model alone has the weights of the section, which takes draws in place of
+    derivatives; a run with these weights that leaves nothing narrows what one more would leave.
+    """
+    balance, model = result[0].sections["rotor_system"].balance, result[1] / "out/identification.json"
+    planes = [f"node {weight.node}" for weight in balance.weights]
+    file = {"model": str(model), "planes": planes, "repeatability": "1 %", "noise": "0.1 um"}
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(file))
+    ended = labpipe("balance", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
+    alone = json.loads((tmp_path / "b.json").read_text())
+    assert ended.code == 0 and len(alone["readings"]) == 12
+    for ours, theirs in zip(alone["weights"], balance.weights, strict=True):
+        assert ours["size"] == pytest.approx(theirs.size, rel=0.05)
+        assert ours["angle"] == pytest.approx(theirs.angle, abs=0.05)
+    weights = {w["plane"]: f"{1e6 * w['size']} g.mm at {w['angle']} rad" for w in alone["weights"]}
+    readings = {r["name"]: "0.1 um at 0 deg" for r in alone["readings"]}
+    file["runs"] = [{"name": "weights", "weights": weights, "readings": readings}]
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(file))
+    assert labpipe("balance", tmp_path / "b.yaml", "--json", tmp_path / "b.json").code == 0
+    trimmed = json.loads((tmp_path / "b.json").read_text())
+    assert trimmed["residual"]["ci95"][1] < alone["residual"]["ci95"][1]
+    for change, said in (
+        ({"planes": ["node 6"]}, "no plane 'node 6'"),
+        ({"model": "b.yaml"}, "no influence"),
+    ):
+        (tmp_path / "b.yaml").write_text(yaml.safe_dump({**file, "runs": [], **change}))
+        refused = labpipe("balance", tmp_path / "b.yaml")
+        assert refused.code == 2 and said in refused.err
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,307 @@
+"""Balancing by influence coefficients: vibration z = z_0 + sum_q alpha_q w_q of every reading.
+
+Noise leaves z_0 and alpha uncertain; the weights are those of the least expected square of the vibration that
+is left, which do not trust an influence that is hardly known; without noise they are -pinv(alpha) z_0
+(Goodman 1964; Darlow 1989). What a model of the rotor says of z_0 and alpha is a prior and runs are data: the
+model alone, runs alone and both are one estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+
+import numpy as np
+from scipy import optimize
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import DataError
+
+# Draws of z_0 and alpha by which intervals are stated, and their seed.
+DRAWS, SEED = 4000, 20261125
+# Truths over which one more run is looked at.
+TRIED = 200
+COVERED = (2.5, 97.5)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: added *weights* (n_plane,) [kg m], complex, as all angles in the direction of spin, and
+    *readings* (n_line,), complex, NaN where there is none.
+    """
+
+    name: str
+    weights: ComplexArray
+    readings: ComplexArray
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard uncertainty of one component of a reading: *floor* [unit of the reading], and a *share* [1] of
+    its amplitude, of what repeats when nothing is changed.
+    """
+
+    floor: float
+    share: float
+
+    def variance(self, readings: ComplexArray) -> FloatArray:
+        """Of the complex readings, both components together, (n_run,) [unit of the reading squared]."""
+        return np.asarray(2 * self.floor**2 + (self.share * np.abs(readings)) ** 2)
+
+
+@dataclass(frozen=True)
+class Influence:
+    """z_0 and alpha of every line: *mean* (n_line, n_plane + 1) [unit of the readings, per kg m], and the
+    *joint* covariance (n, n) of all their real parts and then all imaginary parts, row by row; *misfit*
+    chi-square of the readings, its *dof*; *modelled*: whether a model says what unbalance in the planes does.
+    """
+
+    mean: ComplexArray
+    joint: FloatArray
+    misfit: float = 0.0
+    dof: int = 0
+    modelled: bool = False
+
+    @cached_property
+    def covariance(self) -> ComplexArray:
+        """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1)."""
+        parts = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape)
+        real, crossed, across, imaginary = (
+            np.einsum("lilj->lij", parts[row, :, :, column]) for row in range(2) for column in range(2)
+        )
+        return np.asarray(real + imaginary + 1j * (across - crossed))
+
+    def expected_square(self, weights: ComplexArray) -> float:
+        """Sum over the lines of E |z_0 + alpha w|^2 at *weights* (n_plane,) [kg m]."""
+        whole = np.concatenate([[1.0], weights])
+        middle = np.sum(np.abs(self.mean @ whole) ** 2)
+        return float(
+            middle + np.einsum("i,lij,j->", whole.conj(), self.covariance.swapaxes(1, 2), whole).real
+        )
+
+    def quadratic(self) -> tuple[ComplexArray, ComplexArray]:
+        """A (n_plane, n_plane) [unit^2/(kg m)^2] and b (n_plane,) [unit^2/(kg m)] of the expected square
+        w^H A w + 2 Re b^H w + constant, in the unit of the readings.
+        """
+        second = np.einsum("li,lj->ij", self.mean.conj(), self.mean) + self.covariance.sum(axis=0).T
+        return second[1:, 1:], second[1:, 0]
+
+    def draws(self, n: int = DRAWS) -> ComplexArray:
+        """Drawn z_0 and alpha, (n, n_line, n_plane + 1) [unit of the readings, per kg m]."""
+        rng = np.random.default_rng(SEED)
+        scale = np.sqrt(np.maximum(np.diag(self.joint), 1e-300))
+        values, vectors = np.linalg.eigh(self.joint / np.outer(scale, scale))
+        root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0))
+        real, imaginary = np.split(rng.standard_normal((n, scale.size)) @ root.T, 2, axis=1)
+        return np.asarray(self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape))
+
+    def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
+        """The mean moved by *gain* (n, 2 n_reading) times what readings *surprise* by, (n_reading,)."""
+        real, imaginary = np.split(gain @ np.concatenate([surprise.real, surprise.imag]), 2)
+        return replace(self, mean=self.mean + (real + 1j * imaginary).reshape(self.mean.shape))
+
+    def gain(
+        self, weights: ComplexArray, variance: FloatArray, lines: IntArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of a run with *weights* (n_plane,) [kg m] and readings of the *variance* (n_reading,) on *lines*:
+        the gain (n, 2 n_reading), the covariance (n, n) after it, and that of what surprises.
+        """
+        whole, places = np.concatenate([[1.0], weights]), np.arange(lines.size)
+        seen = np.zeros((2, lines.size, 2, *self.mean.shape))
+        for row, column, part in (
+            (0, 0, whole.real),
+            (0, 1, -whole.imag),
+            (1, 0, whole.imag),
+            (1, 1, whole.real),
+        ):
+            seen[row, places, column, lines] = part
+        seen = seen.reshape(2 * lines.size, -1)
+        spread = seen @ self.joint @ seen.T + np.diag(np.tile(variance / 2, 2))
+        gain = np.linalg.solve(spread, seen @ self.joint).T
+        return gain, self.joint - gain @ spread @ gain.T, spread
+
+    def after(self, run: Run, noise: Noise) -> Influence:
+        """What is known after one more run, whose readings are linear in z_0 and alpha."""
+        lines = np.flatnonzero(np.isfinite(run.readings))
+        readings = run.readings[lines]
+        gain, joint, spread = self.gain(run.weights, noise.variance(readings), lines)
+        surprise = readings - self.mean[lines] @ np.concatenate([[1.0], run.weights])
+        parts = np.concatenate([surprise.real, surprise.imag])
+        misfit = self.misfit + float(parts @ np.linalg.solve(spread, parts))
+        return replace(self.moved(gain, surprise), joint=joint, misfit=misfit, dof=self.dof + parts.size)
+
+
+def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None) -> Influence:
+    """z_0 and alpha by all runs, and by what a model says beforehand (*prior*).
+
+    Without a model by weighted least squares line by line; DataError where the runs do not determine them
+    then: a plane without a trial weight, too few runs.
+    """
+    if prior is not None:
+        return reduce(lambda known, run: known.after(run, noise), runs, prior)
+    design = np.array([np.concatenate([[1.0], run.weights]) for run in runs])
+    readings = np.array([run.readings for run in runs])
+    n_line, n_unknown = readings.shape[1], design.shape[1]
+    means = np.empty((n_line, n_unknown), np.complex128)
+    joint = np.zeros((2, n_line, n_unknown, 2, n_line, n_unknown))
+    misfit, dof = 0.0, 0
+    scale = np.max(np.abs(design), axis=0)
+    for line in range(n_line):
+        there = np.isfinite(readings[:, line])
+        rows, z = design[there] / np.where(scale > 0, scale, 1.0), readings[there, line]
+        if np.linalg.matrix_rank(rows, tol=1e-6) < n_unknown:
+            raise DataError(
+                f"{len(z)} runs with readings do not determine the influence of {n_unknown - 1} plane(s)",
+                hint="a run as found, and one for each plane with a trial weight there",
+            )
+        weight = 1 / noise.variance(z)
+        information = (rows.conj().T * weight) @ rows
+        inverse = np.linalg.inv(information)
+        mean = inverse @ (rows.conj().T @ (weight * z))
+        residual = z - rows @ mean
+        misfit += float(2 * np.sum(weight * np.abs(residual) ** 2))
+        dof += 2 * (len(z) - n_unknown)
+        means[line] = mean / scale
+        half = inverse / np.outer(scale, scale) / 2
+        joint[0, line, :, 0, line] = joint[1, line, :, 1, line] = half.real
+        joint[1, line, :, 0, line], joint[0, line, :, 1, line] = half.imag, -half.imag
+    return Influence(means, joint.reshape(2 * means.size, -1), misfit, dof)
+
+
+def best_weights(known: Influence) -> ComplexArray:
+    """The weights (n_plane,) [kg m] of the least expected square of the vibration that is left."""
+    square, linear = known.quadratic()
+    return np.asarray(-np.linalg.solve(square, linear))
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where weights can be set in a plane: *angles* (n_place,) [rad] at *radius* [m], at most *largest* [kg]
+    in each.
+    """
+
+    angles: FloatArray
+    radius: float
+    largest: float = np.inf
+
+
+def placed_weights(known: Influence, places: Sequence[Places]) -> list[FloatArray]:
+    """Masses [kg] in every place of every plane, (n_place,) each: the least expected square that masses from
+    zero to the largest can reach, by as little mass as that takes.
+    """
+    square, linear = known.quadratic()
+    directions = [place.radius * np.exp(1j * place.angles) for place in places]
+    onto = np.zeros((len(places), sum(d.size for d in directions)), np.complex128)
+    ends = np.cumsum([0, *(direction.size for direction in directions)])
+    for plane, direction in enumerate(directions):
+        onto[plane, ends[plane] : ends[plane + 1]] = direction
+    root = np.linalg.cholesky(square).conj().T
+    rows, side = root @ onto, -np.linalg.solve(root.conj().T, linear)
+    largest = np.concatenate([np.full(place.angles.size, place.largest) for place in places])
+    scale = float(np.max(np.abs(rows)))
+    reached = optimize.lsq_linear(
+        np.concatenate([rows.real, rows.imag]) / scale,
+        np.concatenate([side.real, side.imag]) / scale,
+        (0.0, largest),
+        method="bvls",
+        tol=1e-14,
+        max_iter=1000,
+    ).x
+    # Many masses make one vector: the least of them stand in two places, and in those that are full.
+    masses = []
+    for plane, (direction, place) in enumerate(zip(directions, places, strict=True)):
+        target = direction @ reached[ends[plane] : ends[plane + 1]]
+        ends_of_mass = (0.0, place.largest if np.isfinite(place.largest) else None)
+        least = optimize.linprog(
+            np.ones(direction.size),
+            A_eq=np.array([direction.real, direction.imag]) / place.radius,
+            b_eq=np.array([target.real, target.imag]) / place.radius,
+            bounds=ends_of_mass,
+        )
+        masses.append(least.x if least.success else reached[ends[plane] : ends[plane + 1]])
+    return masses
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What the weights are expected to leave: root mean square over the lines *rms* with its 95 % interval,
+    of what it was *before*; amplitudes of each line (n_line,) with theirs [unit of the readings]; *unbalance*
+    (n_plane,) [kg m] that is left, upper ends of 95 %.
+    """
+
+    rms: float
+    interval: tuple[float, float]
+    before: float
+    amplitudes: FloatArray
+    low: FloatArray
+    high: FloatArray
+    unbalance: FloatArray
+
+
+def residual_of(known: Influence, weights: ComplexArray, noise: Noise) -> Residual:
+    """The vibration with *weights* (n_plane,) [kg m] set, as a reading shows it, by draws."""
+    drawn = known.draws()
+    whole = np.concatenate([[1.0], weights])
+    left = _drawn_residual(known, drawn, whole)
+    rng = np.random.default_rng(SEED + 1)
+    spread = np.sqrt(noise.variance(left) / 2)
+    left = left + spread * (rng.standard_normal(left.shape) + 1j * rng.standard_normal(left.shape))
+    rms = np.sqrt(np.mean(np.abs(left) ** 2, axis=1))
+    low, high = np.percentile(np.abs(left), COVERED, axis=0)
+    ends = np.percentile(rms, COVERED)
+    before = float(np.sqrt(np.mean(np.abs(known.mean[:, 0]) ** 2)))
+    unbalance = np.array([np.linalg.pinv(draw[:, 1:]) @ draw[:, 0] + weights for draw in drawn[:400]])
+    upper = np.percentile(np.abs(unbalance), 95, axis=0)
+    amplitudes = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
+    interval = (float(ends[0]), float(ends[1]))
+    return Residual(float(np.sqrt(np.mean(rms**2))), interval, before, amplitudes, low, high, upper)
+
+
+def _drawn_residual(known: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:
+    """z_0 + alpha w of the *drawn* z_0 and alpha, (n, n_line) [unit of the readings].
+
+    What weights in these planes cannot change of the estimated vibration is noise as far as its size is that
+    of noise (empirical Bayes): unbalance in the planes themselves leaves nothing of that kind.
+    """
+    middle = known.mean @ whole
+    errors = drawn @ whole - middle
+    n_line, n_plane = middle.size, whole.size - 1
+    if n_line <= n_plane or known.modelled:
+        return np.asarray(middle + errors)
+    basis = np.linalg.svd(known.mean[:, 1:], full_matrices=False)[0]
+    within = errors @ basis.conj() @ basis.T
+    beyond, fixed = errors - within, middle - basis @ (basis.conj().T @ middle)
+    # Their common variance, by its posterior under a prior flat in the logarithm.
+    n_free = n_line - n_plane
+    noise = float(np.mean(np.sum(np.abs(beyond) ** 2, axis=1))) / n_free
+    size = np.sum(np.abs(fixed) ** 2) / np.random.default_rng(SEED + 3).gamma(n_free, size=drawn.shape[0])
+    share = np.maximum(1 - noise / np.maximum(size, 1e-300), 0.0)[:, None]
+    return np.asarray(middle - fixed + within + share * fixed + np.sqrt(share) * beyond)
+
+
+def next_runs(known: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
+    """Expected root mean square of what is left [unit of the readings] if one more run were made first, with
+    the weights (n_plane,) [kg m] of each candidate, and the weights chosen anew by it.
+
+    Over draws of the truth: its readings move the mean and narrow z_0 and alpha (preposterior analysis).
+    """
+    n_line = known.mean.shape[0]
+    rng = np.random.default_rng(SEED + 2)
+    truths = known.draws(TRIED)
+    for truth in () if known.modelled else truths:
+        # Unbalance in the planes: what they cannot make is no part of the truth.
+        truth[:, 0] = truth[:, 1:] @ (np.linalg.pinv(truth[:, 1:]) @ truth[:, 0])
+    scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
+    expected = {}
+    for name, weights in candidates.items():
+        whole = np.concatenate([[1.0], weights])
+        variance = noise.variance(known.mean @ whole)
+        gain, joint, _ = known.gain(weights, variance, np.arange(n_line))
+        squares = []
+        for truth, normal in zip(truths, scatter, strict=True):
+            surprise = (truth - known.mean) @ whole + np.sqrt(variance) * normal
+            chosen = best_weights(replace(known.moved(gain, surprise), joint=joint))
+            squares.append(np.sum(np.abs(truth @ np.concatenate([[1.0], chosen])) ** 2))
+        expected[name] = float(np.sqrt(np.mean(squares) / n_line))
+    return expected
