@@ -19,6 +19,7 @@ from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings
 from labpipe.raw_files.first_look import hit_starts
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.raw_files.table import Table
+from labpipe.records.finding import Finding
 
 # What a recording's own metadata say of its channels: quantity, unit, role, direction; what they do not
 # say, a person must.
@@ -156,6 +157,31 @@ def _copied(column: FloatArray, other: FloatArray, is_later: bool) -> str:
         if windowed and np.all(np.abs(column) <= size * (1 + EVEN) + EVEN * size.max())
         else ""
     )
+
+
+def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | None:
+    """The warning of *measured* columns whose copies in the same file have the window that a pipeline states.
+
+    A damping that they never had is then taken off them: zeta comes out 1 / (w_n tau) too small.
+    """
+    names, rows = first_rows(table)
+    number = {name: n for n, name in enumerate(names)}
+    pairs = {
+        raw: other
+        for raw in measured
+        for other in names
+        if other not in measured
+        and raw in number
+        and _copied(rows[:, number[other]], rows[:, number[raw]], False)
+    }
+    if not pairs:
+        return None
+    message = (
+        f"{table.path.name} holds {', '.join(pairs)} without a window, and with one under another name, so "
+        "that `windowed` takes off a damping that was never added: leave `windowed` out, or name the copies "
+        f"in the rig file ({', '.join(f'{raw}: {{column: {other}}}' for raw, other in pairs.items())})"
+    )
+    return Finding("not-windowed", message)
 
 
 def guess_channels(

@@ -341,6 +341,39 @@ def test_what_an_analyser_stored_beside_the_channels_is_named_as_not_used(tmp_pa
     )
 
 
+@pytest.mark.parametrize(
+    ("column", "window", "warned"), [("y", True, True), ("y", False, False), ("y_window", True, False)]
+)
+def test_a_window_that_only_the_copy_of_a_channel_has_is_named(
+    tmp_path: Path, labpipe, column: str, window: bool, warned: bool
+) -> None:
+    """The damping comes out as C on the raw channel without `windowed`, and on its copy with it; the window
+    of 0.2 s takes 2 m / 0.2 s off it where only the copy has it.
+    """
+    t = np.arange(2000) / RATE
+    force = np.where((t > 0.05) & (t < 0.053), 1000.0, 0.0)
+    omega, decay = np.sqrt(K / MASS - (C / 2 / MASS) ** 2), C / 2 / MASS
+    y = np.convolve(force / RATE, np.exp(-decay * t) * np.sin(omega * t) / MASS / omega)[: t.size]
+    window_of_analyser = np.exp(-(t - 0.05) / 0.2)
+    files = {"fs": RATE, "f": force * window_of_analyser, "y": y, "y_window": y * window_of_analyser}
+    savemat(tmp_path / "run.mat", files)
+    (tmp_path / "rig.yaml").write_text(
+        "name: Bench\nchannels:\n  f: {quantity: force, unit: N, role: input, dof: x}\n"
+        f"  y: {{column: {column}, quantity: displacement, unit: m, role: output, dof: x}}\n"
+    )
+    stated = ", windowed: {exponential: 0.2 s}" if window else ""
+    (tmp_path / "p.yaml").write_text(
+        "title: Hit\nrig: rig.yaml\nrecordings: run.mat\n"
+        f"frf: {{excitation: impact, block: 2 s, band: 5-100 Hz{stated}}}\n"
+        "identify: {fit: {model: sdof, input: f, output: y, band: 20-45 Hz}}\n"
+    )
+    ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended
+    assert ("not-windowed" in ended.out + ended.err) == warned
+    c = first_fit(tmp_path / "out")["parameters"][1]["value"]
+    assert c == pytest.approx(C - 2 * MASS / 0.2 if warned else C, rel=0.03)
+
+
 def test_what_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path, labpipe) -> None:
     (tmp_path / "notes.txt").write_text("no numbers here\n")
     for path, what in (
