@@ -15,12 +15,13 @@ from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
+from labpipe.project.examples import copy_example, examples
 from labpipe.project.exports import write_signal
 from labpipe.project.inspect import inspect as content_of
 from labpipe.project.inspect import write_card
 from labpipe.project.report import format_of
 from labpipe.project.rig_file import load_rig
-from labpipe.project.scaffold import MARK, copy_example, examples, scaffold
+from labpipe.project.scaffold import MARK, scaffold
 from labpipe.project.simulate import load_virtual_rig, simulate_files
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.excitation import DIRECTIONS, LAWS, PHASES, Sweep, design_multisine

@@ -327,19 +327,24 @@ AROUND, WIDTHS, LEAST_LINES, MODAL_LINES = 0.1, 10.0, 12, 26
 STANDS_OUT = 0.7
 # Of the peaks of ten FRFs by others modes have .93 or more, noise .9 or less (median .3).
 LIKE_A_MODE = 0.95
+# Coherence at a peak that no noise has.
+EXPLAINED = 0.8
 
 
-def band_around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
-    """The band [Hz] around the highest peak of a *mobility* (n_line,) [1] that looks like a mode, with
-    LEAST_LINES lines at least.
+def highest_peak(mobility: FloatArray, coherence: FloatArray | None = None) -> int:
+    """The line of the highest peak of a *mobility* (n_line,) [1] that looks like a mode, or that the force
+    explains by its *coherence* (n_line,) [1].
 
     A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
     follow no pole, unless there is no other.
     """
     found = peaks_of(mobility)
     ordered = found[np.argsort(-mobility[found])] if found.size else np.array([np.argmax(mobility)])
-    peak = next((int(one) for one in ordered if _is_mode(mobility, int(one))), int(ordered[0]))
-    return band_of(frequency, mobility, peak)
+    explained = np.zeros(mobility.size) if coherence is None else coherence
+    return next(
+        (int(one) for one in ordered if explained[one] > EXPLAINED or _is_mode(mobility, int(one))),
+        int(ordered[0]),
+    )
 
 
 def peaks_of(mobility: FloatArray) -> IntArray:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
 from labpipe.quantities import to_display
 from labpipe.records.finding import Parameter
+from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import (
     Fit,
     FittedCurve,
@@ -164,7 +165,14 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
     drawn = [(fit, fitted) for fit, fitted in drawn if _n_element(fitted) <= MOST_ELEMENTS]
     is_alone = len(fits) == 1 and len(rows) + len(identification.outcomes) <= FEW_ROWS
     figure = _whole if is_alone else _amplitudes
-    return (table, *(figure(fit, fitted) for fit, fitted in drawn[:1]))
+    figures = [figure(fit, fitted) for fit, fitted in drawn[:1]]
+    return (table, *(figures or [block for block in _of_details(fits[0]) if is_alone][:1]))
+
+
+def _of_details(fit: Fit) -> list[Figure]:
+    """The figures of what a model shows beside its parameters, such as a decay."""
+    blocks = (block for detail in fit.details for block in DETAILS.load(detail.key).blocks(fit, detail))
+    return [block for block in blocks if isinstance(block, Figure) and isinstance(block.graphic, Chart)]
 
 
 def _n_element(curve: FittedCurve) -> int:

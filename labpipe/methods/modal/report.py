@@ -42,7 +42,9 @@ def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
     diagram = [] if modes.diagram is None else [diagram_figure(fit, modes, modes.diagram)]
     alike = _alike(fit, modes) if modes.frequency.size > 1 and len(modes.points) > 1 else []
     shapes = [shapes_figure(fit, modes)] if len(modes.points) > 1 else []
-    return [modes_table(fit, modes), *diagram, *shape_figures(fit_title(fit), modes), *shapes, *alike]
+    # Of a single FRF the parameters say all that the table would.
+    listed = [modes_table(fit, modes)] if len(modes.points) > 1 or modes.driving_points else []
+    return [*listed, *diagram, *shape_figures(fit_title(fit), modes), *shapes, *alike]
 
 
 def modes_table(fit: Fit, modes: Modes) -> Table:
@@ -86,13 +88,16 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         Panel(FREQUENCY, Axis("CMIF", "", logarithmic=True), tuple(indicators)),
         Panel(FREQUENCY, Axis("order"), tuple(poles), share=1.4, pick="poles"),
     ]
+    # The singular value of one FRF is its amplitude.
+    alone = diagram.indicator.shape[1] == 1 and len(modes.points) == 1
+    what = "the" if alone else "singular values of the FRF matrix (complex mode indicator function), and the"
     caption = (
-        f"{fit_title(fit)}: singular values of the FRF matrix (complex mode indicator function), and the "
-        "stable poles of all orders. Poles that return at the same place are modes of the structure; "
-        "dotted: the modes of the fit. In the page a click on a pole chooses it; the line `poles:` for the "
-        "section `modal:` then stands below."
+        f"{fit_title(fit)}: {what} stable poles of all orders. Poles that return at the same place are modes "
+        "of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; the line "
+        "`poles:` for the section `modal:` then stands below."
     )
-    return Figure(stacked(panels, 3.6), caption, f"Stabilisation diagram of fit {fit_title(fit)}")
+    chart = stacked(panels[1:], 2.0) if alone else stacked(panels, 3.6)
+    return Figure(chart, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 
 
 def shapes_figure(fit: Fit, modes: Modes) -> Figure:
