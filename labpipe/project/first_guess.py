@@ -203,14 +203,15 @@ def guess_channels(
 
 
 def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[GuessedChannel, ...]:
-    """The channels, where none is a force the shortest hits of an unknown quantity as one.
+    """The channels, where none is a force the shortest hits of an unknown quantity, or of volts, as one.
 
     *rows* (n_sample, n_channel) [recorded units]. What a hit excites looks like one, too, and lasts longer.
     """
     lengths = {
         n: float(np.sum(signal**2) / np.max(np.abs(signal)) ** 2)
         for n, channel in enumerate(channels)
-        if channel.quantity == DECIDE and hit_starts(signal := rows[:, n] - np.median(rows[:, n])).size
+        if channel.quantity in (DECIDE, "voltage")
+        and hit_starts(signal := rows[:, n] - np.median(rows[:, n])).size
     }
     if not lengths or any(channel.role == "input" for channel in channels):
         return tuple(channels)

@@ -107,6 +107,8 @@ class Proposal:
 
 
 UNSEEN = Proposal()
+# Coherence of all lines that tells nothing, since it is of a single average.
+ALL_EXPLAINED = 1 - 1e-9
 # Phase of a mobility at its peak [deg] beyond which force and response are at no one point.
 AT_ONE_POINT = 60.0
 
@@ -162,6 +164,9 @@ def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Propo
     order = {"receptance": 1, "accelerance": -1}.get(response.form, 0)
     phase = np.angle(response.matrix[:, row, 0] * 1j**order) if stated else None
     coherence = None if response.coherence is None else response.coherence[:, row, 0]
+    if coherence is not None and coherence.min() > ALL_EXPLAINED:
+        # One hit explains itself.
+        coherence = None
     mobility = _mobility(response)[:, row]
     return proposed(response.frequency, mobility, at_one_point=True, coherence=coherence, phase=phase)
 
