@@ -149,7 +149,7 @@ def amount_text(value: float, error: float | None, si_unit: str, sign: str = "±
 
 
 # A number with its power of ten as this module writes it, and a power of a unit or a symbol.
-_POWER_OF_TEN = re.compile(r"((?<![\w.])\d(?:\.\d+)?|\))e([+-]?\d{1,3})(?![\w.])")
+_POWER_OF_TEN = re.compile(r"((?<![\w.])\d(?:\.\d+)?|\))e([+-]?\d{1,3})(?!\w|\.\d)")
 _POWER = re.compile(r"(?<=[A-Za-z)])\^(-?\d)(?![\w.])")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

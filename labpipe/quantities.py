@@ -187,6 +187,10 @@ def nearest_unit(symbol: str) -> str:
     return f"did you mean '{near[0]}'?" if near else ""
 
 
+# A power as loggers print it, m/s2.
+_BARE_POWER = re.compile(r"(?<![\w^])([a-zA-Zµμ]+)([234])(?![\w.])")
+
+
 def _power(text: str) -> float:
     """The exponent behind '^': an integer, a decimal number or a fraction in parentheses."""
     match = re.fullmatch(r"\^\(?([+-]?\d+(?:\.\d+)?)(?:/(\d+))?\)?", text)
@@ -221,12 +225,13 @@ def parse_unit(text: str) -> Unit:
     """The unit written as *text*: products with '.', '*' or a blank, powers with '^', one '/' for the
     quotient.
 
-    ``N.s/m``, ``m/(N.s^2)``, ``N/m^1.5`` are read as an engineer writes them. Raises UnitError with the
-    nearest known unit.
+    ``N.s/m``, ``m/(N.s^2)``, ``N/m^1.5`` are read as an engineer writes them, ``m/s2`` as a logger does.
+    Raises UnitError with the nearest known unit.
     """
     if len(text) > ECHO:
         raise UnitError(f"unreadable unit '{text[: ECHO - 3]}...'", "write it as N.s/m or m/(N.s^2)")
-    text = text.strip().replace("²", "^2").replace("³", "^3")
+    text = text.strip().replace("²", "^2").replace("³", "^3").replace("**", "^")
+    text = _BARE_POWER.sub(r"\1^\2", text)
     if text in _FIXED:
         return _FIXED[text]
     factor, dimension = 1.0, list(NONE)

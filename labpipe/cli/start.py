@@ -9,20 +9,23 @@ from pathlib import Path
 from typing import TypeVar
 
 import click
+import numpy as np
 
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
+from labpipe.project.examples import copy_example, examples
 from labpipe.project.exports import write_signal
 from labpipe.project.inspect import inspect as content_of
 from labpipe.project.inspect import write_card
 from labpipe.project.report import format_of
 from labpipe.project.rig_file import load_rig
-from labpipe.project.scaffold import MARK, copy_example, examples, scaffold
+from labpipe.project.scaffold import MARK, scaffold
 from labpipe.project.simulate import load_virtual_rig, simulate_files
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.excitation import DIRECTIONS, LAWS, PHASES, Sweep, design_multisine
+from labpipe.raw_files.uff_shapes import FileShapes
 from labpipe.records.recording import Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 from labpipe.records.settings import Setting, to_band
@@ -131,6 +134,8 @@ def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
         _echo_response(content, file.name)
     elif isinstance(content, ChannelSpectra):
         _echo_spectra(content, file.name)
+    elif isinstance(content, FileShapes):
+        _echo_shapes(content, file.name)
     else:
         _echo_recording(content)
     if output is not None:
@@ -165,6 +170,19 @@ def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
         )
     for finding in spectra.findings:
         echo(f"  {finding.level} {finding.code}: {finding.message}")
+
+
+def _echo_shapes(shapes: FileShapes, file: str) -> None:
+    """One line for each mode, with the other shape that is most alike."""
+    n_mode = shapes.frequency.size
+    more = f"; {shapes.others} further record(s) of another kind or other nodes" if shapes.others else ""
+    echo(f"{file}: {n_mode} mode shape(s) at {len(shapes.points)} points and directions{more}")
+    mac = shapes.mac - np.eye(n_mode)
+    for n in range(n_mode):
+        largest = shapes.points[int(np.argmax(np.abs(shapes.shapes[:, n])))]
+        alike = f", MAC {mac[n].max():.2f} with mode {int(np.argmax(mac[n])) + 1}" if n_mode > 1 else ""
+        pole = f"{shapes.frequency[n]:.6g} Hz, damping ratio {shapes.damping_ratio[n]:.4g}"
+        echo(f"  mode {n + 1}: {pole}, largest at {largest}{alike}")
 
 
 def _port(port: Port) -> str:

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import Formatter, Locator, LogLocator, MaxNLocator, MultipleLocator, NullLocator
 
 from labpipe.arrays import FloatArray
+from labpipe.display import as_printed
 from labpipe.document.figure_numbers import figure_csv, short_name
 from labpipe.registry import Registry
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Panel, Series
@@ -290,11 +291,10 @@ class NumberTexts(Formatter):
         self._even = even
 
     def __call__(self, x: float, pos: int | None = None) -> str:  # noqa: ARG002
-        """The digits that a number has, and an exponent where it is very large or small."""
-        size = abs(x)
-        if size and (size >= LARGE or size < SMALLEST):
+        """The digits that a number has, and a power of ten where it is very large or small."""
+        if _has_power(x):
             mantissa, exponent = f"{x:.4e}".split("e")
-            text = f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+            text = as_printed(f"{mantissa.rstrip('0').rstrip('.')}e{exponent}").removeprefix("1 × ")
         else:
             text = f"{x + 0.0:.10g}"
         return text.replace("-", "\N{MINUS SIGN}")
@@ -305,10 +305,14 @@ class NumberTexts(Formatter):
         step = min(np.diff(np.sort(values)), default=0.0)
         exact = [0.0 if abs(value) < 1e-9 * step else float(value) for value in values]
         texts = [self(value) for value in exact]
-        if not self._even or any("e" in text for text in texts):
+        if not self._even or any(map(_has_power, exact)):
             return texts
         decimals = max((len(text.partition(".")[2]) for text in texts), default=0)
         return [f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for value in exact]
+
+
+def _has_power(x: float) -> bool:
+    return bool(x) and not SMALLEST <= abs(x) < LARGE
 
 
 def tone(colour: int) -> str:

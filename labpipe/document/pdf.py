@@ -90,7 +90,7 @@ def pdf_report(identification: Identification) -> bytes:
 
 
 # Where the place to sign begins, near the foot of the page [mm].
-SIGNATURE_AT = 248
+SIGNATURE_AT = 260
 
 
 def render_pdf(document: Document) -> bytes:
@@ -152,7 +152,10 @@ def _lay(writer: PdfWriter, page: PageObject, drawing: PageObject, place: _Place
     put = DecodedStreamObject()
     scale = f"{place.scale:.6f}"
     put.set_data(f"q {scale} 0 0 {scale} {place.left:.3f} {place.low:.3f} cm {name} Do Q".encode())
-    page[NameObject("/Contents")] = ArrayObject([page.raw_get("/Contents"), _in(writer, put)])
+    before = page.raw_get("/Contents")
+    # Streams in a row: readers draw nothing of a page whose list holds another list.
+    parts = list(before) if isinstance(before, ArrayObject) else [before]
+    page[NameObject("/Contents")] = ArrayObject([*parts, _in(writer, put)])
 
 
 def _in(writer: PdfWriter, stream: StreamObject) -> IndirectObject:
@@ -181,7 +184,7 @@ def _size(figure: Figure) -> tuple[float, float]:
 
 def _cover(pages: _Pages, document: Document) -> None:
     """Title, object of the test, the first section: verdict, numbers, what shows them; and place to sign."""
-    pages.set_y(25)
+    pages.set_y(20)
     _title(pages, document)
     pages.ln(4)
     for what, which in document.cover:
@@ -289,7 +292,8 @@ def _table(pages: _Pages, table: Table) -> None:
     pages.set_font(FONT, "", 7)
     pages.set_text_color(*INK)
     pages.set_draw_color(*LINE)
-    longest = [max(len(row[n]) for row in (table.header, *table.rows)) for n in range(len(table.header))]
+    rows = [[as_printed(cell) or " " for cell in row] for row in (table.header, *table.rows)]
+    longest = [max(len(row[n]) for row in rows) for n in range(len(table.header))]
     aligned = tuple("RIGHT" if n in table.numeric else "LEFT" for n in range(len(table.header)))
     with pages.table(
         col_widths=[min(max(length, 8), 40) for length in longest],
@@ -298,7 +302,7 @@ def _table(pages: _Pages, table: Table) -> None:
         borders_layout=TableBordersLayout.HORIZONTAL_LINES,
         headings_style=FontFace(emphasis="BOLD", fill_color=SOFT),
     ) as drawn:
-        for row in (table.header, *table.rows):
-            drawn.row([as_printed(cell) or " " for cell in row])
+        for row in rows:
+            drawn.row(row)
     pages.set_draw_color(0)
     pages.ln(2)

@@ -13,6 +13,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.build import build
+from labpipe.report.chart import Chart
 from labpipe.report.comparison import comparison_figures
 from labpipe.report.document import Figure
 from labpipe.report.figures import response_figure, sliding_figures
@@ -40,13 +41,13 @@ def plot(result: Any) -> Canvas:
 
 
 def _of_identification(identification: Identification) -> list[Figure]:
-    """The figures of its report in their order, but for the short one of the first page."""
-    return [
-        block
-        for section in build(identification).sections[1:]
-        for block in section.blocks
-        if isinstance(block, Figure)
-    ]
+    """The figures of its report in their order, but for a short one on the first page."""
+    first, *others = (
+        [block for block in section.blocks if isinstance(block, Figure)]
+        for section in build(identification).sections
+    )
+    whole = [figure for figure in first if isinstance(figure.graphic, Chart) and figure.graphic.rows > 1]
+    return [*whole, *(figure for figures in others for figure in figures)]
 
 
 def _of_comparison(comparison: Comparison) -> list[Figure]:

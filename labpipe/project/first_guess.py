@@ -19,6 +19,7 @@ from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings
 from labpipe.raw_files.first_look import hit_starts
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.raw_files.table import Table
+from labpipe.records.finding import Finding
 
 # What a recording's own metadata say of its channels: quantity, unit, role, direction; what they do not
 # say, a person must.
@@ -158,6 +159,31 @@ def _copied(column: FloatArray, other: FloatArray, is_later: bool) -> str:
     )
 
 
+def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | None:
+    """The warning of *measured* columns whose copies in the same file have the window that a pipeline states.
+
+    A damping that they never had is then taken off them: zeta comes out 1 / (w_n tau) too small.
+    """
+    names, rows = first_rows(table)
+    number = {name: n for n, name in enumerate(names)}
+    pairs = {
+        raw: other
+        for raw in measured
+        for other in names
+        if other not in measured
+        and raw in number
+        and _copied(rows[:, number[other]], rows[:, number[raw]], False)
+    }
+    if not pairs:
+        return None
+    message = (
+        f"{table.path.name} holds {', '.join(pairs)} without a window, and with one under another name, so "
+        "that `windowed` takes off a damping that was never added: leave `windowed` out, or name the copies "
+        f"in the rig file ({', '.join(f'{raw}: {{column: {other}}}' for raw, other in pairs.items())})"
+    )
+    return Finding("not-windowed", message)
+
+
 def guess_channels(
     names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None
 ) -> list[GuessedChannel]:
@@ -177,14 +203,15 @@ def guess_channels(
 
 
 def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[GuessedChannel, ...]:
-    """The channels, where none is a force the shortest hits of an unknown quantity as one.
+    """The channels, where none is a force the shortest hits of an unknown quantity, or of volts, as one.
 
     *rows* (n_sample, n_channel) [recorded units]. What a hit excites looks like one, too, and lasts longer.
     """
     lengths = {
         n: float(np.sum(signal**2) / np.max(np.abs(signal)) ** 2)
         for n, channel in enumerate(channels)
-        if channel.quantity == DECIDE and hit_starts(signal := rows[:, n] - np.median(rows[:, n])).size
+        if channel.quantity in (DECIDE, "voltage")
+        and hit_starts(signal := rows[:, n] - np.median(rows[:, n])).size
     }
     if not lengths or any(channel.role == "input" for channel in channels):
         return tuple(channels)
@@ -301,19 +328,24 @@ AROUND, WIDTHS, LEAST_LINES, MODAL_LINES = 0.1, 10.0, 12, 26
 STANDS_OUT = 0.7
 # Of the peaks of ten FRFs by others modes have .93 or more, noise .9 or less (median .3).
 LIKE_A_MODE = 0.95
+# Coherence at a peak that no noise has.
+EXPLAINED = 0.8
 
 
-def band_around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
-    """The band [Hz] around the highest peak of a *mobility* (n_line,) [1] that looks like a mode, with
-    LEAST_LINES lines at least.
+def highest_peak(mobility: FloatArray, coherence: FloatArray | None = None) -> int:
+    """The line of the highest peak of a *mobility* (n_line,) [1] that looks like a mode, or that the force
+    explains by its *coherence* (n_line,) [1].
 
     A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
     follow no pole, unless there is no other.
     """
     found = peaks_of(mobility)
     ordered = found[np.argsort(-mobility[found])] if found.size else np.array([np.argmax(mobility)])
-    peak = next((int(one) for one in ordered if _is_mode(mobility, int(one))), int(ordered[0]))
-    return band_of(frequency, mobility, peak)
+    explained = np.zeros(mobility.size) if coherence is None else coherence
+    return next(
+        (int(one) for one in ordered if explained[one] > EXPLAINED or _is_mode(mobility, int(one))),
+        int(ordered[0]),
+    )
 
 
 def peaks_of(mobility: FloatArray) -> IntArray:

@@ -23,7 +23,7 @@ from labpipe.raw_files.frf_described import (
 from labpipe.raw_files.table import TEXT_SUFFIXES
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import FRF, UFF_SUFFIXES, read_uff
-from labpipe.raw_files.uff_read import frf_sizes, titled_form
+from labpipe.raw_files.uff_read import frf_values, titled_form
 from labpipe.records.frf_layout import MECHANICAL
 from labpipe.records.response import FORMS
 
@@ -43,7 +43,7 @@ _WHOLE = (("re", "im"), ("amplitude", "phase"), ("amplitude_db", "phase"))
 @dataclass(frozen=True)
 class GuessedFrf:
     """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
-    (n_frequency,) [Hz] and size (n_frequency, n_element) [unit of the file] as they stand there.
+    (n_frequency,) [Hz] and values (n_frequency, n_element) [unit of the file], complex or amplitudes.
 
     word: what the entry calls the columns, '' for records that need none. elements: the columns of each
     element of a matrix by its name. form: where a name says it. doubts: what is a guess. label: what records
@@ -53,7 +53,7 @@ class GuessedFrf:
     columns: dict[str, str]
     unit: str
     frequency: FloatArray
-    size: FloatArray
+    values: FloatArray | ComplexArray
     word: str = "columns"
     elements: dict[str, dict[str, str]] = field(default_factory=dict)
     form: str = ""
@@ -83,8 +83,8 @@ def _of_records(path: Path) -> GuessedFrf | None:
     form = titled_form(frfs[0])
     doubts = (f"{form}: by the title '{frfs[0].title}'",) if form else ()
     label = frfs[0].ordinate.unit
-    frequency, size = frf_sizes(path, frfs)
-    return GuessedFrf({}, "", frequency, size, "", form=form, doubts=doubts, label=label)
+    frequency, values = frf_values(path, frfs)
+    return GuessedFrf({}, "", frequency, values, "", form=form, doubts=doubts, label=label)
 
 
 # Rows of a table without a header whose first column is a frequency and no time: steps of a recording's time
@@ -113,9 +113,9 @@ def _of_table(path: Path) -> GuessedFrf | None:
     used = ["frequency", *(part.replace("phase", phase) for part in parts), "coherence"]
     columns = {kind: columns[kind] for kind in used if kind in columns}
     numbers = {kind: table.column(table.columns.index(name)).real for kind, name in columns.items()}
-    size = np.hypot(numbers["re"], numbers["im"]) if parts == ("re", "im") else numbers[parts[0]]
+    values = numbers["re"] + 1j * numbers["im"] if parts == ("re", "im") else numbers[parts[0]]
     return GuessedFrf(
-        columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], size[:, None]
+        columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], values[:, None]
     )
 
 
@@ -139,7 +139,7 @@ def _without_header(table: TextColumns) -> GuessedFrf | None:
         return None
     doubts = ("frequency [Hz], real and imaginary part: by the numbers, for the table has no header",)
     columns = {"frequency": "1", "re": "2", "im": "3"}
-    return GuessedFrf(columns, "", frequency, np.hypot(re_, im)[:, None], doubts=doubts)
+    return GuessedFrf(columns, "", frequency, (re_ + 1j * im)[:, None], doubts=doubts)
 
 
 # Variables: fewest lines of an FRF, most elements that are listed, names of FRFs, of their frequencies and of
@@ -187,11 +187,11 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
     form = next((form for form, pattern in _FORMS if re.search(pattern, first, re.IGNORECASE)), "")
     said = (f"{form}: by the name {first}",) if form else ()
     frequency = vectors[axis].real if axis else step * np.arange(size)
-    sizes = np.abs(np.stack([_first(vectors, parts) for parts in elements.values()], axis=1))
+    values = np.asarray(np.stack([_first(vectors, parts) for parts in elements.values()], axis=1))
     lines = {"frequency": axis} if axis else {"start": "0 Hz", "step": f"{step:.12g} Hz"}
     columns = {**lines, **(elements[first] if len(elements) == 1 else {})}
     listed = {} if len(elements) == 1 else elements
-    return GuessedFrf(columns, "", frequency, sizes, "variables", listed, form, (*said, *doubts))
+    return GuessedFrf(columns, "", frequency, values, "variables", listed, form, (*said, *doubts))
 
 
 def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatArray:

@@ -21,7 +21,10 @@ from labpipe.project.report import format_of
 from labpipe.project.rig_file import time_scale
 from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
-from labpipe.raw_files.table import open_table
+from labpipe.raw_files.table import guarded, open_table
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.raw_files.uff import UFF_SUFFIXES
+from labpipe.raw_files.uff_shapes import FileShapes, read_shapes_uff
 from labpipe.records.recording import ChannelOverview, Overview
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Rig
@@ -42,12 +45,16 @@ TIME_NAMES = (
 )
 
 
-def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra:
-    """The overview of a recording, free decays or a raw file, or the response or spectra of a file; DataError
-    for one that cannot be read.
+def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra | FileShapes:
+    """The overview of a recording, free decays or a raw file, or the response, the spectra or the mode shapes
+    of a file; DataError for one that cannot be read.
 
     Recordings and tables are read once, block by block; what is kept does not grow with their length.
     """
+    if file.is_file() and plain_suffix(file) in UFF_SUFFIXES:
+        shapes = guarded(read_shapes_uff, file)
+        if shapes is not None:
+            return shapes
     if is_response(file):
         return load_response(file)
     if file.is_file() and file.name.endswith(SPECTRA_SUFFIX):
@@ -59,8 +66,15 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
     return _of_table(file, rig)
 
 
-def write_card(content: Overview | FrequencyResponse | ChannelSpectra, file: str, path: Path) -> None:
-    """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md)."""
+def write_card(
+    content: Overview | FrequencyResponse | ChannelSpectra | FileShapes, file: str, path: Path
+) -> None:
+    """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md).
+
+    DataError for shapes, which have none.
+    """
+    if isinstance(content, FileShapes):
+        raise DataError("holds mode shapes alone, which have no card", where=file, hint="leave -o out")
     from labpipe.document.render import DOCUMENTS
     from labpipe.report.card import recording_card, response_card, spectra_card
 

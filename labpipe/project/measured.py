@@ -34,6 +34,7 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
 from labpipe.project.raw_recording import RawRecording
 from labpipe.project.tests import ReadyFrf
+from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
@@ -99,8 +100,12 @@ def frf(
     output: OutputFolder,
     test: str = "",
     conditions: dict[str, str] | None = None,
+    seen: Callable[[], Sequence[Finding]] = tuple,
 ) -> FrequencyResponse:
-    """The response of one test, made unless the one on disk is fresh; LabpipeError names the recording."""
+    """The response of one test, made unless the one on disk is fresh; LabpipeError names the recording.
+
+    *seen*: what else was found in its raw files.
+    """
     header = partial(measured_header, "frf", recordings, settings, test, conditions)
     name = frf_file_name(test)
     if (existing := fresh_measured(output, name, header)) is not None:
@@ -117,6 +122,7 @@ def frf(
         raise DataError(
             f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE
         ) from error
+    response = response.with_findings(seen())
     write_response(output.write_path(name), response, header())
     return response
 
@@ -214,14 +220,15 @@ def measure_test(
     output: OutputFolder,
     test: str,
     conditions: dict[str, str],
+    seen: Callable[[], Sequence[Finding]] = tuple,
 ) -> MeasuredTest:
     """What the recordings of a test give, made unless what is on disk is fresh.
 
-    LabpipeError names the recording.
+    LabpipeError names the recording; *seen* as in `frf`.
     """
     kind = _kind(settings)
     if kind is None:
-        return frf(recordings, settings, output, test, conditions)
+        return frf(recordings, settings, output, test, conditions, seen)
     header = partial(measured_header, kind.name, recordings, settings, test, conditions)
     name = measured_file_name(test, settings)
     if (existing := fresh_measured(output, name, header)) is not None:

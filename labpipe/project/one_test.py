@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,8 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.ingest import ingest, recording_refs
+from labpipe.project.first_guess import windows_of_copies_alone
+from labpipe.project.ingest import ingest, is_recording, recording_refs
 from labpipe.project.judging import forbidden, judged_part
 from labpipe.project.measured import (
     RIGS,
@@ -46,6 +48,7 @@ from labpipe.project.tests import Test
 from labpipe.project.work import fits_of, with_repeats_of
 from labpipe.quantities import QUANTITIES, to_display
 from labpipe.raw_files.screening import ChannelScreen
+from labpipe.raw_files.table import open_table
 from labpipe.records.dataset import DatasetRow, TestResult, accepted, rows_of_fit
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Identification
@@ -346,7 +349,8 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
         if len(recordings) < len(raw):
             return None
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
-        measure_test(recordings, job.frf, output, job.test.name, job.test.conditions)
+        seen = partial(_seen_in_files, job)
+        measure_test(recordings, job.frf, output, job.test.name, job.test.conditions, seen)
         for recording in recordings:
             recording.check_unchanged()
     except DataError:
@@ -379,8 +383,22 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
             )
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
         conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
-        measure_test(stored, job.frf, output, job.test.name, conditions)
+        measure_test(stored, job.frf, output, job.test.name, conditions, partial(_seen_in_files, job))
     return tuple(reference for recording in stored for reference in recording_refs(recording, job.folder))
+
+
+def _seen_in_files(job: Job) -> list[Finding]:
+    """What the first raw file with copies of its channels says against the window that is stated."""
+    if job.frf is None or job.frf.windowed is None:
+        return []
+    for source in job.test.recordings:
+        measured = [one.column for one in source.rig.channels if one.channel.role == "output"]
+        found = (
+            None if is_recording(source.path) else windows_of_copies_alone(open_table(source.path), measured)
+        )
+        if found is not None:
+            return [found]
+    return []
 
 
 def sources_before(job: Job) -> tuple[SourceRef, ...]:

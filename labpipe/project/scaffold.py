@@ -8,109 +8,36 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
-from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, DataError
-from labpipe.project.first_guess import (
-    MODAL_LINES,
-    GuessedChannel,
-    band_around,
-    band_of,
-    copies,
-    first_rows,
-    guess_channels,
-    peaks_of,
-    step_of,
-    time_columns,
-    with_hammer,
-)
+from labpipe.errors import DataError
+from labpipe.project.first_guess import MODAL_LINES, GuessedChannel, band_of, peaks_of
 from labpipe.project.guessed_frfs import GuessedFrf, guessed_frf
+from labpipe.project.proposals import (
+    UNSEEN,
+    FirstLook,
+    Proposal,
+    decay_bands,
+    excitation_of,
+    first_look,
+    proposal_of,
+    proposals,
+    proposed,
+)
 from labpipe.project.ready_response import is_response, load_response
-from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
 from labpipe.quantities import UnitError, unit_of
-from labpipe.raw_files.first_look import Excitation, look
-from labpipe.raw_files.table import Table, guarded, open_table
+from labpipe.raw_files.first_look import Excitation
+from labpipe.raw_files.table import guarded, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.records.frf_layout import MECHANICAL
-from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FORMS, FrequencyResponse
-from labpipe.registry import nearest
-from labpipe.spectra.measurement import measure
-from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.sweeps import find_sweeps
-
-# The shipped examples: for every rig its recordings, what describes it, and the pipelines that use it.
-
-_SAMPLE = re.compile(r"\.\./sample_data/([\w.-]+)/")
-_VIRTUAL = re.compile(r"\.\./configs/([\w.-]+)\.yaml")
-
-
-def shipped() -> Path:
-    """Where pipelines, configs and sample data are: in the checkout, or beside the installed package.
-
-    ConfigError when nowhere.
-    """
-    for root in (Path(__file__).parents[2], Path(sys.prefix) / "share/labpipe"):
-        if (root / "pipelines").is_dir() and (root / "sample_data").is_dir():
-            return root
-    raise ConfigError(
-        "the examples are not installed",
-        hint="they come with the repository: pipelines, configs and sample_data",
-    )
-
-
-def examples() -> dict[str, list[Path]]:
-    """The pipelines of every rig by the rig's name: that of its recordings, or of what describes it where it
-    has none.
-    """
-    by_rig: dict[str, list[Path]] = {}
-    for path in sorted((shipped() / "pipelines").glob("*.yaml")):
-        by_rig.setdefault(_rig_of(path), []).append(path)
-    return dict(sorted(by_rig.items()))
-
-
-def _rig_of(path: Path) -> str:
-    text = path.read_text(encoding="utf-8")
-    sample = _SAMPLE.search(text)
-    if sample is not None:
-        return sample[1]
-    described = _VIRTUAL.search(text)
-    return described[1] if described is not None else path.stem
-
-
-def copy_example(name: str, output: OutputFolder) -> list[str]:
-    """Copy an example's pipelines with all they name, in the folders that they are in; the names of the
-    pipelines.
-
-    ConfigError when there is none of that name.
-    """
-    pipelines = examples()
-    if name not in pipelines:
-        raise ConfigError(f"no example '{name}'", hint=nearest(name, pipelines))
-    root = shipped()
-    files = [*pipelines[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
-    samples = {
-        sample
-        for pipeline in pipelines[name]
-        for sample in _SAMPLE.findall(pipeline.read_text(encoding="utf-8"))
-    }
-    for sample in sorted(samples):
-        files.extend(path for path in (root / "sample_data" / sample).rglob("*") if path.is_file())
-    for path in files:
-        output.write_path(path.relative_to(root).as_posix()).write_bytes(path.read_bytes())
-    return [pipeline.name for pipeline in pipelines[name]]
-
 
 # A project from a recording: rig.yaml and pipeline.yaml with all that the file says itself, and marks where
 # a person must decide.
@@ -123,8 +50,6 @@ NOT_SHOWN = (
     "#   mass: 1 kg +- 0.01 kg         # a sensor of mass m_t lowers f_n by m_t / 2 m of itself",
     "# A second test at half the force shows what the level does; `damping: hysteretic`, what its law does.",
 )
-# Share of a record that sweeps take where they are its excitation.
-SWEPT = 0.4
 
 
 @dataclass(frozen=True)
@@ -146,23 +71,6 @@ class Scaffold:
         ]
 
 
-@dataclass(frozen=True)
-class FirstLook:
-    """A recording as its file describes it; *rate* [Hz], 0 where nobody knows it.
-
-    Rows (n_sample, n_channel) as recorded.
-    """
-
-    channels: tuple[GuessedChannel, ...]
-    rate: float
-    time: str
-    rows: FloatArray
-    unused: tuple[str, ...] = ()
-
-    def column_of(self, role: str) -> list[int]:
-        return [number for number, channel in enumerate(self.channels) if channel.role == role]
-
-
 def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     """The project in *folder* for recordings, or for FRFs, which need no rig file.
 
@@ -179,30 +87,10 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     if guessed is not None:
         return Scaffold("", _pipeline_of_tables(guessed, files, paths))
     first = first_look(open_table(files[0]))
-    return Scaffold(_rig(first, files[0]), _pipeline(first, files, paths))
-
-
-def first_look(table: Table) -> FirstLook:
-    """The channels of a table with what its metadata say, its rate and time column, and its first rows."""
-    names, rows = first_rows(table)
-    if rows.shape[0] < 2:
-        raise DataError("holds too few samples", where=str(table.path))
-    times = time_columns(names, rows)
-    signal_numbers = [number for number, name in enumerate(names) if name not in times]
-    if not signal_numbers:
-        raise DataError("holds no column but time", where=str(table.path))
-    time = times[0] if times and table.sample_rate is None else ""
-    step = step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
-    rate = table.sample_rate or (1 / step if step else 0.0)
-    copied = copies([names[n] for n in signal_numbers], rows[:, signal_numbers])
-    chosen = [n for n in signal_numbers if names[n] not in copied]
-    others: dict[str, int] = getattr(table, "unused", {})
-    unused = (
-        *(f"{name}: {reason}" for name, reason in copied.items()),
-        *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
-    )
-    channels = guess_channels([names[n] for n in chosen], table.units, getattr(table, "sensitivities", {}))
-    return FirstLook(with_hammer(channels, rows[:, chosen]), rate, time, rows[:, chosen], unused)
+    pipeline = _pipeline(first, files, paths)
+    if "model: modal" in pipeline:
+        first = first.with_forces_apart()
+    return Scaffold(_rig(first, files[0]), pipeline)
 
 
 def _rig(first: FirstLook, path: Path) -> str:
@@ -242,7 +130,8 @@ def _channel_line(channel: GuessedChannel) -> str:
 
 def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
     inputs, outputs = first.column_of("input"), first.column_of("output")
-    excitation = _excitation(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
+    excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
+    decays = {} if inputs else decay_bands(first, outputs)
     if excitation is not None and _side_by_side(first, outputs):
         return _pipeline_of_stator(first, excitation, paths)
     lines = [
@@ -250,10 +139,12 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
         *_sources(files, paths, "recordings"),
-        *_frf_lines(excitation, first.rate),
+        *(_frf_lines(excitation, first.rate) if not decays else DECAYING),
         "identify:",
     ]
-    peaks = _peaks(first, inputs[:1], outputs, excitation) if excitation is not None and first.rate else {}
+    if decays:
+        return "\n".join([*lines, *(line for fit in decays.items() for line in _decay_lines(*fit))]) + "\n"
+    peaks = proposals(first, inputs[:1], outputs, excitation) if excitation is not None and first.rate else {}
     force = (
         first.channels[inputs[0]].key
         if inputs
@@ -262,31 +153,28 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if not outputs:
         lines.extend(
             _fit_lines(
-                "fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", None
+                "fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", UNSEEN
             )
         )
     for output in (first.channels[number].key for number in outputs):
-        lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output)))
+        lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output, UNSEEN)))
     lines.append(
         "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
     )
     return "\n".join(lines) + "\n"
 
 
-def _excitation(force: FloatArray, rate: float) -> Excitation:
-    """The kind of a force (n_sample,) [any unit] at a *rate* [Hz], sweeps among what has no period."""
-    seen = look(force, rate)
-    if seen.kind != "random":
-        return seen
-    try:
-        sweeps = find_sweeps(force)
-    except DataError:
-        return seen
-    if sum(sweep.stop - sweep.start for sweep in sweeps) < SWEPT * force.size:
-        return seen
-    widest = max(sweeps, key=lambda sweep: sweep.high - sweep.low)
-    band = widest.low * rate, min(widest.high * rate, 0.4 * rate)
-    return Excitation("sweep", widest.stop - widest.start, band, len(sweeps))
+DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
+
+
+def _decay_lines(output: str, band: tuple[float, float]) -> list[str]:
+    return [
+        f"  ring_{output}:",
+        "    model: decay",
+        "    modes: 1",
+        f"    output: {output}",
+        f"    band: {band[0]:.4g}-{band[1]:.4g} Hz".ljust(31) + "# around the highest peak",
+    ]
 
 
 def _side_by_side(first: FirstLook, outputs: Sequence[int]) -> bool:
@@ -359,68 +247,23 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     return lines
 
 
-def _fit_lines(name: str, force: str, output: str, band: tuple[float, float] | None) -> list[str]:
-    lines = [
-        f"  {name}:",
-        "    model: sdof",
-        "    estimator: ml",
-        f"    input: {force}",
-        f"    output: {output}",
-    ]
-    if band is not None:
-        lines.append(f"    band: {band[0]:.6g}-{band[1]:.6g} Hz".ljust(31) + "# around the highest peak")
-    return lines
-
-
-def _peaks(
-    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation
-) -> dict[str, tuple[float, float]]:
-    """A band around the highest peak of the mobility of each response, by its channel.
-
-    None where nothing can be measured.
-    """
-    chosen = [*inputs, *outputs]
-    channels = tuple(_as_channel(first.channels[number]) for number in chosen)
-    kinds = {channel.quantity for channel in channels if channel.role == "output"}
-    if not outputs or len(kinds) > 1:
-        return {}
-    length = excitation.length / first.rate
-    periodic = excitation.kind == "periodic"
-    keys: dict[str, Any] = {"block": length} if excitation.kind in ("random", "impact") else {}
-    if periodic:
-        keys = {"period": length, "skip": 1 if excitation.repeats > 2 else 0}
-    settings = FrfSettings(excitation=excitation.kind, band=excitation.band, **keys)
-    try:
-        response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
-    except DataError:
-        return {}
-    return {
-        port.label: band_around(response.frequency, _mobility(response)[:, row])
-        for row, port in enumerate(response.outputs)
+def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator: str = "ml") -> list[str]:
+    own = {
+        "sdof": ["    model: sdof", f"    estimator: {estimator}"],
+        "modal": ["    model: modal               # `sdof` gives k and c where force and response meet"],
     }
-
-
-def _as_channel(channel: GuessedChannel) -> Channel:
-    """The channel for a look at the spectra; what is not known counts as a displacement, in any unit."""
-    quantity = (
-        channel.quantity if channel.quantity in ("force", "velocity", "acceleration") else "displacement"
-    )
-    return Channel(channel.key, quantity, channel.role, channel.dof)
-
-
-def _mobility(response: FrequencyResponse) -> FloatArray:
-    """|velocity / force| (n_frequency, n_output) of the first force: neither the low nor the high end
-    outweighs a resonance.
-    """
-    order = {"receptance": 1, "mobility": 0, "accelerance": -1}.get(response.form, 0)
-    weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
-    return np.abs(response.matrix[:, :, 0]) * weight[:, None]
+    lines = [f"  {name}:", *own[proposal.model]]
+    lines += [f"    input: {force}", f"    output: {output}"]
+    if proposal.band is not None:
+        low, high = proposal.band
+        lines.append(f"    band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# around the highest peak")
+    return lines
 
 
 def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
     """A modal fit for each peak of the mobility of all *files*, root mean square over their points."""
     parts = (guarded(guessed_frf, file) for file in files)
-    sizes = [part.size[:, 0] for part in parts if part is not None]
+    sizes = [np.abs(part.values[:, 0]) for part in parts if part is not None]
     if any(size.shape != sizes[0].shape for size in sizes):
         return ["  modes:", "    model: modal"]
     moving = guessed.frequency > 0
@@ -461,9 +304,9 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
     lines.extend(_sources(files, paths, "frfs"))
     lines.append("identify:")
     for row, port in enumerate(response.outputs):
-        band = band_around(response.frequency, _mobility(response)[:, row])
-        fit = _fit_lines(f"fit_{row + 1}", json.dumps(response.inputs[0].label), json.dumps(port.label), band)
-        lines.extend(line.replace("estimator: ml", f"estimator: {estimator}") for line in fit)
+        proposal = proposal_of(response, row, stated=True)
+        force, output = json.dumps(response.inputs[0].label), json.dumps(port.label)
+        lines.extend(_fit_lines(f"fit_{row + 1}", force, output, proposal, estimator))
     return "\n".join(lines) + "\n"
 
 
@@ -510,12 +353,19 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
         force = f"{DECIDE}    {MARK} the dof of the force"
     moving = guessed.frequency > 0
     for number, output in enumerate(outputs):
-        band = None
-        if moving.sum() > 1 and number < guessed.size.shape[1]:
-            frequency = guessed.frequency[moving]
-            band = band_around(frequency, guessed.size[moving, number] * frequency ** _order(guessed))
-        fit = _fit_lines("fit" if len(outputs) == 1 else f"fit_{number + 1}", force, output, band)
-        lines += [line.replace("estimator: ml", "estimator: ls") for line in fit]
+        proposal = UNSEEN
+        if moving.sum() > 1 and number < guessed.values.shape[1]:
+            frequency, h = guessed.frequency[moving], guessed.values[moving, number]
+            order = _order(guessed)
+            proposal = proposed(
+                frequency,
+                np.abs(h) * frequency**order,
+                # Without a form there is no stiffness, and without a phase nothing speaks against one point.
+                at_one_point=bool(guessed.unit or guessed.form),
+                phase=np.angle(h * 1j**order) if np.iscomplexobj(h) else None,
+            )
+        name = "fit" if len(outputs) == 1 else f"fit_{number + 1}"
+        lines += _fit_lines(name, force, output, proposal, "ls")
     return "\n".join(lines) + "\n"
 
 

@@ -326,6 +326,14 @@ def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -
     return bool(above) and len(fields_of(above[-1], delimiter)) in (n_field, n_field - 1)
 
 
+# What a logger writes ahead of its row of units.
+UNIT_ROW = re.compile(r"(units?|einheit(en)?)\W*$", re.IGNORECASE)
+
+
+def _is_plain(field: str) -> bool:
+    return re.fullmatch(r"[-+]?[\d.]+", field) is not None
+
+
 def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
     rows = [
@@ -338,8 +346,10 @@ def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str
     if not titles:
         return tuple(str(n + 1) for n in range(n_field)), {}
     names, unit_row = titles[-1], [""] * n_field
-    if len(titles) > 1 and all(not field or _unit_of(field) for field in names):
-        names, unit_row = titles[-2], [_unit_of(field) for field in names]
+    if len(titles) > 1 and all(not field or _unit_of(field) or UNIT_ROW.match(field) for field in names):
+        # Loggers put ranges and offsets between names and units.
+        named = [row for row in titles[:-1] if len(set(row)) == n_field and not any(map(_is_plain, row))]
+        unit_row, names = [_unit_of(field) for field in names], (named or titles[:-1])[-1]
     units = {name: unit or bracketed_unit(name) for name, unit in zip(names, unit_row, strict=True)}
     return tuple(names), {name: unit for name, unit in units.items() if unit}
 

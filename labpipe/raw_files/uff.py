@@ -162,8 +162,31 @@ def read_uff(path: Path) -> tuple[UffRecord, ...]:
     with open_uff(path) as buffer:
         records = tuple(_records(_Lines(path, buffer)))
     if not records:
-        raise DataError("holds no record 58", where=str(path), hint="only records 58 and 58b are read")
+        shapes = len(records_55(path))
+        if shapes:
+            what = f"holds {shapes} mode shape(s) in records 55, and no recording or FRF"
+            raise DataError(what, where=str(path), hint="`labpipe inspect` shows them")
+        hint = "records 58 and 58b are read, and shapes in records 55"
+        raise DataError("holds no record 58", where=str(path), hint=hint)
     return records
+
+
+def records_55(path: Path) -> list[list[str]]:
+    """The lines of every record 55 of a file without a record 58; nothing of one with."""
+    shapes: list[list[str]] = []
+    with open_uff(path) as buffer:
+        lines = _Lines(path, buffer)
+        while (line := lines.next()) is not None:
+            if line.strip() != "-1":
+                continue
+            kind, begin = lines.needed(1)[0].strip(), lines.position
+            if kind.startswith("58"):
+                return []
+            _to_end(lines, kind)
+            if kind == "55":
+                text = _decoded(buffer[begin : lines.position])
+                shapes.append([row for row in text.splitlines() if row.strip() not in ("", "-1")])
+    return shapes
 
 
 def _records(lines: _Lines) -> Iterator[UffRecord]:

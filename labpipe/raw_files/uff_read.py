@@ -386,14 +386,15 @@ def titled_form(record: UffRecord) -> str:
     return next((form for form, word in _CALLED if re.match(word, called[1], re.IGNORECASE)), "")
 
 
-def frf_sizes(path: Path, records: Sequence[UffRecord]) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (n,) [Hz] and |H| (n, n_record) [unit of the file] of FRF records of one length; of the
+def frf_values(path: Path, records: Sequence[UffRecord]) -> tuple[FloatArray, ComplexArray]:
+    """Frequencies (n,) [Hz] and H (n, n_record) [unit of the file] of FRF records of one length; of the
     first alone where they differ.
     """
     with open_uff(path) as buffer:
         frequency = _frequency(buffer, records[0])
         alike = [record for record in records if record.n_value == frequency.size]
-        return frequency, np.abs(np.stack([read_numbers(buffer, r.layout)[1] for r in alike], axis=1))
+        values = np.stack([read_numbers(buffer, r.layout)[1] for r in alike], axis=1)
+        return frequency, np.asarray(values, np.complex128)
 
 
 def _labelled_form(record: UffRecord) -> str:

@@ -5,7 +5,7 @@ provenance last.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from labpipe.records.identification import Identification, of_points
 from labpipe.records.sections import section
 from labpipe.registry import Registry, nearest
 from labpipe.report.cover import SIMPLE_ACCEPTANCE, cover_facts, decision_blocks, result_blocks, section_facts
-from labpipe.report.document import Block, Document, Paragraph, Section, Table
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
 from labpipe.report.wording import fit_title
@@ -295,7 +295,10 @@ def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...
         named = [(entry.get("name", number), entry) for number, entry in enumerate(settings, 1)]
         paths = [(f"{key}.{name}", {**entry, "name": None}) for name, entry in named]
         return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
-    return () if settings in (None, False, "", []) else ((key, json.dumps(settings).strip('"')),)
+    if settings in (None, False, "", []):
+        return ()
+    parts = settings if isinstance(settings, list) else [settings]
+    return ((key, ", ".join(part if isinstance(part, str) else json.dumps(part) for part in parts)),)
 
 
 def _defaults() -> dict[str, list[Any]]:
@@ -383,9 +386,20 @@ WITH_MATRIX: dict[Part, Part] = {
 
 
 def _document(identification: Identification, parts: tuple[Part, ...], title: str) -> Document:
-    sections = tuple(section for part in parts for section in part(identification))
+    sections = _each_figure_once([section for part in parts for section in part(identification)])
     subtitle = f"Identification report, labpipe {identification.version}"
     return Document(title, subtitle, sections, cover_facts([identification]))
+
+
+def _each_figure_once(sections: Sequence[Section]) -> tuple[Section, ...]:
+    """The sections without the figures that the first of them has already, by their captions."""
+    first, *others = sections
+    shown = {block.caption for block in first.blocks if isinstance(block, Figure)}
+    kept = (
+        tuple(block for block in one.blocks if not (isinstance(block, Figure) and block.caption in shown))
+        for one in others
+    )
+    return (first, *(replace(one, blocks=blocks) for one, blocks in zip(others, kept, strict=True)))
 
 
 def _in_matrix(identification: Identification) -> bool:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 
 from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
 from labpipe.quantities import to_display
 from labpipe.records.finding import Parameter
+from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import (
     Fit,
     FittedCurve,
@@ -101,8 +101,8 @@ MEANINGS = {
 }
 # Rows of the first page, and elements of a response that one figure of it shows.
 MOST_RESULTS, MOST_ELEMENTS = 18, 4
-# Height of that figure [in].
-FIGURE_HEIGHT = 2.1
+# Height of that figure [in], alone and with phase and residual, which stand above so many rows in all.
+FIGURE_HEIGHT, WHOLE_HEIGHT, FEW_ROWS = 2.1, 3.9, 9
 # Ends of an interval that differ by less than this share from its middle are a half-width.
 EVEN = 0.02
 
@@ -148,7 +148,10 @@ def _listed(values: Sequence[str]) -> str:
 
 
 def result_blocks(identification: Identification) -> tuple[Block, ...]:
-    """What was asked for: every coefficient with its 95 % interval, and the response behind the first."""
+    """What was asked for: every coefficient with its 95 % interval, and the response behind the first.
+
+    The response of a single fit stands here whole, where the rules leave room, and not again with the fit.
+    """
     fits = _single_fits(identification)
     rows = [row for fit in fits for row in _result_rows(fit, len(fits) > 1)]
     if not rows:
@@ -158,12 +161,29 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
     shown = tuple(tuple(row[n] for n in there) for row in rows[:MOST_RESULTS])
     more = f"; {len(rows) - MOST_RESULTS} more follow behind" if len(rows) > MOST_RESULTS else ""
     table = Table(tuple(header[n] for n in there), shown, f"Results{more}")
-    drawn = (fit for fit in fits if fit.curve is not None and _n_element(fit.curve) <= MOST_ELEMENTS)
-    return (table, *(_amplitudes(fit, fit.curve) for fit in islice(drawn, 1) if fit.curve is not None))
+    drawn = [(fit, fit.curve) for fit in fits if fit.curve is not None]
+    drawn = [(fit, fitted) for fit, fitted in drawn if _n_element(fitted) <= MOST_ELEMENTS]
+    is_alone = len(fits) == 1 and len(rows) + len(identification.outcomes) <= FEW_ROWS
+    figure = _whole if is_alone else _amplitudes
+    figures = [figure(fit, fitted) for fit, fitted in drawn[:1]]
+    return (table, *(figures or [block for block in _of_details(fits[0]) if is_alone][:1]))
+
+
+def _of_details(fit: Fit) -> list[Figure]:
+    """The figures of what a model shows beside its parameters, such as a decay."""
+    blocks = (block for detail in fit.details for block in DETAILS.load(detail.key).blocks(fit, detail))
+    return [block for block in blocks if isinstance(block, Figure) and isinstance(block.graphic, Chart)]
 
 
 def _n_element(curve: FittedCurve) -> int:
     return len(curve.outputs) * len(curve.inputs)
+
+
+def _whole(fit: Fit, fitted: FittedCurve) -> Figure:
+    """Amplitude, phase and residual of the measured and the fitted response, lower than with the fit."""
+    figure = fitted_curve_figure(fit, fitted)
+    assert isinstance(figure.graphic, Chart)
+    return replace(figure, graphic=stacked(figure.graphic.panels, WHOLE_HEIGHT))
 
 
 def _amplitudes(fit: Fit, fitted: FittedCurve) -> Figure:

@@ -49,10 +49,23 @@ Block = Paragraph | Table | Figure | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and its blocks."""
+    """A heading and its blocks; columns of a table without any entry are left out."""
 
     heading: str
     blocks: tuple[Block, ...]
+
+    def __post_init__(self) -> None:
+        blocks = tuple(_filled(block) if isinstance(block, Table) else block for block in self.blocks)
+        object.__setattr__(self, "blocks", blocks)
+
+
+def _filled(table: Table) -> Table:
+    """The table without columns that have no entry."""
+    kept = [n for n in range(len(table.header)) if any(row[n] for row in table.rows)]
+    if not table.rows or len(kept) == len(table.header):
+        return table
+    header, *rows = (tuple(row[n] for n in kept) for row in (table.header, *table.rows))
+    return Table(header, tuple(rows), table.caption, tuple(map(kept.index, {*table.numeric} & {*kept})))
 
 
 SIGNATURE = Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),))

@@ -111,7 +111,7 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     )
     caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {fitted.form}, and the residual{band}."
     return Figure(
-        stacked(panels, 6.2), caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
+        stacked(panels, 5.0), caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
     )
 
 
@@ -211,7 +211,8 @@ def response_figure(response: FrequencyResponse) -> Figure:
     name, factor = response.name or "the measurement", form_unit(response.form)[1]
     amplitude = _elements(response, factor * np.abs(response.matrix))
     quality, what = _quality(response)
-    chart = stacked([over_frequency(form_axis(response.form), amplitude, 3.0), quality], 4.4)
+    shown = over_frequency(form_axis(response.form), amplitude, 3.0)
+    chart = stacked([shown], 2.4) if quality is None else stacked([shown, quality], 3.4)
     return Figure(
         chart,
         f"Measured {response.form} of {name}, and {what}.",
@@ -242,8 +243,10 @@ def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
     ]
 
 
-def _quality(response: FrequencyResponse) -> tuple[Panel, str]:
-    """The panel on the quality of the FRF (coherence, standard deviation), and its description."""
+def _quality(response: FrequencyResponse) -> tuple[Panel | None, str]:
+    """The panel on the quality of the FRF (coherence, standard deviation), None where nothing is known of it,
+    and its description.
+    """
     several = response.partial_coherence is not None
     coherence = response.partial_coherence if several else response.coherence
     if coherence is not None:
@@ -268,9 +271,7 @@ def _quality(response: FrequencyResponse) -> tuple[Panel, str]:
         return over_frequency(
             Axis("std / |H|", logarithmic=True), _elements(response, relative), 2.0
         ), "its relative standard deviation"
-    return Panel(
-        FREQUENCY, Axis(), (), share=2.0, note="the uncertainty of this FRF is not known"
-    ), "no statement of its uncertainty"
+    return None, "its uncertainty is not known"
 
 
 def line_figure(fits: Sequence[Fit]) -> Figure:
@@ -391,7 +392,11 @@ def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Amplitude of every element, measured with two standard deviations (dots, shaded) and fitted (line)."""
     rows, columns = len(fitted.outputs), len(fitted.inputs)
     panels = tuple(_element(fitted, o, i) for o in range(rows) for i in range(columns))
-    chart = Chart(panels, rows, columns, (WIDTH, 0.6 + 1.7 * rows), "xy", "above")
+    if columns == 1:
+        # One row or column of a matrix, as of a roving test.
+        columns = min(COLUMNS, rows)
+        rows = -(-len(panels) // columns)
+    chart = Chart(panels, rows, columns, (WIDTH, 0.6 + 1.4 * rows), "xy", "above")
     caption = (
         f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) "
         f"{fitted.form}, response/force."

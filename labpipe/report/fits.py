@@ -95,22 +95,37 @@ PARAMETER_HEADER = (
     "VIF",
 )
 NUMERIC = (1, 3, 4, 5, 7)
+# Estimates whose correlation a sentence says; that of more is a figure.
+FEW_ESTIMATES = 4
 _EXPLANATION = Paragraph(STARS_EXPLAINED)
+SAID_BEFORE = Paragraph("Notes and sources of error that stand with a fit before hold here as well.", "note")
 
 
 def fit_sections(identification: Identification) -> tuple[Section, ...]:
     """One section for every fit; the bands of a sliding fit and the lines of a calibration share theirs.
 
-    Signs are explained once.
+    What holds of several fits in the same words stands with the first of them.
     """
-    sections, is_explained = [], False
+    sections: list[Section] = []
+    said: list[Block] = []
     for fits in _groups(identification.fits):
         blocks = _result(fits)
-        if _EXPLANATION in blocks:
-            blocks = tuple(block for block in blocks if not (is_explained and block == _EXPLANATION))
-            is_explained = True
-        sections.append(Section(f"Result: {_title(fits)}", blocks))
+        general = [block for block in blocks if _is_general(block)]
+        again = [block for block in general if block in said]
+        said += general
+        pointer = (SAID_BEFORE,) if any(block != _EXPLANATION for block in again) else ()
+        fresh = tuple(block for block in blocks if not (_is_general(block) and block in again))
+        sections.append(Section(f"Result: {_title(fits)}", (*fresh[:2], *pointer, *fresh[2:])))
     return tuple(sections)
+
+
+def _is_general(block: Block) -> bool:
+    """Whether a block may hold of several fits: signs, notes, and tables that say the same."""
+    return (
+        isinstance(block, Table)
+        or block == _EXPLANATION
+        or (isinstance(block, Paragraph) and block.kind == "note")
+    )
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
@@ -130,7 +145,7 @@ def fit_figures(fit: Fit) -> list[Figure]:
     ]
     if repeated:
         shown.append(figures.repeats_figure(fit, repeated))
-    if fit.correlation.shape[0] > 2:
+    if fit.correlation.shape[0] > FEW_ESTIMATES and any(p.std_error is not None for p in fit.parameters):
         shown.append(figures.correlation_figure(fit))
     return shown
 
@@ -161,7 +176,7 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
         _EXPLANATION,
         *budget_blocks(fit),
-        *_correlation_of_two(fit),
+        *_correlation_of_few(fit),
         *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
@@ -176,13 +191,16 @@ def _blocks_of_details(fit: Fit) -> Iterator[Block]:
         yield from DETAILS.load(detail.key).blocks(fit, detail)
 
 
-def _correlation_of_two(fit: Fit) -> tuple[Block, ...]:
-    """The correlation of the only two estimates, in words; more stand in a figure."""
-    if fit.correlation.shape[0] != 2:
+def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
+    """The correlation of a few estimates, in words; more stand in a figure."""
+    n = fit.correlation.shape[0]
+    if not 2 <= n <= FEW_ESTIMATES:
         return ()
-    first, second = (parameter.name for parameter in fit.parameters if not parameter.derived)
-    value = float(fit.correlation[0, 1])
-    return (Paragraph(f"Correlation between the estimates of {first} and {second}: {value:.3g}."),)
+    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    pairs = ", ".join(
+        f"{names[i]} and {names[j]}: {fit.correlation[i, j]:.3g}" for i in range(n) for j in range(i + 1, n)
+    )
+    return (Paragraph(f"Correlation between the estimates of {pairs}."),)
 
 
 def _described(fit: Fit) -> str:

@@ -22,7 +22,7 @@ from labpipe.spectra.matrices import hermitian, without_rounding
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.sweeps import FoundSweep, cuts, find_sweeps, loudest_sweeps, rate_findings
+from labpipe.spectra.sweeps import MARGIN_SHARE, FoundSweep, cuts, find_sweeps, loudest_sweeps, rate_findings
 
 # Leakage counts where its power exceeds that of the noise in its estimate by this factor, and by so many
 # standard errors.
@@ -65,13 +65,14 @@ class _Spectra:
     *frequency* (n_line,) [Hz].
 
     local: noise and leakage of the same lines by a local fit; leaking: whether leakage was found, and taken
-    out of the responses.
+    out of the responses; hidden: power (n_line, n_output) [unit^2] of what may be left of it in a block.
     """
 
     frequency: FloatArray
     blocks: ComplexArray
     local: LocalNoise
     leaking: bool = False
+    hidden: FloatArray | None = None
 
     def select(self, lines: BoolArray) -> _Spectra:
         """The chosen lines (n_line,)."""
@@ -111,7 +112,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     leakage: tuple[Finding, ...] = ()
     # The noise of one sweep is what the local fit leaves, beside its leakage.
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
-        spectra, leakage = _without_leakage(spectra, n_input)
+        spectra, leakage = _without_leakage(spectra, n_input, _ends(swept, rate))
     parts = _with_repeats(_parts(spectra, layout), spectra, n_input)
     rates = rate_findings(spectra.frequency, parts.matrix, sweeps, rate, n_sample, leaking=spectra.leaking)
     return replace(parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *rates))
@@ -237,35 +238,95 @@ def _driven(forces: ComplexArray) -> BoolArray:
     return np.asarray(np.all(level >= LEAST_SHARE * usual, axis=1))
 
 
-def _without_leakage(spectra: _Spectra, n_input: int) -> tuple[_Spectra, tuple[Finding, ...]]:
+def _without_leakage(
+    spectra: _Spectra, n_input: int, ends: Sequence[_End]
+) -> tuple[_Spectra, tuple[Finding, ...]]:
     """The spectra without the leakage of their responses where there is some, and a note on it.
 
-    A sweep at the very end of a record looks like leakage itself: its lines are left out then. DataError when
-    that leaves none.
+    A sweep at the very end of a record looks like leakage itself: its lines keep it, and their noise holds
+    what it may be. DataError when no other line tells how much that is.
     """
     local = spectra.local
     is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
-    if not _leaks(spectra.select(is_determined)):
-        return spectra, ()
-    if np.count_nonzero(is_determined) < 2:
+    leaking = _leaks(spectra.select(is_determined))
+    if leaking and np.count_nonzero(is_determined) < 2:
         raise DataError(
             "the responses ring on at the ends of the record, and no line can be told from that",
             hint="pauses between sweeps",
         )
+    taken = is_determined & leaking
     blocks = spectra.blocks.copy()
-    blocks[:, :, n_input:] -= local.leakage.swapaxes(0, 1)
-    lost = (
-        f"; {np.count_nonzero(~is_determined)} lines swept next to its ends are left out"
+    blocks[:, taken, n_input:] -= local.leakage[taken].swapaxes(0, 1)
+    hidden = _hidden(spectra, is_determined, n_input) if leaking else 0.0
+    hidden = np.maximum(hidden, _of_ends(spectra, n_input, ends)) * ~is_determined[:, None]
+    spectra = replace(
+        spectra,
+        blocks=blocks,
+        leaking=leaking,
+        hidden=hidden,
+        local=replace(local, spread=local.spread * taken[:, None, None]),
+    )
+    if not leaking:
+        return spectra, ()
+    kept = (
+        f"; on {np.count_nonzero(~is_determined)} lines swept next to its ends it cannot be told from the "
+        "response, and their uncertainty holds what it may be"
         if not np.all(is_determined)
         else ""
     )
     message = (
         "the responses had not come to rest before a sweep, or at the end of the record: this leakage is "
-        f"estimated over the lines and taken out{lost}"
+        f"estimated over the lines and taken out{kept}"
     )
-    return replace(spectra, blocks=blocks, leaking=True).select(is_determined), (
-        note("sweep-leakage", message),
-    )
+    return spectra, (note("sweep-leakage", message),)
+
+
+def _hidden(spectra: _Spectra, is_determined: BoolArray, n_input: int) -> FloatArray:
+    """Power (n_line, n_output) [unit^2] of the leakage of lines that do not tell it: the share that it has of
+    the response, beyond its noise, on the nearest lines that do.
+    """
+    local, numbers = spectra.local, np.flatnonzero(is_determined)
+    response = np.mean(np.abs(spectra.blocks[:, :, n_input:]) ** 2, axis=0)
+    noise = np.einsum("loo->lo", local.noise).real[:, None] * local.spread
+    excess = np.mean(np.abs(local.leakage) ** 2 - noise, axis=1)
+    near = max(AROUND, numbers.size // 8)
+    shares = [
+        np.maximum(excess[lines].mean(axis=0), 0.0) / response[lines].mean(axis=0)
+        for lines in (numbers[:near], numbers[-near:])
+    ]
+    is_low = np.arange(response.shape[0]) < numbers.mean()
+    return np.asarray(np.where(is_low[:, None], *shares) * response)
+
+
+# The end of a sweep that ends with its block: its frequency [Hz], and its amplitude [N] by the rate [Hz].
+_End = tuple[float, float]
+
+
+def _ends(swept: Sequence[_Swept], rate: float) -> list[_End]:
+    return [
+        (sweep.last * rate, np.sqrt(2) * sweep.level * rate)
+        for run in swept
+        for sweep, (_, stop) in zip(run.sweeps, run.cuts, strict=True)
+        if stop - sweep.stop < MARGIN_SHARE * (sweep.stop - sweep.start)
+    ]
+
+
+def _of_ends(spectra: _Spectra, n_input: int, ends: Sequence[_End]) -> FloatArray:
+    """Power (n_line, n_output) [unit^2] of the leakage of a steady sine that ends with the block.
+
+    (H(w) - H(w_end)) u / 2 over w - w_end: what a response still owes to its force. Of one force only.
+    """
+    power = np.zeros((spectra.frequency.size, spectra.blocks.shape[2] - n_input))
+    if n_input > 1:
+        return power
+    h = np.mean(spectra.blocks[:, :, 1:] / spectra.blocks[:, :, :1], axis=0)
+    for frequency, amplitude in ends:
+        away = np.abs(spectra.frequency - frequency)
+        at_end = h[np.argsort(away)[: spectra.local.width]].mean(axis=0)
+        # Nearer than the lines of that mean the quotient is its slope.
+        away = np.maximum(away, np.sort(away)[min(spectra.local.width, away.size) - 1])
+        power += np.abs(h - at_end) ** 2 * (amplitude / 2 / (2 * np.pi * away[:, None])) ** 2
+    return power / max(len(ends), 1)
 
 
 def _leaks(spectra: _Spectra) -> bool:
@@ -296,6 +357,9 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
     noise, per_line, width = _noise(spectra, responses - matrix @ forces, n_input)
     half_width = next(n for n in range(1000) if per_line * _lines_averaged(width, n) >= ENOUGH_DOF)
     noise = pooled_residual(noise, matrix, half_width)
+    if spectra.hidden is not None:
+        # As a rule alike in all sweeps: more of them do not average it.
+        noise = noise + channels.shape[2] / n_input * spectra.hidden[:, :, None] * np.eye(matrix.shape[1])
     spread = (hermitian(inverse) @ inverse).swapaxes(1, 2)
     n = matrix.shape[1] * n_input
     covariance = without_rounding(

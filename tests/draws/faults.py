@@ -318,6 +318,12 @@ def renamed(**names: str) -> Spoiling:
     return lambda signals: {names.get(name, name): signal for name, signal in signals.items()}
 
 
+def beside_windowed(signals: Signals) -> Signals:
+    """The response and its copy under an exponential window of 1 s from each hit, one every 5 s."""
+    t = np.arange(signals["y"].size) / RATE
+    return {**signals, "y_window": signals["y"] * np.exp(-((t - 0.4) % 5.0))}
+
+
 def falling(signals: Signals) -> Signals:
     """The decays with a damping that grows with the amplitude: sqrt of the envelope's law by their own."""
     y = signals["y"]
@@ -526,6 +532,14 @@ FAULTS = [
         replace(TABLE, options={"window": 1.0}),
         "`windowed`",
         frf(windowed={"exponential": "1 s"}),
+    ),
+    Fault(
+        "window stated, raw channel beside its windowed copy",
+        "not-windowed",
+        replace(IMPACT, frf={**IMPACT.frf, "windowed": {"exponential": "1 s"}}, spoil=beside_windowed),
+        "without `windowed`",
+        lambda run, _: replace(run, frf=IMPACT.frf),
+        {"c": 2 * ZETA * MASS * 2 * np.pi * F_N},
     ),
     Fault(
         "unit in the file's header is another",

@@ -14,9 +14,10 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
+from labpipe.project.examples import examples
 from labpipe.project.first_guess import guess_channels, time_columns
 from labpipe.project.pipeline_file import load_pipeline
-from labpipe.project.scaffold import MARK, examples
+from labpipe.project.scaffold import MARK
 from labpipe.project.settings_reader import DECIDE
 
 RATE, PERIOD, REPEATS = 1000.0, 1000, 6
@@ -214,7 +215,9 @@ def test_a_table_without_a_header_whose_first_column_counts_hertz(tmp_path: Path
     text = re.sub(f"unit: {DECIDE}.*", "form: receptance", text)
     (tmp_path / "rig/pipeline.yaml").write_text(text)
     assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
-    assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
+    # A mode: a table of numbers alone says nothing of points, and without a form there is no stiffness.
+    f_n = first_fit(tmp_path / "out")["parameters"][0]
+    assert (f_n["name"], f_n["value"]) == ("f_n_1", pytest.approx(np.sqrt(K / MASS) / 2 / np.pi, rel=1e-6))
     np.savetxt(tmp_path / "t.txt", np.column_stack([frequency / 1000, h.real, h.imag]))
     assert labpipe("init", tmp_path / "time", tmp_path / "t.txt").code == 0
     assert (tmp_path / "time/rig.yaml").exists()
@@ -339,6 +342,71 @@ def test_what_an_analyser_stored_beside_the_channels_is_named_as_not_used(tmp_pa
     assert (
         f"# not used: coherence: 99 values, the channels have {y.size}" in text and text.count("column:") == 2
     )
+
+
+@pytest.mark.parametrize(
+    ("column", "window", "warned"), [("y", True, True), ("y", False, False), ("y_window", True, False)]
+)
+def test_a_window_that_only_the_copy_of_a_channel_has_is_named(
+    tmp_path: Path, labpipe, column: str, window: bool, warned: bool
+) -> None:
+    """The damping comes out as C on the raw channel without `windowed`, and on its copy with it; the window
+    of 0.2 s takes 2 m / 0.2 s off it where only the copy has it.
+    """
+    t = np.arange(2000) / RATE
+    force = np.where((t > 0.05) & (t < 0.053), 1000.0, 0.0)
+    omega, decay = np.sqrt(K / MASS - (C / 2 / MASS) ** 2), C / 2 / MASS
+    y = np.convolve(force / RATE, np.exp(-decay * t) * np.sin(omega * t) / MASS / omega)[: t.size]
+    window_of_analyser = np.exp(-(t - 0.05) / 0.2)
+    files = {"fs": RATE, "f": force * window_of_analyser, "y": y, "y_window": y * window_of_analyser}
+    savemat(tmp_path / "run.mat", files)
+    (tmp_path / "rig.yaml").write_text(
+        "name: Bench\nchannels:\n  f: {quantity: force, unit: N, role: input, dof: x}\n"
+        f"  y: {{column: {column}, quantity: displacement, unit: m, role: output, dof: x}}\n"
+    )
+    stated = ", windowed: {exponential: 0.2 s}" if window else ""
+    (tmp_path / "p.yaml").write_text(
+        "title: Hit\nrig: rig.yaml\nrecordings: run.mat\n"
+        f"frf: {{excitation: impact, block: 2 s, band: 5-100 Hz{stated}}}\n"
+        "identify: {fit: {model: sdof, input: f, output: y, band: 20-45 Hz}}\n"
+    )
+    ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended
+    assert ("not-windowed" in ended.out + ended.err) == warned
+    c = first_fit(tmp_path / "out")["parameters"][1]["value"]
+    assert c == pytest.approx(C - 2 * MASS / 0.2 if warned else C, rel=0.03)
+
+
+@pytest.mark.parametrize(("sign", "model"), [(1, "sdof"), (-1, "modal")])
+def test_a_response_whose_phase_denies_one_point_is_a_mode(
+    tmp_path: Path, labpipe, sign: int, model: str
+) -> None:
+    """A sensor the wrong way round, or at another place: the frequency is right, nothing is unphysical."""
+    force, y = signals()
+    savemat(
+        tmp_path / "run.mat", {"X1": force, "X2": sign * y, "Unit": np.array(["N", "m"], object), "fs": RATE}
+    )
+    assert labpipe("init", tmp_path / "rig", tmp_path / "run.mat").code == 0
+    assert f"model: {model}" in (tmp_path / "rig/pipeline.yaml").read_text()
+    ended = labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0 and "unphysical" not in ended.out + ended.err
+    (f_n,) = [p for p in first_fit(tmp_path / "out")["parameters"] if p["name"] in ("f_n", "f_n_1")]
+    assert f_n["ci95"][0] <= np.sqrt(K / MASS) / 2 / np.pi <= f_n["ci95"][1]
+
+
+def test_responses_that_die_away_without_a_force_are_a_ring_down(tmp_path: Path, labpipe) -> None:
+    """Two releases of the mass on its spring: nothing is left to decide, and the pole is that of C and K."""
+    t, omega, decay = np.arange(4000) / RATE, np.sqrt(K / MASS), C / 2 / MASS
+    one = np.exp(-decay * t) * np.cos(np.sqrt(omega**2 - decay**2) * t)
+    y = np.tile(one, 2) + 1e-4 * np.random.default_rng(5).normal(size=8000)
+    table = np.column_stack([np.arange(8000) / RATE, y])
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t [s],probe [mm]", comments="")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "r.csv")
+    assert ended.code == 0 and "to be decided" not in ended.out
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    f_n, zeta = first_fit(tmp_path / "out")["parameters"][:2]
+    assert f_n["value"] == pytest.approx(omega / 2 / np.pi, rel=1e-3)
+    assert zeta["value"] == pytest.approx(decay / omega, rel=0.02)
 
 
 def test_what_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path, labpipe) -> None:

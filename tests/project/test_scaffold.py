@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from labpipe.errors import DataError
-from labpipe.project.scaffold import first_look, scaffold
+from labpipe.project.proposals import first_look
+from labpipe.project.scaffold import scaffold
 from labpipe.raw_files.table import open_table
 from tests.project.laboratory import recording
 

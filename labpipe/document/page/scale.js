@@ -56,7 +56,11 @@ function ticksOf(axis, limits, most) {
 
 function plain(value) {
   const size = Math.abs(value);
-  if (value !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(4).replace(/\.?0+e/, "e").replace("e+", "e").replace("-", "−");
+  if (value !== 0 && (size >= 1e6 || size < 1e-4)) {
+    const [mantissa, exponent] = value.toExponential(4).replace(/\.?0+e/, "e").replace("e+", "e").split("e");
+    const raised = exponent.replace(/./g, (sign) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(sign)]);
+    return (mantissa === "1" ? "" : `${mantissa.replace("-", "−")} × `) + `10${raised}`;
+  }
   return String(Number(value.toPrecision(10))).replace("-", "−");
 }
 

@@ -24,7 +24,7 @@ from labpipe.report.chart import (
     stacked,
     upright,
 )
-from labpipe.report.document import Block, Figure, Table
+from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.figures import FREQUENCY
 from labpipe.report.shapes import shape_figures
 from labpipe.report.wording import fit_title
@@ -32,15 +32,19 @@ from labpipe.report.wording import fit_title
 # Largest number of points whose names stand below the panels of the shapes.
 MOST_NAMES = 12
 COLUMNS = 3
+# Modes whose likeness a sentence says.
+FEW_MODES = 3
 # Limits of 95 % of a standard normal value.
 TWO_SIGMA = 1.96
 
 
 def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
     diagram = [] if modes.diagram is None else [diagram_figure(fit, modes, modes.diagram)]
-    alike = [mac_figure(fit, modes)] if modes.frequency.size > 1 and len(modes.points) > 1 else []
+    alike = _alike(fit, modes) if modes.frequency.size > 1 and len(modes.points) > 1 else []
     shapes = [shapes_figure(fit, modes)] if len(modes.points) > 1 else []
-    return [modes_table(fit, modes), *diagram, *shape_figures(fit_title(fit), modes), *shapes, *alike]
+    # Of a single FRF the parameters say all that the table would.
+    listed = [modes_table(fit, modes)] if len(modes.points) > 1 or modes.driving_points else []
+    return [*listed, *diagram, *shape_figures(fit_title(fit), modes), *shapes, *alike]
 
 
 def modes_table(fit: Fit, modes: Modes) -> Table:
@@ -84,13 +88,16 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         Panel(FREQUENCY, Axis("CMIF", "", logarithmic=True), tuple(indicators)),
         Panel(FREQUENCY, Axis("order"), tuple(poles), share=1.4, pick="poles"),
     ]
+    # The singular value of one FRF is its amplitude.
+    alone = diagram.indicator.shape[1] == 1 and len(modes.points) == 1
+    what = "the" if alone else "singular values of the FRF matrix (complex mode indicator function), and the"
     caption = (
-        f"{fit_title(fit)}: singular values of the FRF matrix (complex mode indicator function), and the "
-        "stable poles of all orders. Poles that return at the same place are modes of the structure; "
-        "dotted: the modes of the fit. In the page a click on a pole chooses it; the line `poles:` for the "
-        "section `modal:` then stands below."
+        f"{fit_title(fit)}: {what} stable poles of all orders. Poles that return at the same place are modes "
+        "of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; the line "
+        "`poles:` for the section `modal:` then stands below."
     )
-    return Figure(stacked(panels, 5.0), caption, f"Stabilisation diagram of fit {fit_title(fit)}")
+    chart = stacked(panels[1:], 2.0) if alone else stacked(panels, 3.6)
+    return Figure(chart, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 
 
 def shapes_figure(fit: Fit, modes: Modes) -> Figure:
@@ -98,7 +105,7 @@ def shapes_figure(fit: Fit, modes: Modes) -> Figure:
     axis = Axis("point", ticks=named_ticks(modes.points) if few else ())
     panels = tuple(_shape(modes, n, axis, few) for n in range(modes.frequency.size))
     rows = -(-len(panels) // COLUMNS)
-    chart = Chart(panels, rows, min(COLUMNS, len(panels)), (WIDTH, 0.6 + 1.7 * rows), "x", "above")
+    chart = Chart(panels, rows, min(COLUMNS, len(panels)), (WIDTH, 0.6 + 1.4 * rows), "x", "above")
     caption = (
         f"{fit_title(fit)}: real part of the mode shapes with 95 % intervals, the largest point 1, "
         f"over {len(modes.points)} points."
@@ -123,6 +130,15 @@ def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
         bars=(turned - spread, turned + spread),
     )
     return Panel(axis, Axis("shape"), (level(0.0), line), f"{n + 1}: {modes.frequency[n]:.4g} Hz")
+
+
+def _alike(fit: Fit, modes: Modes) -> list[Block]:
+    """How alike the shapes are: of a few in words, of more as a figure."""
+    n = modes.frequency.size
+    if n > FEW_MODES:
+        return [mac_figure(fit, modes)]
+    pairs = [f"{i + 1} and {j + 1}: {modes.mac[i, j]:.2f}" for i in range(n) for j in range(i + 1, n)]
+    return [Paragraph(f"Modal assurance criterion of the shapes of modes {', '.join(pairs)}.")]
 
 
 def mac_figure(fit: Fit, modes: Modes) -> Figure:

@@ -1,0 +1,214 @@
+"""What the first rows of a recording, or FRFs, show of excitation and modes: the fits that they propose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import DataError
+from labpipe.project.first_guess import (
+    MODAL_LINES,
+    GuessedChannel,
+    band_of,
+    copies,
+    first_rows,
+    guess_channels,
+    highest_peak,
+    step_of,
+    time_columns,
+    with_hammer,
+)
+from labpipe.project.rig_file import time_scale
+from labpipe.project.settings_reader import DECIDE
+from labpipe.raw_files.first_look import Excitation, look
+from labpipe.raw_files.table import Table
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.free_decays import free_decays
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.sweeps import find_sweeps
+
+# Share of a record that sweeps take where they are its excitation.
+SWEPT = 0.4
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """A recording as its file describes it; *rate* [Hz], 0 where nobody knows it.
+
+    Rows (n_sample, n_channel) as recorded.
+    """
+
+    channels: tuple[GuessedChannel, ...]
+    rate: float
+    time: str
+    rows: FloatArray
+    unused: tuple[str, ...] = ()
+
+    def with_forces_apart(self) -> FirstLook:
+        """The same, with forces that act at no point of a response: its phase denies it."""
+        apart = (replace(one, dof=one.key) if one.role == "input" else one for one in self.channels)
+        return replace(self, channels=tuple(apart))
+
+    def column_of(self, role: str) -> list[int]:
+        return [number for number, channel in enumerate(self.channels) if channel.role == role]
+
+
+def first_look(table: Table) -> FirstLook:
+    """The channels of a table with what its metadata say, its rate and time column, and its first rows."""
+    names, rows = first_rows(table)
+    if rows.shape[0] < 2:
+        raise DataError("holds too few samples", where=str(table.path))
+    times = time_columns(names, rows)
+    signal_numbers = [number for number, name in enumerate(names) if name not in times]
+    if not signal_numbers:
+        raise DataError("holds no column but time", where=str(table.path))
+    time = times[0] if times and table.sample_rate is None else ""
+    step = step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
+    rate = table.sample_rate or (1 / step if step else 0.0)
+    copied = copies([names[n] for n in signal_numbers], rows[:, signal_numbers])
+    chosen = [n for n in signal_numbers if names[n] not in copied]
+    others: dict[str, int] = getattr(table, "unused", {})
+    unused = (
+        *(f"{name}: {reason}" for name, reason in copied.items()),
+        *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
+    )
+    channels = guess_channels([names[n] for n in chosen], table.units, getattr(table, "sensitivities", {}))
+    return FirstLook(with_hammer(channels, rows[:, chosen]), rate, time, rows[:, chosen], unused)
+
+
+def excitation_of(force: FloatArray, rate: float) -> Excitation:
+    """The kind of a force (n_sample,) [any unit] at a *rate* [Hz], sweeps among what has no period."""
+    seen = look(force, rate)
+    if seen.kind != "random":
+        return seen
+    try:
+        sweeps = find_sweeps(force)
+    except DataError:
+        return seen
+    if sum(sweep.stop - sweep.start for sweep in sweeps) < SWEPT * force.size:
+        return seen
+    widest = max(sweeps, key=lambda sweep: sweep.high - sweep.low)
+    band = widest.low * rate, min(widest.high * rate, 0.4 * rate)
+    return Excitation("sweep", widest.stop - widest.start, band, len(sweeps))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A fit by its *model*, with the *band* [Hz] around a peak where one was seen."""
+
+    model: str = "sdof"
+    band: tuple[float, float] | None = None
+
+
+UNSEEN = Proposal()
+# Coherence of all lines that tells nothing, since it is of a single average.
+ALL_EXPLAINED = 1 - 1e-9
+# Phase of a mobility at its peak [deg] beyond which force and response are at no one point.
+AT_ONE_POINT = 60.0
+
+
+def proposed(
+    frequency: FloatArray,
+    mobility: FloatArray,
+    *,
+    at_one_point: bool,
+    coherence: FloatArray | None = None,
+    phase: FloatArray | None = None,
+) -> Proposal:
+    """The fit around the highest peak of a *mobility* (n_line,) [1]: a single mass where force and response
+    are at one point, which the *phase* (n_line,) [rad] of the mobility can deny, else a mode.
+    """
+    peak = highest_peak(mobility, coherence)
+    turned = phase is not None and abs(phase[peak]) > np.radians(AT_ONE_POINT)
+    if (at_one_point and not turned) or frequency.size < MODAL_LINES:
+        return Proposal("sdof", band_of(frequency, mobility, peak))
+    return Proposal("modal", band_of(frequency, mobility, peak, MODAL_LINES))
+
+
+def proposals(
+    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation
+) -> dict[str, Proposal]:
+    """A fit around the highest peak of the mobility of each response, by its channel.
+
+    None where nothing can be measured.
+    """
+    chosen = [*inputs, *outputs]
+    channels = tuple(_as_channel(first.channels[number]) for number in chosen)
+    kinds = {channel.quantity for channel in channels if channel.role == "output"}
+    if not outputs or len(kinds) > 1:
+        return {}
+    length = excitation.length / first.rate
+    periodic = excitation.kind == "periodic"
+    keys: dict[str, Any] = {"block": length} if excitation.kind in ("random", "impact") else {}
+    if periodic:
+        keys = {"period": length, "skip": 1 if excitation.repeats > 2 else 0}
+    settings = FrfSettings(excitation=excitation.kind, band=excitation.band, **keys)
+    try:
+        response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
+    except DataError:
+        return {}
+    known = all(first.channels[number].quantity != DECIDE for number in chosen)
+    return {port.label: proposal_of(response, row, stated=known) for row, port in enumerate(response.outputs)}
+
+
+def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Proposal:
+    """The fit to an element of the first column; *stated*: the quantities are no guess, so that phases say
+    something.
+    """
+    order = {"receptance": 1, "accelerance": -1}.get(response.form, 0)
+    phase = np.angle(response.matrix[:, row, 0] * 1j**order) if stated else None
+    coherence = None if response.coherence is None else response.coherence[:, row, 0]
+    if coherence is not None and coherence.min() > ALL_EXPLAINED:
+        # One hit explains itself.
+        coherence = None
+    mobility = _mobility(response)[:, row]
+    return proposed(response.frequency, mobility, at_one_point=True, coherence=coherence, phase=phase)
+
+
+def _as_channel(channel: GuessedChannel) -> Channel:
+    """The channel for a look at the spectra; what is not known counts as a displacement, in any unit."""
+    quantity = (
+        channel.quantity if channel.quantity in ("force", "velocity", "acceleration") else "displacement"
+    )
+    return Channel(channel.key, quantity, channel.role, channel.dof)
+
+
+def _mobility(response: FrequencyResponse) -> FloatArray:
+    """|velocity / force| (n_frequency, n_output) of the first force: neither the low nor the high end
+    outweighs a resonance.
+    """
+    order = {"receptance": 1, "mobility": 0, "accelerance": -1}.get(response.form, 0)
+    weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
+    return np.abs(response.matrix[:, :, 0]) * weight[:, None]
+
+
+# Share of its frequency to either side of a mode that a fit of its decay looks at, and the periods of a decay
+# that give such a band the lines that a fit asks for.
+DECAY_WIDTH, LEAST_PERIODS = 0.4, 16
+
+
+def decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[float, float]]:
+    """A band [Hz] around the strongest line of the free decays of each response that has some, by channel."""
+    if not outputs or not first.rate:
+        return {}
+    channels = tuple(_as_channel(first.channels[number]) for number in outputs)
+    recording = Recording(channels, first.rows[:, list(outputs)], first.rate)
+    try:
+        decays = free_decays([recording], FrfSettings(excitation="decay")).decays
+    except DataError:
+        return {}
+    samples = max((decay.samples for decay in decays), key=len)
+    window = np.hanning(samples.shape[0])[:, None]
+    periods = np.argmax(np.abs(np.fft.rfft((samples - samples.mean(axis=0)) * window, axis=0)), axis=0)
+    frequency = periods * first.rate / samples.shape[0]
+    return {
+        channel.name: ((1 - DECAY_WIDTH) * float(f), (1 + DECAY_WIDTH) * float(f))
+        for channel, n, f in zip(channels, periods, frequency, strict=True)
+        if n >= LEAST_PERIODS
+    }
