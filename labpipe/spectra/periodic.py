@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import interpolate, stats
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
@@ -89,6 +90,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         findings = (
             *findings,
             *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, inverse, layout),
+            *(() if unsettled else _left_out_notes(single, lines, matrix, layout, settings.period)),
         )
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
@@ -360,15 +362,27 @@ def robust_distortion(
     )
 
 
+# A kind of lines that the force leaves out is looked at from so many on; what moves there is named from this
+# share of the response and with this probability by chance on.
+LEAST_LEFT_OUT, LEAST_SHARE, BY_CHANCE = 4, 1e-3, 1e-5
+MEANINGS = {
+    "odd": "stiffness or friction that changes with the motion alike both ways, or hum",
+    "even": "what differs between one way and the other, or hum",
+    "": "nonlinear behaviour, or hum",
+}
+
+
 @dataclass(frozen=True)
-class DetectionLines:
-    """Response at lines without force: *frequency* (n,) [Hz], *level* |Y| and *noise* std of Y (n,) [unit of
-    the channel].
+class LeftOutLines:
+    """What moves at lines that the force leaves out, beyond the answer H U to what is left of it there:
+    *frequency* (n,) [Hz], *level* |Y - H U| and its *noise* as a standard deviation (n,) [unit of the
+    channel], *dof* (n,) complex degrees of freedom of the noise.
     """
 
     frequency: FloatArray
     level: FloatArray
     noise: FloatArray
+    dof: FloatArray
 
     @property
     def distortion(self) -> float:
@@ -376,41 +390,84 @@ class DetectionLines:
 
         Equation (frf-detection).
         """
-        return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5 if self.level.size else 0.0
+        return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5
+
+    @property
+    def chance(self) -> float:
+        """Probability that noise alone has such levels, by those of the lines, (1 + |Y|^2 / (nu s^2))^-nu: of
+        all together (Fisher's sum), or of the least of them, as hum is in one.
+        """
+        if not np.all(self.noise > 0):
+            return 0.0 if np.any(self.level > 0) else 1.0
+        logarithms = self.dof * np.log1p(self.level**2 / self.noise**2 / self.dof)
+        n = self.dof.size
+        of_all, of_one = stats.chi2.sf(2 * np.sum(logarithms), 2 * n), n * np.exp(-np.max(logarithms))
+        return float(min(2 * of_all, 2 * of_one, 1.0))
 
 
-def detection_lines(
-    spectrum: LineSpectrum, excited: BoolArray, column: int, spacing: float
-) -> dict[str, DetectionLines]:
-    """Odd and even lines without force, within the band of the excited ones: "odd" and "even" distortion of
-    one output.
+def left_out_lines(
+    spectrum: LineSpectrum, acting: BoolArray, matrix: ComplexArray, output: int, period: float
+) -> dict[str, LeftOutLines]:
+    """The lines within the band of those where a force is *acting* (n_line,) at which none does, by kind:
+    "odd" and "even" where forces act at odd multiples of 1 / *period* [s] alone, else "".
 
-    An odd multisine in a nonlinear system of even order responds at even lines only, of odd order at odd ones
-    only, so lines left out on purpose show both (Pintelon and Schoukens, sec. 4.3.2: the fast method).
-    *spacing* [Hz]: fundamental of the excitation; *excited* (n_line,): mask of the spectrum's lines.
-    DataError without noise, or when the force leaves no line out.
+    Odd multisines answer at even lines by nonlinearity of even order alone, at odd ones left out by that of
+    odd order (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spectrum*: forces first, then outputs;
+    *matrix* (n_line, n_output, n_input): H at all lines. Kinds of fewer than four lines are left out.
     """
-    if spectrum.noise is None:
-        raise DataError("detection lines need the noise of at least two periods")
-    if not np.any(excited):
-        raise DataError("no line is excited")
-    numbers = np.round(spectrum.frequency / spacing).astype(np.int64)
-    on_grid = np.abs(spectrum.frequency / spacing - numbers) < 1e-6
-    first, last = np.flatnonzero(excited)[[0, -1]]
-    silent = on_grid & ~excited
+    first, last = np.flatnonzero(acting)[[0, -1]]
+    silent = ~acting
     silent[:first] = silent[last + 1 :] = False
-    if not np.any(silent):
-        raise DataError(
-            "the force acts at every line, none is left to detect distortion",
-            hint="leave lines out of the excitation",
+    is_odd = np.round(spectrum.frequency * period).astype(np.int64) % 2 == 1
+    kinds = {"odd": silent & is_odd, "even": silent & ~is_odd} if np.all(is_odd[acting]) else {"": silent}
+    chosen = [*range(matrix.shape[2]), matrix.shape[2] + output]
+    by_kind = {}
+    for kind, lines in kinds.items():
+        if lines.sum() >= LEAST_LEFT_OUT and spectrum.noise is not None:
+            row = np.concatenate([-matrix[lines, output], np.ones((lines.sum(), 1))], axis=1)
+            rest = np.einsum("lc,lc->l", row, spectrum.mean[lines][:, chosen])
+            noise = spectrum.noise[lines][:, chosen][:, :, chosen]
+            std = np.sqrt(np.maximum(np.einsum("lc,lcd,ld->l", row, noise, row.conj()).real, 0.0))
+            by_kind[kind] = LeftOutLines(
+                spectrum.frequency[lines], np.abs(rest), std, spectrum.line_dof[lines]
+            )
+    return by_kind
+
+
+def _left_out_notes(
+    spectra: Sequence[LineSpectrum], lines: BoolArray, matrix: ComplexArray, layout: Layout, period: float
+) -> tuple[Finding, ...]:
+    """A note for each response and kind of lines that no force acts at, of the recording in which it moves
+    most there. *matrix* (n_chosen, n_output, n_input) at the chosen *lines* (n_line,).
+    """
+    largest: dict[tuple[str, str], tuple[float, float]] = {}
+    frequency = spectra[0].frequency
+    whole = (
+        interpolate.make_interp_spline(frequency[lines], matrix, 1)(frequency) if lines.sum() > 1 else None
+    )
+    for number, spectrum in enumerate(spectra):
+        columns = [column for column in layout.input_columns[number] if column >= 0]
+        acting = lines | excited_lines(spectrum, columns)
+        if whole is None or spectrum.noise is None or np.all(acting):
+            continue
+        mean = layout.padded(number, spectrum.mean, 1)
+        ordered = dataclasses.replace(spectrum, mean=mean, noise=layout.padded(number, spectrum.noise, 2))
+        for output, port in enumerate(layout.outputs):
+            size = float(np.sqrt(np.mean(np.abs(mean[lines, len(layout.inputs) + output]) ** 2)))
+            for kind, found in left_out_lines(ordered, acting, whole, output, period).items():
+                share = found.distortion / size if size else 0.0
+                before = largest.get((port.label, kind), (LEAST_SHARE, 0.0))
+                if share > before[0] and found.chance < BY_CHANCE:
+                    largest[port.label, kind] = share, float(found.frequency[np.argmax(found.level)])
+    return tuple(
+        note(
+            "lines-left-out",
+            f"channel {label}: at {kind or 'the'} lines that the force leaves out it moves by "
+            f"{100 * share:.2g} % of what it does at the others (r.m.s.), most at {at:.4g} Hz: "
+            f"{MEANINGS[kind]}",
         )
-    std = np.sqrt(np.einsum("fii->fi", spectrum.noise).real[:, column])
-    level = np.abs(spectrum.mean[:, column])
-    chosen = {"odd": silent & (numbers % 2 == 1), "even": silent & (numbers % 2 == 0)}
-    return {
-        kind: DetectionLines(spectrum.frequency[lines], level[lines], std[lines])
-        for kind, lines in chosen.items()
-    }
+        for (label, kind), (share, at) in largest.items()
+    )
 
 
 # Several phase realisations of a periodic excitation: mean FRF and nonlinear distortion.
