@@ -24,6 +24,8 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
+from labpipe.methods.live.bench import Bench
+from labpipe.methods.live.charts import Goal
 from labpipe.methods.live.session import Session
 from labpipe.methods.live.sources import (
     Folder,
@@ -37,6 +39,8 @@ from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
 from labpipe.report.document import Document, Paragraph, Section
 from tests.conftest import Command
+from tests.draws.stops import RATE as TURNS_RATE
+from tests.draws.stops import RIGS, SOUND
 
 RATE, N, SKIPPED = 1000.0, 1000, 1
 STIFFNESS, DAMPING, MASS = 80e3, 6.0, 0.5
@@ -194,6 +198,21 @@ def test_two_directions_one_after_the_other(bench, follow):
     ]
     # Of eight intervals of 95 % one may miss, but not by far.
     assert max(within) < 1.6 and sum(share > 1 for share in within) <= 1
+
+
+def test_directions_that_are_shaken_by_turns():
+    """Period by period in x and y: of five averages two are of one direction, and none of them is judged by
+    what one alone would tell.
+    """
+    rig = RIGS["rotor"]
+    bench = Bench(rig.channels, TURNS_RATE, rig.settings, [rig.fit], [Goal.of("r.c_xx.expanded<=5%")])
+    for samples_of_one in rig.samples(np.random.default_rng(3), 0.05, SOUND):
+        (update,) = bench.add(samples_of_one)
+        if update.stop:
+            break
+    assert not any("left out" in event for earlier in bench.updates for event in earlier.events)
+    low, high = update.standings["r.c_xx"].parameter.ci95
+    assert low < rig.truth < high and update.averages >= 6
 
 
 def test_it_stops_by_the_width_and_never_by_the_value(bench, follow, labpipe):
