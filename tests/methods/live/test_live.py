@@ -340,6 +340,58 @@ def test_sources_that_grow_give_what_was_written(tmp_path):
     np.testing.assert_allclose(np.concatenate(got), rows / 1000, rtol=1e-6)
 
 
+# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, or as text whose last line is
+# cut off in between.
+WRITER = """
+import sys, time
+import numpy as np
+kind, path, rows = sys.argv[1], sys.argv[2], np.load(sys.argv[3])
+pieces = np.array_split(rows, 20)
+if kind == "h5":
+    import h5py
+    file = h5py.File(path, "w", libver="latest")
+    sets = [file.create_dataset(n, (0,), maxshape=(None,), dtype="f8", chunks=(512,)) for n in "fy"]
+    file.swmr_mode = True
+for number, piece in enumerate(pieces):
+    if kind == "tdms":
+        from nptdms import ChannelObject, RootObject, TdmsWriter
+        with TdmsWriter(path, "a" if number else "w") as writer:
+            inc = {"wf_increment": 1e-3}
+            parts = [ChannelObject("g", n, piece[:, c].copy(), inc) for c, n in enumerate("fy")]
+            writer.write_segment([RootObject(), *parts])
+    elif kind == "h5":
+        for c, dataset in enumerate(sets):
+            begin = dataset.shape[0]
+            dataset.resize((begin + len(piece),))
+            dataset[begin:] = piece[:, c]
+            dataset.flush()
+    elif kind == "csv":
+        text = ("" if number else "f,y\\n") + "".join(f"{f:.17g},{y:.17g}\\n" for f, y in piece)
+        for part in (text[:-7], text[-7:]):
+            with open(path, "a") as stream:
+                stream.write(part)
+            time.sleep(0.02)
+    time.sleep(0.1)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["csv", "tdms", "h5"])
+def test_a_file_that_another_process_writes_meanwhile(bench, kind):
+    """Followed while it grows, and again once it is whole: the same last line."""
+    np.save(bench / "rows.npy", samples(12))
+    path = bench / f"test.{kind}"
+    command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), str(path), "--json"]
+    with subprocess.Popen([sys.executable, "-c", WRITER, kind, str(path), str(bench / "rows.npy")]) as writer:
+        growing = subprocess.run([*command, "--idle", "3"], capture_output=True, check=True).stdout
+    assert writer.returncode == 0
+    whole = subprocess.run([*command, "--idle", "0.3"], capture_output=True, check=True).stdout
+    last = json.loads(growing.splitlines()[-1])
+    assert last["averages"] == 11 and last == json.loads(whole.splitlines()[-1])
+    low, high = last["parameters"]["s.k"]["ci95"]
+    assert low < STIFFNESS < high
+
+
 def test_a_logger_that_begins_its_file_anew_begins_another_record(tmp_path):
     rows = samples(1)[:100]
     write_csv(tmp_path / "a.csv", rows)
