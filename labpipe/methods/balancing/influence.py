@@ -72,14 +72,6 @@ class Influence:
         )
         return np.asarray(real + imaginary + 1j * (across - crossed))
 
-    def expected_square(self, weights: ComplexArray) -> float:
-        """Sum over the lines of E |z_0 + alpha w|^2 at *weights* (n_plane,) [kg m]."""
-        whole = np.concatenate([[1.0], weights])
-        middle = np.sum(np.abs(self.mean @ whole) ** 2)
-        return float(
-            middle + np.einsum("i,lij,j->", whole.conj(), self.covariance.swapaxes(1, 2), whole).real
-        )
-
     def quadratic(self) -> tuple[ComplexArray, ComplexArray]:
         """A (n_plane, n_plane) [unit^2/(kg m)^2] and b (n_plane,) [unit^2/(kg m)] of the expected square
         w^H A w + 2 Re b^H w + constant, in the unit of the readings.

@@ -43,6 +43,7 @@ from labpipe.methods.live.charts import (
 from labpipe.methods.live.running_fit import (
     CUTTERS,
     HALF_WIDTH,
+    LEAST_AVERAGES,
     Average,
     Cutter,
     Directions,
@@ -288,7 +289,7 @@ def names_of_fit(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
 # A coefficient that would take so many times the averages of the slowest reachable goal is not told by this
 # direction.
 OUT_OF_REACH = 20
-# Averages after which the first two, which had none before them, are held against the others.
+# Averages of a direction after which its first two, with none before them, are held against the others.
 FIRST_AGAIN = 5
 # A force acts in an average when its amplitude is this share of the strongest one's.
 ACTS = 0.1
@@ -317,6 +318,7 @@ class Bench(Watch):
         self._last_start = 0
         self._starts: list[int] = []
         self._unjudged: list[int] = []
+        self._again = False
         self.findings: dict[tuple[str, str], Finding] = {}
         names = {fit.name: names_of_fit(fit, self.layout) for fit in self._settings}
         check_names(self.goals, names)
@@ -334,9 +336,8 @@ class Bench(Watch):
         made = []
         for average in self.cutter.add(block):
             self._last_start = average.start
-            levels = {
-                channel.name: float(peak) for channel, peak in zip(self.channels, average.peaks, strict=True)
-            }
+            names = [channel.name for channel in self.channels]
+            levels = dict(zip(names, average.peaks.tolist(), strict=True))
             update = replace(self._taken(average), levels=levels)
             self.keep(update)
             made.append(update)
@@ -418,6 +419,7 @@ class Bench(Watch):
             self._unjudged.append(average.number)
         for fit, z in zip(self.fits, parts, strict=True):
             fit.add(z, direction)
+        self._again = self.fits[0].sums.of(direction).n == FIRST_AGAIN
         self._starts.append(average.start)
         return ""
 
@@ -443,7 +445,8 @@ class Bench(Watch):
             message = f"{share:.0f} % of the averages are left out: a loose connection, or bad hits"
             self._note(Finding("bad-averages", message))
         enough = self._enough(standings)
-        if enough or self.averages == FIRST_AGAIN:
+        if enough or self._again:
+            self._again = False
             events = (*events, *self._first_again())
             # The last word is that of the fit of all averages.
             for fit in self.fits if enough else ():
@@ -463,6 +466,8 @@ class Bench(Watch):
         events = []
         what = "hit" if self.hits else "period"
         for place, number in reversed(list(enumerate(self._unjudged))):
+            if self.fits[0].sums.of(self.fits[0].first[place][1]).n < LEAST_AVERAGES:
+                continue
             # Every fit takes it out.
             disagree = [fit.first_disagrees(place) for fit in self.fits]
             if not any(disagree):
@@ -514,13 +519,8 @@ class Bench(Watch):
             if estimate is None:
                 continue
             if not estimate.identifiable:
-                findings.append(
-                    Finding(
-                        "collinear",
-                        f"{name}: this excitation does not tell the coefficients apart; turn the shaker, or "
-                        "excite a second direction",
-                    )
-                )
+                message = "this excitation does not tell the coefficients apart; turn the shaker, or excite "
+                findings.append(Finding("collinear", f"{name}: {message}a second direction"))
             if estimate.misfit and estimate.n >= 3:
                 findings.append(
                     Finding(
@@ -563,13 +563,8 @@ class Bench(Watch):
                 continue
             far = left.expected is None or left.expected > OUT_OF_REACH * max(min(reachable), 3)
             if far and self.averages >= 5:
-                findings.append(
-                    Finding(
-                        "not-told",
-                        f"{label} is not identifiable with this direction and level: turn the shaker, or "
-                        "raise the level",
-                    )
-                )
+                message = "is not identifiable with this direction and level: turn the shaker, or raise the"
+                findings.append(Finding("not-told", f"{label} {message} level"))
         return findings
 
     def _enough(self, standings: Mapping[str, Standing]) -> bool:

@@ -24,6 +24,8 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
+from labpipe.methods.live.bench import Bench
+from labpipe.methods.live.charts import Goal
 from labpipe.methods.live.session import Session
 from labpipe.methods.live.sources import (
     Folder,
@@ -37,6 +39,8 @@ from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
 from labpipe.report.document import Document, Paragraph, Section
 from tests.conftest import Command
+from tests.draws.stops import RATE as TURNS_RATE
+from tests.draws.stops import RIGS, SOUND
 
 RATE, N, SKIPPED = 1000.0, 1000, 1
 STIFFNESS, DAMPING, MASS = 80e3, 6.0, 0.5
@@ -196,6 +200,21 @@ def test_two_directions_one_after_the_other(bench, follow):
     assert max(within) < 1.6 and sum(share > 1 for share in within) <= 1
 
 
+def test_directions_that_are_shaken_by_turns():
+    """Period by period in x and y: of five averages two are of one direction, and none of them is judged by
+    what one alone would tell.
+    """
+    rig = RIGS["rotor"]
+    bench = Bench(rig.channels, TURNS_RATE, rig.settings, [rig.fit], [Goal.of("r.c_xx.expanded<=5%")])
+    for samples_of_one in rig.samples(np.random.default_rng(3), 0.05, SOUND):
+        (update,) = bench.add(samples_of_one)
+        if update.stop:
+            break
+    assert not any("left out" in event for earlier in bench.updates for event in earlier.events)
+    low, high = update.standings["r.c_xx"].parameter.ci95
+    assert low < rig.truth < high and update.averages >= 6
+
+
 def test_it_stops_by_the_width_and_never_by_the_value(bench, follow, labpipe):
     write_csv(bench / "test.csv", samples(60, noise=2.5))
     lines = follow(bench / "test.csv", "--until", "s.c.expanded<=1%")
@@ -319,6 +338,58 @@ def test_sources_that_grow_give_what_was_written(tmp_path):
         (tmp_path / "b.wav").write_bytes(whole[:end])
         got.append(wav.read())
     np.testing.assert_allclose(np.concatenate(got), rows / 1000, rtol=1e-6)
+
+
+# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, or as text whose last line is
+# cut off in between.
+WRITER = """
+import sys, time
+import numpy as np
+kind, path, rows = sys.argv[1], sys.argv[2], np.load(sys.argv[3])
+pieces = np.array_split(rows, 20)
+if kind == "h5":
+    import h5py
+    file = h5py.File(path, "w", libver="latest")
+    sets = [file.create_dataset(n, (0,), maxshape=(None,), dtype="f8", chunks=(512,)) for n in "fy"]
+    file.swmr_mode = True
+for number, piece in enumerate(pieces):
+    if kind == "tdms":
+        from nptdms import ChannelObject, RootObject, TdmsWriter
+        with TdmsWriter(path, "a" if number else "w") as writer:
+            inc = {"wf_increment": 1e-3}
+            parts = [ChannelObject("g", n, piece[:, c].copy(), inc) for c, n in enumerate("fy")]
+            writer.write_segment([RootObject(), *parts])
+    elif kind == "h5":
+        for c, dataset in enumerate(sets):
+            begin = dataset.shape[0]
+            dataset.resize((begin + len(piece),))
+            dataset[begin:] = piece[:, c]
+            dataset.flush()
+    elif kind == "csv":
+        text = ("" if number else "f,y\\n") + "".join(f"{f:.17g},{y:.17g}\\n" for f, y in piece)
+        for part in (text[:-7], text[-7:]):
+            with open(path, "a") as stream:
+                stream.write(part)
+            time.sleep(0.02)
+    time.sleep(0.1)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["csv", "tdms", "h5"])
+def test_a_file_that_another_process_writes_meanwhile(bench, kind):
+    """Followed while it grows, and again once it is whole: the same last line."""
+    np.save(bench / "rows.npy", samples(12))
+    path = bench / f"test.{kind}"
+    command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), str(path), "--json"]
+    with subprocess.Popen([sys.executable, "-c", WRITER, kind, str(path), str(bench / "rows.npy")]) as writer:
+        growing = subprocess.run([*command, "--idle", "3"], capture_output=True, check=True).stdout
+    assert writer.returncode == 0
+    whole = subprocess.run([*command, "--idle", "0.3"], capture_output=True, check=True).stdout
+    last = json.loads(growing.splitlines()[-1])
+    assert last["averages"] == 11 and last == json.loads(whole.splitlines()[-1])
+    low, high = last["parameters"]["s.k"]["ci95"]
+    assert low < STIFFNESS < high
 
 
 def test_a_logger_that_begins_its_file_anew_begins_another_record(tmp_path):
