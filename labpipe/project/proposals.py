@@ -194,11 +194,15 @@ DECAY_WIDTH, LEAST_PERIODS = 0.4, 16
 
 
 def decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[float, float]]:
-    """A band [Hz] around the strongest line of the free decays of each response that has some, by channel."""
-    if not outputs or not first.rate:
+    """A band [Hz] around the strongest line of the free decays of each response that has some, by channel.
+
+    Per sample where nobody states the rate.
+    """
+    if not outputs:
         return {}
+    rate = first.rate or 1.0
     channels = tuple(_as_channel(first.channels[number]) for number in outputs)
-    recording = Recording(channels, first.rows[:, list(outputs)], first.rate)
+    recording = Recording(channels, first.rows[:, list(outputs)], rate)
     try:
         decays = free_decays([recording], FrfSettings(excitation="decay")).decays
     except DataError:
@@ -206,7 +210,7 @@ def decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[flo
     samples = max((decay.samples for decay in decays), key=len)
     window = np.hanning(samples.shape[0])[:, None]
     periods = np.argmax(np.abs(np.fft.rfft((samples - samples.mean(axis=0)) * window, axis=0)), axis=0)
-    frequency = periods * first.rate / samples.shape[0]
+    frequency = periods * rate / samples.shape[0]
     return {
         channel.name: ((1 - DECAY_WIDTH) * float(f), (1 + DECAY_WIDTH) * float(f))
         for channel, n, f in zip(channels, periods, frequency, strict=True)

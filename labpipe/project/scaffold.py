@@ -143,7 +143,10 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "identify:",
     ]
     if decays:
-        return "\n".join([*lines, *(line for fit in decays.items() for line in _decay_lines(*fit))]) + "\n"
+        return (
+            "\n".join([*lines, *(line for fit in decays.items() for line in _decay_lines(*fit, first.rate))])
+            + "\n"
+        )
     peaks = proposals(first, inputs[:1], outputs, excitation) if excitation is not None and first.rate else {}
     force = (
         first.channels[inputs[0]].key
@@ -167,14 +170,11 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
 
 
-def _decay_lines(output: str, band: tuple[float, float]) -> list[str]:
-    return [
-        f"  ring_{output}:",
-        "    model: decay",
-        "    modes: 1",
-        f"    output: {output}",
-        f"    band: {band[0]:.4g}-{band[1]:.4g} Hz".ljust(31) + "# around the highest peak",
-    ]
+def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[str]:
+    lines = [f"  ring_{output}:", "    model: decay", "    modes: 1", f"    output: {output}"]
+    if rate:
+        lines.append(f"    band: {band[0]:.4g}-{band[1]:.4g} Hz".ljust(31) + "# around the highest peak")
+    return lines
 
 
 def _side_by_side(first: FirstLook, outputs: Sequence[int]) -> bool:

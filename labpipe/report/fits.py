@@ -95,8 +95,8 @@ PARAMETER_HEADER = (
     "VIF",
 )
 NUMERIC = (1, 3, 4, 5, 7)
-# Estimates whose correlation a sentence says; that of more is a figure.
-FEW_ESTIMATES = 4
+# Estimates whose correlation a sentence says, and pairs that it names; that of more is a figure.
+FEW_ESTIMATES, MOST_PAIRS = 10, 6
 _EXPLANATION = Paragraph(STARS_EXPLAINED)
 SAID_BEFORE = Paragraph("Notes and sources of error that stand with a fit before hold here as well.", "note")
 
@@ -192,15 +192,16 @@ def _blocks_of_details(fit: Fit) -> Iterator[Block]:
 
 
 def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
-    """The correlation of a few estimates, in words; more stand in a figure."""
+    """The correlation of a few estimates, in words: of more than four the largest; more stand in a figure."""
     n = fit.correlation.shape[0]
-    if not 2 <= n <= FEW_ESTIMATES:
+    if not 2 <= n <= FEW_ESTIMATES or all(parameter.std_error is None for parameter in fit.parameters):
         return ()
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
-    pairs = ", ".join(
-        f"{names[i]} and {names[j]}: {fit.correlation[i, j]:.3g}" for i in range(n) for j in range(i + 1, n)
-    )
-    return (Paragraph(f"Correlation between the estimates of {pairs}."),)
+    pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
+    pairs.sort(key=lambda pair: -abs(fit.correlation[pair]))
+    said = ", ".join(f"{names[i]} and {names[j]}: {fit.correlation[i, j]:.3g}" for i, j in pairs[:MOST_PAIRS])
+    rest = "" if len(pairs) <= MOST_PAIRS else "; of all others it is smaller"
+    return (Paragraph(f"Correlation between the estimates of {said}{rest}."),)
 
 
 def _described(fit: Fit) -> str:
