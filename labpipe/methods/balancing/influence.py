@@ -65,7 +65,7 @@ class Influence:
 
     @cached_property
     def covariance(self) -> ComplexArray:
-        """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1)."""
+        """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [their square]."""
         parts = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape)
         real, crossed, across, imaginary = (
             np.einsum("lilj->lij", parts[row, :, :, column]) for row in range(2) for column in range(2)
@@ -89,7 +89,9 @@ class Influence:
         return np.asarray(self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape))
 
     def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
-        """The mean moved by *gain* (n, 2 n_reading) times what readings *surprise* by, (n_reading,)."""
+        """The mean moved by *gain* (n, 2 n_reading) [1] times what readings *surprise* by (n_reading,) [any
+        unit].
+        """
         real, imaginary = np.split(gain @ np.concatenate([surprise.real, surprise.imag]), 2)
         return replace(self, mean=self.mean + (real + 1j * imaginary).reshape(self.mean.shape))
 
