@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+
 from labpipe.display import difference_in, with_error
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.finding import WARNING, of_level
@@ -95,8 +97,9 @@ PARAMETER_HEADER = (
     "VIF",
 )
 NUMERIC = (1, 3, 4, 5, 7)
-# Estimates whose correlation a sentence says, and pairs that it names; that of more is a figure.
-FEW_ESTIMATES, MOST_PAIRS = 10, 6
+# Estimates whose correlation a sentence says, and pairs that it names. That of more is a figure, and so is
+# that of more than the pairs tell where two of them are hardly told apart.
+FEW_ESTIMATES, MOST_PAIRS, ENTANGLED = 10, 6, 0.9
 _EXPLANATION = Paragraph(STARS_EXPLAINED)
 SAID_BEFORE = Paragraph("Notes and sources of error that stand with a fit before hold here as well.", "note")
 
@@ -145,7 +148,7 @@ def fit_figures(fit: Fit) -> list[Figure]:
     ]
     if repeated:
         shown.append(figures.repeats_figure(fit, repeated))
-    if fit.correlation.shape[0] > FEW_ESTIMATES and any(p.std_error is not None for p in fit.parameters):
+    if _is_mapped(fit) and any(p.std_error is not None for p in fit.parameters):
         shown.append(figures.correlation_figure(fit))
     return shown
 
@@ -191,10 +194,17 @@ def _blocks_of_details(fit: Fit) -> Iterator[Block]:
         yield from DETAILS.load(detail.key).blocks(fit, detail)
 
 
+def _is_mapped(fit: Fit) -> bool:
+    """Whether the correlation of the estimates is a figure."""
+    n = fit.correlation.shape[0]
+    entangled = np.any(np.abs(np.triu(fit.correlation, 1)) > ENTANGLED)
+    return n > FEW_ESTIMATES or bool(n * (n - 1) / 2 > MOST_PAIRS and entangled)
+
+
 def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
     """The correlation of a few estimates, in words: of more than four the largest; more stand in a figure."""
     n = fit.correlation.shape[0]
-    if not 2 <= n <= FEW_ESTIMATES or all(parameter.std_error is None for parameter in fit.parameters):
+    if n < 2 or _is_mapped(fit) or all(parameter.std_error is None for parameter in fit.parameters):
         return ()
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
