@@ -84,9 +84,9 @@ def test_the_policy_stops_a_page_that_would_ask(browser: Any, report_page: Path,
 
 
 def test_every_figure_is_drawn_by_the_script(page: Any) -> None:
-    assert page.run("document.querySelectorAll('figure').length") == 6
-    assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 10
-    assert page.run("document.querySelectorAll('noscript').length") == 6
+    assert page.run("document.querySelectorAll('figure').length") == 5
+    assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 9
+    assert page.run("document.querySelectorAll('noscript').length") == 5
 
 
 def test_a_box_zooms_the_wheel_needs_a_click_and_all_comes_back(page: Any) -> None:
@@ -241,13 +241,13 @@ def test_arrows_names_of_levels_and_notes_are_drawn(browser: Any, tmp_path: Path
 
 def test_keys_go_from_measured_point_to_measured_point(page: Any) -> None:
     """The fitted curve has many more points than the lines it was fitted to."""
-    panel = "document.querySelectorAll('#figure-5 .panels > svg')[0]"
+    panel = "document.querySelectorAll('#figure-1 .panels > svg')[0]"
     page.run(f"{panel}.scrollIntoView(); {panel}.focus()")
     page.key("Home")
     places = []
     for _ in range(3):
         told = re.search(
-            r"frequency ([\d.]+) Hz", page.run("document.querySelector('#figure-5 .reading').innerText")
+            r"frequency ([\d.]+) Hz", page.run("document.querySelector('#figure-1 .reading').innerText")
         )
         assert told is not None
         places.append(float(told[1]))
@@ -265,7 +265,7 @@ def test_without_script_a_page_shows_the_numbers_and_says_why(
     )
     opened = browser.open(tmp_path / "still.html")
     shown = opened.run("[...document.querySelectorAll('figure')].map((one) => one.innerText)")
-    assert all(NEEDS_SCRIPT in words and words.count("\n") > 10 for words in shown) and len(shown) == 6
+    assert all(NEEDS_SCRIPT in words and words.count("\n") > 10 for words in shown) and len(shown) == 5
     opened.close()
 
 

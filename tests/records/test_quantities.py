@@ -108,3 +108,11 @@ def test_the_unit_of_a_table_suits_its_largest_value(si_unit: str, values: list[
 
 def test_display_unit_of_what_people_read() -> None:
     assert [display_unit(unit) for unit in ("N/m", "m", "rad", "kg")] == ["kN/m", "um", "deg", "kg"]
+
+
+@pytest.mark.parametrize(
+    ("printed", "written"),
+    [("cm/s2", "cm/s^2"), ("m/s**2", "m/s^2"), ("m/(N.s2)", "m/(N.s^2)"), ("N/m2", "N/m^2")],
+)
+def test_powers_as_loggers_print_them_are_those_of_engineers(printed: str, written: str) -> None:
+    assert parse_unit(printed) == parse_unit(written)

@@ -27,7 +27,7 @@ function linearTicks(low, high, most, unit) {
     if (values.length >= 3) break;
   }
   const texts = values.map(plain);
-  if (new Set(texts).size === texts.length && texts.some((text) => text.includes("e"))) return values.map((value, n) => [value, texts[n]]);
+  if (new Set(texts).size === texts.length && texts.some((text) => /10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]/.test(text))) return values.map((value, n) => [value, texts[n]]);
   let decimals = 0;
   while (decimals < 15 && Math.abs(Number(step.toFixed(decimals)) - step) >= 1e-9 * step) decimals += 1;
   return values.map((value) => [value, value.toFixed(decimals).replace("-", "−")]);
