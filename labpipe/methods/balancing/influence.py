@@ -65,7 +65,9 @@ class Influence:
 
     @cached_property
     def covariance(self) -> ComplexArray:
-        """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [their square]."""
+        """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [products of the units of
+        the mean].
+        """
         parts = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape)
         real, crossed, across, imaginary = (
             np.einsum("lilj->lij", parts[row, :, :, column]) for row in range(2) for column in range(2)
@@ -89,8 +91,8 @@ class Influence:
         return np.asarray(self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape))
 
     def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
-        """The mean moved by *gain* (n, 2 n_reading) [1] times what readings *surprise* by (n_reading,) [any
-        unit].
+        """The mean moved by *gain* (n, 2 n_reading) [1, per kg m] times what readings *surprise* by,
+        (n_reading,) [unit of the readings].
         """
         real, imaginary = np.split(gain @ np.concatenate([surprise.real, surprise.imag]), 2)
         return replace(self, mean=self.mean + (real + 1j * imaginary).reshape(self.mean.shape))
@@ -98,8 +100,9 @@ class Influence:
     def gain(
         self, weights: ComplexArray, variance: FloatArray, lines: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of a run with *weights* (n_plane,) [kg m] and readings of the *variance* (n_reading,) on *lines*:
-        the gain (n, 2 n_reading), the covariance (n, n) after it, and that of what surprises.
+        """Of a run with *weights* (n_plane,) [kg m] and readings of the *variance* (n_reading,) [unit of the
+        readings squared] on *lines*: gain (n, 2 n_reading), covariance (n, n) after it, that of what
+        surprises.
         """
         whole, places = np.concatenate([[1.0], weights]), np.arange(lines.size)
         seen = np.zeros((2, lines.size, 2, *self.mean.shape))
