@@ -105,8 +105,10 @@ def test_wind_is_not_damping_over_amplitude(tmp_path: Path, wind: float) -> None
     assert abs(fit.parameter("f_n_1").value - F_N) < 0.01 * F_N
 
 
-def test_strong_wind_is_named_before_a_law_that_follows_it(tmp_path: Path) -> None:
-    """A tenth of the first swing: by chance a law over the amplitude follows more than half of this gust."""
-    fit = fitted(tmp_path, seed=15, wind=0.1)
-    assert codes(fit) == ["model-mismatch", "amplitude-dependent"]
-    assert "such as wind" in fit.findings[0].message
+@pytest.mark.parametrize("seed", [15, 38])
+def test_a_law_that_follows_half_of_strong_wind_is_none(tmp_path: Path, seed: int) -> None:
+    """A tenth of the first swing: by chance a law over the amplitude follows half of these gusts and a little
+    more. Four of 60 such decays were told so, one of them before the wind.
+    """
+    fit = fitted(tmp_path, seed=seed, wind=0.1)
+    assert codes(fit) == ["model-mismatch"]
