@@ -148,10 +148,8 @@ def chart_canvas(chart: Chart) -> Canvas:
 
 
 def _painted(axes: Axes, panel: Panel) -> dict[int, Artist]:
-    """What the series of a panel and its note look like; the drawn artists by the id of their series."""
+    """What the series of a panel look like; the drawn artists by the id of their series."""
     artists = {id(series): PAINTERS[series.kind](axes, series) for series in panel.series}
-    if panel.note:
-        axes.text(0.5, 0.5, panel.note, transform=axes.transAxes, ha="center", va="center")
     return {key: artist for key, artist in artists.items() if artist is not None}
 
 

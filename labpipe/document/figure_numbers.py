@@ -91,7 +91,6 @@ def _panel(chart: Chart, number: int, numbers: NumberList) -> dict[str, Any]:
     panel = chart.panels[number]
     return {
         "title": panel.title,
-        "note": panel.note,
         "share": chart.heights[number // chart.columns],
         "equal": panel.equal,
         "pick": panel.pick,

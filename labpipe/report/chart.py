@@ -231,8 +231,7 @@ def named_ticks(names: Sequence[str], first: float = 0.0) -> Ticks:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: text
-    where there is no series.
+    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows.
 
     pick: key of a pipeline for which values of x can be chosen on a page with a click, '' for none.
     """
@@ -243,7 +242,6 @@ class Panel:
     title: str = ""
     equal: bool = False
     share: float = 1.0
-    note: str = ""
     pick: str = ""
 
 

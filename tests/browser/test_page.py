@@ -15,7 +15,7 @@ import pytest
 
 from labpipe.document.html_page import NEEDS_SCRIPT, page_part
 from labpipe.document.render import html_document
-from labpipe.report.chart import Axis, Chart, Panel, arrow, cells, curve, level, named_ticks
+from labpipe.report.chart import Axis, Chart, Panel, arrow, cells, curve, level, named_ticks, stacked
 from labpipe.report.document import Document, Figure, Section
 
 CURVE = "#figure-2 .panels > svg"
@@ -214,7 +214,7 @@ def test_a_page_of_79_bands_is_small_and_soon_there(browser: Any, report_page: P
     assert spent["report.html"] < 30 * spent["empty.html"]
 
 
-def test_arrows_names_of_levels_and_notes_are_drawn(browser: Any, tmp_path: Path) -> None:
+def test_arrows_and_names_of_levels_are_drawn(browser: Any, tmp_path: Path) -> None:
     across = Axis("x", "um")
     series = (
         curve("orbit", [0.0, 1.0], [0.0, 1.0]),
@@ -222,14 +222,13 @@ def test_arrows_names_of_levels_and_notes_are_drawn(browser: Any, tmp_path: Path
         level(0.5, name="limit"),
     )
     sense = Panel(across, Axis("y", "um"), series)
-    empty = Panel(across, Axis(), (), note="no uncertainty is stated")
-    figure = Figure(Chart((sense, empty), 1, 2), "Orbit", "An orbit")
+    figure = Figure(stacked([sense], 2.0), "Orbit", "An orbit")
     (tmp_path / "kinds.html").write_bytes(
         html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False))
     )
     opened = browser.open(tmp_path / "kinds.html")
     texts = opened.run("[...document.querySelectorAll('.panels text')].map((one) => one.textContent)")
-    assert "limit" in texts and "no uncertainty is stated" in texts
+    assert "limit" in texts
     head = opened.run("document.querySelector('.head').getBBox().width")
     assert (
         0 < head < 20

@@ -161,13 +161,6 @@ def test_a_heat_map_has_texts_colours_and_a_scale(heat_map: Chart) -> None:
     assert canvas.axes[1].get_ylabel() == "correlation" and axes.get_ylim() == (1.5, -0.5)
 
 
-def test_a_panel_without_series_says_why() -> None:
-    (axes,) = chart_canvas(
-        stacked([Panel(Axis("frequency", "Hz"), Axis(), (), note="no uncertainty is stated")], 2.0)
-    ).axes
-    assert [text.get_text() for text in axes.texts] == ["no uncertainty is stated"]
-
-
 @pytest.mark.parametrize("kind", DRAWINGS.names())
 def test_every_drawing_is_drawn_in_its_size(kind: str, drawings: dict[str, Drawing]) -> None:
     canvas = canvas_of(drawings[kind])

@@ -61,7 +61,6 @@ function drawPanel(panel, width, left, lowest) {
   const inside = element("g", { "clip-path": `url(#${panel.id}-clip)`, class: "series" }, svg);
   for (const one of panel.shown().sort((a, b) => DEPTHS[a.kind] - DEPTHS[b.kind])) drawSeries(panel, one, inside);
   if (cellsOf(panel)) drawScale(panel, cellsOf(panel).scale);
-  if (spec.note) element("text", { x: (box.left + box.right) / 2, y: (box.top + box.bottom) / 2, "text-anchor": "middle" }, svg).textContent = spec.note;
   panel.cursor = element("g", { class: "cursor" }, svg);
 }
 
