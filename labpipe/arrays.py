@@ -1,7 +1,5 @@
 """Arrays in labpipe's signatures, by kind of number, and how records check and freeze them.
 
-The array types in labpipe's signatures, by kind of number.
-
 The docstring of each function states shapes, as (n_frequency, n_output, n_input), and units, as [N/m].
 """
 
@@ -13,8 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labpipe.errors import DataError
-
-# The array types in labpipe's signatures, by kind of number.
 
 FloatArray: TypeAlias = NDArray[np.floating[Any]]
 ComplexArray: TypeAlias = NDArray[np.complexfloating[Any, Any]]
@@ -30,7 +26,7 @@ def frozen_array(values: ArrayLike, dtype: type, name: str, shape: tuple[int, ..
 
     A copy, unless nobody can write to *values* any more.
     """
-    array: NDArray[Any] = values if _is_frozen(values, dtype) else np.array(values, dtype=dtype)  # type: ignore[assignment]
+    array = np.asarray(values) if _is_frozen(values, dtype) else np.array(values, dtype=dtype)
     if array.shape != shape:
         raise DataError(f"{name} has the shape {array.shape}, {shape} is needed")
     if not np.all(np.isfinite(array)):

@@ -63,7 +63,8 @@ def render_html(document: Document) -> str:
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{escape(policy())}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(document.title)}</title>\n<style>\n{page_part('report.css')}</style></head>\n<body>\n"
+        f"<title>{escape(document.title)}</title>\n"
+        f"<style>\n{page_part('report.css')}</style></head>\n<body>\n"
         '<a class="skip" href="#content">Skip to the content</a>\n<main id="content">\n'
         f"<header><h1>{escape(document.title)}</h1><p>{escape(document.subtitle)}</p></header>\n"
         f"{_contents(document)}{sections}\n</main>\n{script}</body></html>\n"

@@ -40,7 +40,8 @@ class Factor:
         """
         if self.into == "stiffness":
             # The one complex matrix of a model; everything else of Matrices stays real.
-            return Term(f"{self.name}*{name}", "N/m", replace(empty, stiffness=1j * matrix))  # type: ignore[arg-type]
+            complex_matrix = replace(empty, stiffness=1j * matrix)  # type: ignore[arg-type]
+            return Term(f"{self.name}*{name}", "N/m", complex_matrix)
         return Term(f"{self.name}*{name}", "N.s/m", replace(empty, damping=matrix))
 
 

@@ -319,7 +319,11 @@ class SmearedModel:
         """Start values (n_parameter,) [parameter units] from those of `linear`."""
         return self.model.from_linear(values)
 
-    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002 (the lines are the leakage's)
+    def receptance(
+        self,
+        parameters: FloatArray,
+        omega: FloatArray,  # noqa: ARG002 (the lines are the leakage's)
+    ) -> ComplexArray:
         """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input).
 
         Equation (frf-smeared).

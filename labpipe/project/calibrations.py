@@ -108,7 +108,10 @@ def _relative(text: str, uncertainty: str) -> Uncertain:
     )
 
 
-def _of_delay(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001 (one signature for all readers)
+def _of_delay(
+    written: Written,
+    folder: Path,  # noqa: ARG001 (one signature for all readers)
+) -> Iterator[ChannelUncertainty]:
     for name, number in written.uncertainties:
         if name == "delay":
             yield ChannelUncertainty("delay", uncertainty_of(number, f"{written.name}.delay", "s"))

@@ -16,6 +16,7 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -222,8 +223,12 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
             [lambda: values(index, criteria)] if _has_values(index) else []
         )
         for name, home in folders(with_datasets(index), folder):
-            asked.append(lambda name=name, home=home: dataset_values(home, name, criteria))  # type: ignore[misc]
+            asked.append(partial(dataset_values, home, name, criteria))
         return _all_of(asked)
+
+
+def _kept(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
+    return [row] if has_test(home, criteria) else []
 
 
 def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
@@ -242,7 +247,7 @@ def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
         for row in everything:
             home = Path(row.path).parent.as_posix()
             if home in homes:
-                asked.append(lambda row=row, path=homes[home]: [row] if has_test(path, criteria) else [])  # type: ignore[misc]
+                asked.append(partial(_kept, row, homes[home], criteria))
         return _all_of(asked)
 
 

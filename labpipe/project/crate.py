@@ -1,4 +1,5 @@
-"""ro-crate-metadata.json: what an archive holds, as linked data by RO-Crate 1.1 (https://w3id.org/ro/crate/1.1).
+"""ro-crate-metadata.json: what an archive holds, as linked data by RO-Crate 1.1
+(https://w3id.org/ro/crate/1.1).
 
 No licence and no person is named that nobody named: what RO-Crate asks for and labpipe does not know is said
 to be not stated.

@@ -123,9 +123,10 @@ def result_of_test(
         "source": digest_of_sources(sources),
         "digest": digest,
     }
+    rows = tuple(row for fit in fits for row in rows_of_fit(fit, common))
     return TestResult(
         # A test without fits has a row as well: the dataset knows that it was worked on.
-        rows=tuple(row for fit in fits for row in rows_of_fit(fit, common)) or (DatasetRow(**common),),  # type: ignore[arg-type]
+        rows=rows or (DatasetRow(**common),),  # type: ignore[arg-type]
         findings=(
             *((test.name, finding) for finding in findings),
             *((fit_title(fit), of_fit) for fit in fits for of_fit in fit.findings),
@@ -137,7 +138,8 @@ def result_of_test(
 
 def failed_result(test: Test, message: str, sources: Sequence[SourceRef] = ()) -> TestResult:
     """The result of a test that could not be evaluated, and why."""
-    row = DatasetRow(**identity(test, test.conditions), failed=message, source=digest_of_sources(sources))  # type: ignore[arg-type]
+    entries = {**identity(test, test.conditions), "failed": message, "source": digest_of_sources(sources)}
+    row = DatasetRow(**entries)  # type: ignore[arg-type]
     return TestResult(rows=(row,))
 
 

@@ -264,7 +264,8 @@ def _instance(
 
     None without a second fault for unread entries.
     """
-    if any(field.default is MISSING and field.name not in fields for field in dataclasses.fields(owner)):  # type: ignore[arg-type]
+    declared = dataclasses.fields(owner)  # type: ignore[arg-type]
+    if any(field.default is MISSING and field.name not in fields for field in declared):
         return None
     try:
         return owner(**fields)

@@ -116,7 +116,10 @@ def crest_factor(signal: FloatArray) -> float:
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
-def schroeder_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001 (one signature for the table)
+def schroeder_phases(
+    lines: IntArray,
+    seed: int = 0,  # noqa: ARG001 (one signature for the table)
+) -> FloatArray:
     """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder
     1970).
 

@@ -107,7 +107,8 @@ def rows_of_fit(fit: Fit, common: Mapping[str, object]) -> Iterator[DatasetRow]:
     """The rows of one fit; *common*: what all rows of its test share."""
     covariance = noise_covariance(fit)
     for listed in of_fit(fit):
-        yield DatasetRow(**_entries(fit, listed), covariance=covariance.get(listed.parameter.name), **common)  # type: ignore[arg-type]
+        row = {**_entries(fit, listed), "covariance": covariance.get(listed.parameter.name), **common}
+        yield DatasetRow(**row)  # type: ignore[arg-type]
 
 
 def _entries(fit: Fit, listed: ListedParameter) -> dict[str, object]:

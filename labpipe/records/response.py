@@ -247,37 +247,38 @@ class Blocks:
 class FrequencyResponse:
     """H(f), output per input, with its covariance.
 
-    frequency        (n_frequency,) [Hz], increasing
-    matrix           (n_frequency, n_output, n_input) complex, unit of the form (receptance: m/N)
-    covariance       (n_frequency, n, n) complex with n = n_output * n_input, or None: E[d d^H] of
-                     d = vec(H - E H), row-major (index = output * n_input + input); its diagonal is the
-                     variance of the complex values E|H - E H|^2, half of it in the real and half in the
-                     imaginary part (circular). May be given in factors, FactoredCovariance: it is then made
-                     whole when it is first read
-    coherence        (n_frequency, n_output, n_input) ordinary, or None multiple_coherence (n_frequency,
-    n_output), or None partial_coherence (n_frequency, n_output, n_input) of each force alone, or None
-    distortion       (n_frequency, n_output, n_input) the part of the standard deviation [unit of the form]
-    that is due to
-                     nonlinearity, or None; the variance less its square is noise
-    change           (n_frequency, n_output, n_input) complex, H of the second half of the record less that of
-    the first, or None open_loop        (n_frequency, n_output, n_input) complex, H1 beside an FRF of a closed
-    loop, which it takes as open, or None: biased snr              (n_frequency, n_channel) signal-to-noise
-    amplitude ratio per channel at the line (periodic data), or None;
-                     its columns are named by snr_channels
-    covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf:
-    known) line_correlation E[z_(k+d) z_k*] of the noise z of unit variance with that of the next lines, d =
-    1, 2, ... line spacings away; empty
-                     where lines are independent
-    line_gains       (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k alone
-    but
-                     sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an exponential
-                     window taken out again)
-    blocks           of random data, whose ends leave leakage in the FRF, or None errors           systematic
-    errors that no single port carries: of the numbers in sums of channels and of the members of these
-    repeats          (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where each
-    has all of it, or of every hit or sweep, or None; named by repeat_names
-    repeat_levels    (n_repeat,) [unit of the force] r.m.s. force of each recording, peak of each hit, or
-    None; *repeats_are*: "recordings", "hits" or "sweeps"
+    frequency           (n_frequency,) [Hz], increasing
+    matrix              (n_frequency, n_output, n_input) complex, unit of the form (receptance: m/N)
+    covariance          (n_frequency, n, n) complex with n = n_output * n_input, or None: E[d d^H] of
+                        d = vec(H - E H), row-major (index = output * n_input + input); its diagonal is the
+                        variance of the complex values E|H - E H|^2, half of it in the real and half in the
+                        imaginary part (circular). May be given in factors, FactoredCovariance: it is then
+                        made whole when it is first read
+    coherence           (n_frequency, n_output, n_input) ordinary, or None
+    multiple_coherence  (n_frequency, n_output), or None
+    partial_coherence   (n_frequency, n_output, n_input) of each force alone, or None
+    distortion          (n_frequency, n_output, n_input) the part of the standard deviation [unit of the form]
+                        that is due to nonlinearity, or None; the variance less its square is noise
+    change              (n_frequency, n_output, n_input) complex, H of the second half of the record less that
+                        of the first, or None
+    open_loop           (n_frequency, n_output, n_input) complex, H1 beside an FRF of a closed loop, which it
+                        takes as open, or None: biased
+    snr                 (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line
+                        (periodic data), or None; its columns are named by snr_channels
+    covariance_dof      effective number of complex degrees of freedom behind the covariance estimate
+                        (inf: known)
+    line_correlation    E[z_(k+d) z_k*] of the noise z of unit variance with that of the next lines, d = 1, 2,
+                        ... line spacings away; empty where lines are independent
+    line_gains          (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k
+                        alone but sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an
+                        exponential window taken out again)
+    blocks              of random data, whose ends leave leakage in the FRF, or None
+    errors              systematic errors that no single port carries: of the numbers in sums of channels and
+                        of the members of these
+    repeats             (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where
+                        each has all of it, or of every hit or sweep, or None; named by repeat_names
+    repeat_levels       (n_repeat,) [unit of the force] r.m.s. force of each recording, peak of each hit, or
+                        None; *repeats_are*: "recordings", "hits" or "sweeps"
     """
 
     frequency: FloatArray

@@ -45,7 +45,10 @@ _ROOT = re.compile(rf"^(?P<real>[+-]?{_NUMBER})?(?:(?P<sign>\+-|[+-])?(?P<imagin
 EXAMPLE = "for example [-100, -50 +- 300j], in rad/s"
 
 
-def to_roots(value: Any, setting: Any) -> tuple[complex, ...]:  # noqa: ARG001 (one signature for the whole table)
+def to_roots(
+    value: Any,
+    setting: Any,  # noqa: ARG001 (one signature for the whole table)
+) -> tuple[complex, ...]:
     """A list of real and complex numbers; a pair of conjugates may be written as one, "-50 +- 300j"."""
     if isinstance(value, (str, Complex)):
         value = [value]
@@ -505,7 +508,8 @@ def takes_uncertainty(owner: type, declared: Setting) -> bool:
 
     Those settings have a field *uncertainties*.
     """
-    return declared.kind in ("value", "mass") and "uncertainties" in owner.__dataclass_fields__  # type: ignore[attr-defined]
+    fields: Mapping[str, Any] = owner.__dataclass_fields__  # type: ignore[attr-defined]
+    return declared.kind in ("value", "mass") and "uncertainties" in fields
 
 
 def setting(

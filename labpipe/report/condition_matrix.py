@@ -224,7 +224,10 @@ PATH_EXPLAINED = (
 )
 
 
-def matrix_sections(matrices: ConditionMatrices, identification: Identification) -> tuple[Section, ...]:  # noqa: ARG001
+def matrix_sections(
+    matrices: ConditionMatrices,
+    identification: Identification,  # noqa: ARG001
+) -> tuple[Section, ...]:
     """Two sections for every matrix: the tests, then the coefficients; a third for rest positions."""
     return tuple(section for matrix in matrices for section in _sections(matrix))
 

@@ -46,7 +46,11 @@ from labpipe.spectra.windows import window_values
 # FRF estimators H1, H2, Hv from the cross-spectral matrix. ESTIMATORS and INSTRUMENTS by name.
 
 
-def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001 (one signature for the whole table)
+def h1(
+    s_uu: ComplexArray,
+    s_yu: ComplexArray,
+    s_yy: ComplexArray,  # noqa: ARG001 (one signature for the whole table)
+) -> ComplexArray:
     """H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the
     outputs.
 
@@ -92,7 +96,10 @@ def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     return np.stack(columns, axis=1)
 
 
-def forces_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:  # noqa: ARG001 (one signature for the table)
+def forces_as_instruments(
+    response: ComplexArray,
+    power: FloatArray,  # noqa: ARG001 (one signature for the table)
+) -> ComplexArray:
     """z = u, the measured forces, for H1: W (n_frequency, 1, n_input, n_input + n_output) [1]."""
     return _chosen_channels(response, 0)
 

@@ -194,7 +194,10 @@ class _Column:
     unit: str
 
 
-def run_calibrations(settings: Iterable[CalibrationSettings], work: Work) -> list[Fit]:  # noqa: ARG001 (one signature for all sections)
+def run_calibrations(
+    settings: Iterable[CalibrationSettings],
+    work: Work,  # noqa: ARG001 (one signature for all sections)
+) -> list[Fit]:
     return calibrate(settings)
 
 

@@ -175,9 +175,10 @@ def log_covariance(fit: Fit) -> FloatArray:
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     places = [names.index("k"), names.index("c")]
     chosen = [fit.parameters[place] for place in places]
-    if any(parameter.std_error is None for parameter in chosen):
+    errors = [parameter.std_error for parameter in chosen if parameter.std_error is not None]
+    if len(errors) < len(chosen):
         raise FitError(f"k or c of test {fit.test} has no standard error")
-    relative = np.array([parameter.std_error / parameter.value for parameter in chosen])  # type: ignore[operator]
+    relative = np.array(errors) / [parameter.value for parameter in chosen]
     return fit.correlation[np.ix_(places, places)] * np.outer(relative, relative)
 
 

@@ -460,7 +460,10 @@ def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
             yield ListedParameter(fit="unbalance", parameter=parameter, test=case.name, model="unbalance")
 
 
-def run_unbalance(settings: UnbalanceSettings, work: Work) -> UnbalanceRuns:  # noqa: ARG001 (one signature for all sections)
+def run_unbalance(
+    settings: UnbalanceSettings,
+    work: Work,  # noqa: ARG001 (one signature for all sections)
+) -> UnbalanceRuns:
     """The response of every state of wear at every speed."""
     return unbalance_runs(settings)
 

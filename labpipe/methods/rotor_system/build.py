@@ -218,7 +218,12 @@ class _Builder:
                 tuple(
                     n
                     for label in each.labels
-                    for n in self.unknown(f"{what} {test} {label}", size, tests=only, **entries)  # type: ignore[arg-type]
+                    for n in self.unknown(
+                        f"{what} {test} {label}",
+                        size,
+                        tests=only,
+                        **entries,  # type: ignore[arg-type]
+                    )
                 )
                 for what, size, entries in (
                     ("gain", each.gain, {}),

@@ -24,7 +24,8 @@ def surface_canvas(surfaces: CoefficientSurfaces, size: tuple[float, float]) -> 
 
 def _surface(axes: Axes, surfaces: CoefficientSurfaces, place: int, title: str) -> None:
     speed, load = np.meshgrid(surfaces.speed, surfaces.load)
-    axes.plot_surface(speed, load, surfaces.values[place], cmap="viridis", edgecolor="0.3", linewidth=0.25)  # type: ignore[attr-defined]
+    look = {"cmap": "viridis", "edgecolor": "0.3", "linewidth": 0.25}
+    axes.plot_surface(speed, load, surfaces.values[place], **look)  # type: ignore[attr-defined]
     axes.set_xlabel("speed [rpm]", fontsize=8)
     axes.set_ylabel("load [N]", fontsize=8)
     axes.set_title(title, fontsize=9)

@@ -317,7 +317,11 @@ class Solved:
     anywhere: Queried | None = None
 
 
-def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
+def solve_start(
+    rig: RunUpRotor,  # noqa: ARG001 (one signature for the table)
+    trained: Sequence[RunUp],  # noqa: ARG001
+    settings: RunUpSettings,  # noqa: ARG001
+) -> Solved:
 
     def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
         return AtLoad(run_rig.start(run.load), as_eight(*run_rig.start_coefficients(run.load, run.speed)))
@@ -374,7 +378,11 @@ def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
     )
 
 
-def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
+def solve_process(
+    rig: RunUpRotor,
+    trained: Sequence[RunUp],
+    settings: RunUpSettings,  # noqa: ARG001
+) -> Solved:
     fit = fit_with_process(rig, trained, fit_jointly(rig, trained))
     method = RunUpMethod(
         "process",
