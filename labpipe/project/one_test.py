@@ -28,7 +28,6 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.first_guess import windows_of_copies_alone
 from labpipe.project.ingest import ingest, is_recording, recording_refs
 from labpipe.project.judging import forbidden, judged_part
 from labpipe.project.measured import (
@@ -391,6 +390,9 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
 
 def _seen_in_files(job: Job) -> list[Finding]:
     """What the first raw file with copies of its channels says against the window that is stated."""
+    # A run that changes nothing needs none of what looks at raw files.
+    from labpipe.project.first_guess import windows_of_copies_alone
+
     if job.frf is None or job.frf.windowed is None:
         return []
     for source in job.test.recordings:

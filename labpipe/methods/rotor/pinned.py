@@ -203,12 +203,13 @@ CoefficientsAtSpeed = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 @dataclass(frozen=True)
 class LeastStable:
     """The least stable mode with motion of the journal: eigenvalue [1/s], and derivatives (2, 2) of its real
-    part by K_kl and C_kl.
+    part by K_kl and C_kl; by_speed: by the spin speed through the gyroscopic matrix alone, [1/s per rad/s].
     """
 
     eigenvalue: complex
     by_stiffness: FloatArray
     by_damping: FloatArray
+    by_speed: float
 
     @property
     def growth(self) -> float:
@@ -274,9 +275,11 @@ class Stability:
         chosen = int(np.argmax(np.where(self.moving(right_vectors) & (roots.imag >= 0), roots.real, -np.inf)))
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         y, x = left_vectors[:, chosen].conj(), right_vectors[:, chosen]
-        force_factor = (y[n:] @ self.inverse_mass[:, place]) / (y @ x)
-        slopes = -np.outer(force_factor, x[place])
-        return LeastStable(complex(roots[chosen]), slopes.real, (slopes * roots[chosen]).real)
+        forces = (y[n:] @ self.inverse_mass) / (y @ x)
+        slopes = -np.outer(forces[place], x[place])
+        turned = -forces @ self.rotor.matrices.gyroscopic @ x[n:]
+        root = complex(roots[chosen])
+        return LeastStable(root, slopes.real, (slopes * root).real, float(turned.real))
 
     def moving(self, vectors: ComplexArray) -> BoolArray:
         """Modes (..., n_mode) with motion of the journal; *vectors* (..., 2 n_dof, n_mode) [any unit]."""

@@ -181,16 +181,18 @@ def threshold_row(
 
 def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: float) -> tuple[float, float]:
     """The threshold [rad/s] by Newton's method from *start*, and the slope of the growth rate by speed there
-    [1/s per rad/s].
+    [1/s per rad/s]: that of the least stable mode, coefficients by central differences.
     """
     speed = start
     for _ in range(MOST_SEARCHES):
-        around = speed * np.array([1 - SPEED_STEP, 1.0, 1 + SPEED_STEP])
-        before, here, after = rig.stability.growth(around, *coefficients(around)).tolist()
-        by_speed = (after - before) / (2 * SPEED_STEP * speed)
+        stiffness, damping = coefficients(speed * np.array([1 - SPEED_STEP, 1.0, 1 + SPEED_STEP]))
+        mode = rig.stability.least_stable(speed, stiffness[1], damping[1])
+        moved = np.sum(mode.by_stiffness * (stiffness[2] - stiffness[0]))
+        moved += np.sum(mode.by_damping * (damping[2] - damping[0]))
+        by_speed = mode.by_speed + float(moved) / (2 * SPEED_STEP * speed)
         if by_speed < LEAST_SLOPE:
             break
-        step = (here - GROWTH_TOLERANCE) / by_speed
+        step = (mode.growth - GROWTH_TOLERANCE) / by_speed
         if abs(step) < SEARCH_TOLERANCE * start:
             return speed - step, by_speed
         speed = float(np.clip(speed - step, 0.7 * speed, 1.4 * speed))

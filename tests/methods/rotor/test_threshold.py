@@ -77,6 +77,15 @@ def test_slopes_of_the_growth_rate_equal_differences(number: int) -> None:
     np.testing.assert_allclose(slope, (plus - minus) / (2 * change[number]), rtol=1e-4, atol=1e-9)
 
 
+def test_slope_of_the_growth_rate_by_speed_equals_a_difference() -> None:
+    """Through the gyroscopic matrix, the bearing held."""
+    speed, step = 2800 * RPM, 0.1
+    bearing = [found[0] for found in film()(np.array([speed]))]
+    plus, minus = (STABILITY.least_stable(speed + sign * step, *bearing).growth for sign in (1, -1))
+    slope = STABILITY.least_stable(speed, *bearing).by_speed
+    np.testing.assert_allclose(slope, (plus - minus) / (2 * step), rtol=1e-5)
+
+
 def test_amplitudes_at_unstable_speeds_are_refused() -> None:
     refuse_unstable(STABILITY, film(), np.array([1000.0, 2800]) * RPM)
     with pytest.raises(FitError, match=r"at 2900 rpm the rotor is unstable.*no steady amplitude"):
