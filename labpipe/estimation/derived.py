@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -297,8 +298,8 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     if not stiffness:
         return []
     k = total.value(stiffness)
-    given = 1.0 if stiffness != "k" else float(setup.settings.mass)  # type: ignore[arg-type]
-    m = total.value("m") if "m" in total.names else given
+    given: Any = setup.settings.mass
+    m = total.value("m") if "m" in total.names else 1.0 if stiffness != "k" else float(given)
     resonance = []
     if "m" in total.names and m != 0 and transfer_of(setup):
         resonance.append(derived("modal_constant", "1/kg", 1 / m, propagated(total, {"m": -1 / m**2}), dof))

@@ -157,10 +157,22 @@ CASES = (
 )
 
 
+# Several warnings are looked for in the same sound runs.
+_CODES: dict[tuple[object, str, int], frozenset[str]] = {}
+
+
+def codes(run: Callable[..., frozenset[str]], asked: Mapping[str, object], seed: int) -> frozenset[str]:
+    """The warnings of one run."""
+    key = run, repr(sorted(asked.items())), seed
+    if key not in _CODES:
+        _CODES[key] = run(seed, **asked)
+    return _CODES[key]
+
+
 def rates(case: Case, n_run: int) -> tuple[int, int]:
     """Runs with the code, of sound and of faulty ones."""
     return tuple(
-        sum(case.code in case.run(seed, **asked) for seed in range(n_run))
+        sum(case.code in codes(case.run, asked, seed) for seed in range(n_run))
         for asked in (case.sound, case.faulty)
     )  # type: ignore[return-value]
 
