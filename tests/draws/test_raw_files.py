@@ -17,7 +17,13 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param("plan", marks=pytest.mark.long), *list(STUDIES)[1:]])
+# Plans and certificates take seconds.
+SLOW = ("plan", "certificate")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in SLOW)) for name in STUDIES]
+)
 def test_sound_worlds_hold_and_the_fault_is_named(name: str) -> None:
     held, warned, _ = study(STUDIES[name], 2, 2607, fault=False)
     assert all(len(each) == 2 for each in held.values()) and set(warned) <= {"insignificant"}

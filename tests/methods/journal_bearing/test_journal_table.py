@@ -60,6 +60,7 @@ def test_at_its_nodes_the_table_is_exact(wear_table: JournalTable) -> None:
     np.testing.assert_allclose(found.damping, film.damping, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_other_viscosity_clearance_and_cavitation(wide_table: JournalTable) -> None:
     """Off the nodes in every axis at once, within 1.5 % of the largest coefficient on this small table."""
     bearing = worn(35.0, 7.0, viscosity=0.109, clearance=88.6e-6, cavitation_pressure=-0.1e5)

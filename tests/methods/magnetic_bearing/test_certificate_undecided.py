@@ -89,6 +89,7 @@ def test_a_loop_of_another_controller_decides_nothing(certified, columns) -> Non
     assert "probability_log_decrement" not in [amount["name"] for amount in found["amounts"]]
 
 
+@pytest.mark.long
 def test_damping_of_the_rotor_itself_is_none_of_the_file(certified) -> None:
     """400 N s/m between rotor and housing, as of eddy currents or a fluid: no unknown stands for it."""
     damped = AXIS.other(damping=400.0)
@@ -97,6 +98,7 @@ def test_damping_of_the_rotor_itself_is_none_of_the_file(certified) -> None:
     assert "model-mismatch" in [finding["code"] for finding in found["findings"]]
 
 
+@pytest.mark.long
 def test_a_late_probe_outside_of_the_loop_is_the_channel_s_delay(certified, columns) -> None:
     """Two samples of 4 kHz between the loop's reading and its record. As a delay of the channel it leaves the
     loop as it is; the file's own delay is that between command and current, and does not explain it.

@@ -83,6 +83,7 @@ def test_no_wrong_gain_margin_is_told_of_noise(lines: np.ndarray, noise: float, 
     assert np.mean(stated & (np.abs(away) >= 1.96)) <= 0.1
 
 
+@pytest.mark.long
 def test_a_gain_margin_that_is_seldom_told_holds_given_that_it_is_told() -> None:
     """27 lines whose noise is four tenths of |L|: told in one test of eleven, where noise makes L
     larger.
@@ -136,6 +137,7 @@ def test_every_line_has_the_degrees_of_freedom_that_are_said(tmp_path: Path) -> 
     assert spectra.covariance_dof / 2 < by_scatter < 2.2 * spectra.covariance_dof
 
 
+@pytest.mark.long
 def test_the_peak_of_dense_noisy_lines_has_no_bias(tmp_path: Path) -> None:
     """16 raw files of 447 lines, the loop disturbed by five times the usual force: the mean within three of
     its standard errors of the closed form. The highest of the lines was 1.25 errors too high on average.

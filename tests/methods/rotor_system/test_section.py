@@ -183,6 +183,7 @@ def test_what_tests_of_a_rotor_cannot_take_is_refused(tmp_path: Path, labpipe, t
     assert ended.code == 2 and said in ended.err
 
 
+@pytest.mark.long
 def test_modes_of_a_modal_fit_are_a_test(tmp_path: Path) -> None:
     """The rotor on strings by a modal fit in place of its responses: the same free modes."""
     import labpipe

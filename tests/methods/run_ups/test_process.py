@@ -193,6 +193,7 @@ def test_outside_the_family_its_held_out_interval_holds_where_the_joint_fit_s_do
     assert abs(ours.value - true) < 2 * ours.std_error < 0.1 * true
 
 
+@pytest.mark.long
 def test_where_the_joint_fit_is_rejected_it_meets_the_data(joint: JointFit, found: ProcessFit) -> None:
     assert joint.rejected and joint.chi2_per_datum > 4
     assert 0.8 < found.chi2_per_datum < 1.3
