@@ -88,11 +88,11 @@ def kept_repeats(
 
     *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] the
     residuals of a line of least absolute deviations are judged, with *groups* (n,) the values less the
-    median of their group. More than a quarter outside are two populations, and all stay. Equation
-    (repeats-outliers).
+    median of their group, of which one in each group says nothing. More than a quarter outside are two
+    populations, and all stay. Equation (repeats-outliers).
     """
-    n = len(values)
-    if n < LEAST_FOR_OUTLIERS:
+    n, n_group = len(values), len(set(groups))
+    if n - max(n_group - 1, 0) < LEAST_FOR_OUTLIERS:
         return Kept(np.ones(n, bool))
     if groups:
         labels = np.array(groups)
@@ -100,7 +100,8 @@ def kept_repeats(
     else:
         middle = np.median(values, axis=0) if covariate is None else _least_absolute(values, covariate)
     off = values - middle
-    deviation = MAD_SCALE * np.median(np.abs(off), axis=0)
+    # The middle one of every group is off by nothing.
+    deviation = MAD_SCALE * np.median(np.sort(np.abs(off), axis=0)[n_group:], axis=0)
     far = FAR_OF_FEW if n < FEW else FAR
     outside = np.any(np.abs(off) > far * np.sqrt(deviation**2 + variances), axis=1)
     if np.mean(outside) > MOST_OUTSIDE:

@@ -454,11 +454,11 @@ def _left_out_notes(
         ordered = dataclasses.replace(spectrum, mean=mean, noise=layout.padded(number, spectrum.noise, 2))
         for output, port in enumerate(layout.outputs):
             size = float(np.sqrt(np.mean(np.abs(mean[lines, len(layout.inputs) + output]) ** 2)))
-            for kind, found in left_out_lines(ordered, acting, whole, output, period).items():
-                share = found.distortion / size if size else 0.0
+            for kind, silent in left_out_lines(ordered, acting, whole, output, period).items():
+                share = silent.distortion / size if size else 0.0
                 before = largest.get((port.label, kind), (LEAST_SHARE, 0.0))
-                if share > before[0] and found.chance < BY_CHANCE:
-                    largest[port.label, kind] = share, float(found.frequency[np.argmax(found.level)])
+                if share > before[0] and silent.chance < BY_CHANCE:
+                    largest[port.label, kind] = share, float(silent.frequency[np.argmax(silent.level)])
     return tuple(
         note(
             "lines-left-out",

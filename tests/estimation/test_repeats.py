@@ -141,6 +141,30 @@ def test_groups_are_the_repeats(rng: np.random.Generator) -> None:
     assert single.half_width == repeat_mean(y[:3], v[:3], 0.3).half_width
 
 
+@pytest.mark.parametrize("sizes", [(3, 3, 3), (2, 2, 2, 2), (1, 1, 6), (5, 5)])
+def test_outliers_of_groups_are_judged_within_them(sizes: tuple[int, ...]) -> None:
+    """Days far apart with normal runs: a sound run is lost no more often than among ten normal values without
+    groups (28 of 400 sets), and one of three and more that is 100 deviations off is always left out or named
+    as a second population.
+    """
+    groups = [str(day) for day, size in enumerate(sizes) for _ in range(size)]
+    lost = missed = 0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        y = np.repeat(50.0 * rng.normal(size=len(sizes)), sizes) + rng.normal(size=len(groups))
+        v = np.full((y.size, 1), 1e-6)
+        lost += not kept_repeats(y[:, None], v, groups=groups).used.all()
+        y[-1] += 100.0
+        kept = kept_repeats(y[:, None], v, groups=groups)
+        missed += bool(kept.used[-1]) and not kept.two_populations and sizes[-1] > 2
+    assert lost <= 28 and missed == 0
+
+
+def test_groups_of_single_repeats_lose_none() -> None:
+    y, v = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 9.0])[:, None], np.full((6, 1), 1e-6)
+    assert kept_repeats(y, v, groups=list("abcdef")).used.all()
+
+
 def test_outliers_are_few_and_far() -> None:
     y, v = np.array([0.0, 0.1, -0.1, 0.05, 9.0])[:, None], np.full((5, 1), 1e-4)
     assert kept_repeats(y, v).used.tolist() == [True] * 4 + [False]

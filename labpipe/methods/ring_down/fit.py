@@ -309,9 +309,11 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     columns = chosen_ports(decays.outputs, settings.output, "response")
     pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
     repeated = None
-    if len(pieces) < 2 and settings.repeat_groups:
-        raise ConfigError("'repeat_groups' needs several decays", hint="leave it out", field="repeat_groups")
-    if len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats):
+    each = len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats)
+    if settings.repeat_groups and not each:
+        what = "'repeat_groups' needs several decays, of which each is fitted alone"
+        raise ConfigError(what, hint="leave it out", field="repeat_groups")
+    if each:
         repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
     if repeated is None:
         fitted = most_likely(

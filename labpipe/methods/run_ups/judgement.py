@@ -147,14 +147,14 @@ def judged(
     rate = np.abs(np.gradient(track.speed, track.time))
     halves = _Smooth(speed[::2], readings[::2], smooth.deviation[::2], smooth.fine).fitted
     halved = np.abs(halves - (0.0 if rolled is None else rolled))
-    found = []
+    judged_peaks = []
     for probe, label in enumerate(labels):
         for peak, drawn in _peaks(smooth.fine, amplitude[..., probe], halved[:, probe]):
             offset = None if rolled is None else offsets[:, probe]
             mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, rng)
             peak, drawn = mode or (peak, drawn)
             passed = float(np.interp(peak.speed, *_rising(track.speed, rate)))
-            found.append(_judged_peak(peak, drawn, label, speed_range, passed))
+            judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, passed))
     sensitivities = (
         tuple(_sensitivities(smooth.fine, curves, labels, unbalance, speed_range, baseline, rng))
         if unbalance
@@ -162,7 +162,7 @@ def judged(
     )
     ends = np.percentile(amplitude[1:], (2.5, 97.5), axis=0)
     return Judgement(
-        labels, rolled, tuple(found), sensitivities, smooth.fine, amplitude[0], ends, speed_range
+        labels, rolled, tuple(judged_peaks), sensitivities, smooth.fine, amplitude[0], ends, speed_range
     )
 
 
@@ -246,9 +246,9 @@ def _slow_roll(
             f"--slow-roll: {int(slow.sum())} stretches of the run lie in it",
             hint=f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm",
         )
-    # A band that reaches up to the critical speed is none of slow roll: no more than half as much again.
-    risen = np.minimum((speed[slow] / critical) ** 2, 1 / 3)
-    design = np.column_stack([np.ones(slow.sum()), risen / (1 - risen)])
+    square = (speed[slow] / critical) ** 2
+    # A peak so near to slow speeds that it has made a force half as much again is none to go by.
+    design = np.column_stack([np.ones(slow.sum()), square / (1 - square) if square[-1] < 1 / 3 else square])
     fitted = np.linalg.lstsq(design, readings[slow], rcond=None)[0]
     left = readings[slow] - design @ fitted
     variance = np.sum(np.abs(left) ** 2, axis=0) / (slow.sum() - 2) * np.linalg.inv(design.T @ design)[0, 0]

@@ -67,6 +67,12 @@ def test_the_figure_shows_curve_peak_and_operating_speeds() -> None:
     assert panel.y.label == "amplitude [um]"
 
 
+def test_slow_roll_above_a_critical_speed_is_taken_as_it_is_asked_for() -> None:
+    """A band that no slow roll has, and one whose first readings rise to the peak: a vector, no error."""
+    for band in ((60.0, 90.0), (30.0, 44.0)):
+        assert np.isfinite(judged(track(laval(SPEED, 0.05)), slow_roll=band).slow_roll).all()
+
+
 @pytest.mark.parametrize("zeta", [0.02, 0.05, 0.12])
 def test_peak_amplification_and_slow_roll_of_one_mode(zeta: float) -> None:
     """Within .5 %, 3 % and 3 %, and in an interval of twice the width: one draw of noise."""
