@@ -9,6 +9,8 @@ import io
 import json
 import math
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,8 @@ DIGITS, READ_DIGITS = 7, 5
 SHAPE_DIGITS = 4
 # Digits of a cell of a heat map, which is a colour.
 CELL_DIGITS = 3
+# Largest n of a double that is 10^n, and from where on whole numbers are written as powers.
+EXACT_POWER, LARGEST_WHOLE = 22, 1e15
 RULE = "var(--rule)"
 COLUMNS = ("panel", "series", "x axis", "x", "y axis", "y", "low", "high", "interval")
 # Rows of the table of a figure, and letters of a file's name.
@@ -36,17 +40,18 @@ class NumberList:
 
     def __init__(self) -> None:
         self.lists: list[list[float | None]] = []
-        self._places: dict[tuple[float | None, ...], int] = {}
+        self._places: dict[bytes, int] = {}
 
     def add(self, values: FloatArray, digits: int = DIGITS) -> int:
         """The place of *values* (n,) [unit of their axis] in the list, rounded to the *digits* that a screen
         can show.
         """
-        rounded = tuple(_rounded(value, digits) for value in np.ravel(values).tolist())
-        if rounded not in self._places:
-            self._places[rounded] = len(self.lists)
-            self.lists.append(list(rounded))
-        return self._places[rounded]
+        rounded = _rounded(np.ravel(values), digits)
+        key = rounded.tobytes()
+        if key not in self._places:
+            self._places[key] = len(self.lists)
+            self.lists.append(_as_json(rounded))
+        return self._places[key]
 
 
 def _read_digits(series: Series) -> int:
@@ -61,11 +66,29 @@ def _read_digits(series: Series) -> int:
     return min(DIGITS, READ_DIGITS + max(0, round(math.log10(float(np.max(np.abs(values))) / span))))
 
 
-def _rounded(value: float, digits: int) -> float | int | None:
-    if not math.isfinite(value):
-        return None
-    near = float(f"{value:.{digits}g}")
-    return int(near) if near.is_integer() and abs(near) < 1e15 else near
+def _rounded(values: FloatArray, digits: int) -> FloatArray:
+    """The double nearest to each of *values* (n,) [any unit] with so many decimal digits; nan for none."""
+    known = np.where(np.isfinite(values), values, np.nan)
+    size = np.log10(np.abs(known), out=np.zeros(known.size), where=known != 0)
+    places = digits - 1 - np.nan_to_num(np.floor(size))
+    # A whole number over a power of ten that is one itself is the nearest double.
+    power = 10.0 ** np.minimum(np.abs(places), EXACT_POWER)
+    with np.errstate(over="ignore"):
+        rounded = np.where(places >= 0, np.round(known * power) / power, np.round(known / power) * power)
+    for n in np.flatnonzero(np.abs(places) > EXACT_POWER):
+        rounded[n] = float(f"{known[n]:.{digits}g}")
+    return rounded
+
+
+def _as_json(values: FloatArray) -> list[float | None]:
+    """Numbers (n,) [any unit] as JSON writes them shortest: whole ones without a point, none as null."""
+    whole = (np.floor(values) == values) & (np.abs(values) < LARGEST_WHOLE)
+    if whole.all():
+        return values.astype(int).tolist()
+    return [
+        int(value) if is_whole else value if math.isfinite(value) else None
+        for value, is_whole in zip(values.tolist(), whole.tolist(), strict=True)
+    ]
 
 
 def figure_json(chart: Chart) -> str:
@@ -125,7 +148,7 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
         entry["entry"] = series.entry
     if series.kind == "cells":
         nothing = numbers.add(np.empty(0))
-        values = [[_rounded(value, CELL_DIGITS) for value in row] for row in series.y.tolist()]
+        values = [_as_json(_rounded(row, CELL_DIGITS)) for row in series.y]
         return {
             **entry,
             "name": "",
@@ -185,8 +208,8 @@ def figure_csv(chart: Chart, caption: str) -> str:
     stream.write("# " + caption.replace("\n", " ") + "\n")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for rows in _rows_of_series(chart):
-        writer.writerows(map(cell, row) for row in rows)
+    for series in _rows_of_series(chart):
+        writer.writerows(map(cell, series.row(n)) for n in range(series.count))
     return stream.getvalue()
 
 
@@ -194,15 +217,15 @@ def figure_table(chart: Chart) -> Table:
     """The same rows for a page without script: of a long series points at equal distances, its first and last
     among them.
     """
-    series = _rows_of_series(chart)
-    room = max(2, MOST_ROWS // max(len(series), 1))
+    every = _rows_of_series(chart)
+    room = max(2, MOST_ROWS // max(len(every), 1))
     chosen = [
-        rows[n]
-        for rows in series
-        for n in sorted({round(at) for at in np.linspace(0, len(rows) - 1, min(room, len(rows)))})
+        series.row(n)
+        for series in every
+        for n in sorted({round(at) for at in np.linspace(0, series.count - 1, min(room, series.count))})
     ]
     used = [n for n in range(len(COLUMNS)) if any(row[n] for row in chosen)]
-    left_out = sum(map(len, series)) - len(chosen)
+    left_out = sum(series.count for series in every) - len(chosen)
     caption = f"{len(chosen)} of {len(chosen) + left_out} points" if left_out else ""
     number = tuple(place for place, n in enumerate(used) if COLUMNS[n] in ("x", "y", "low", "high"))
     return Table(
@@ -221,7 +244,15 @@ def _short(text: str, column: str) -> str:
         return text
 
 
-def _rows_of_series(chart: Chart) -> list[list[list[str]]]:
+@dataclass(frozen=True)
+class _Rows:
+    """The rows of one series, each made when it is asked for: a table shows few of many."""
+
+    count: int
+    row: Callable[[int], list[str]]
+
+
+def _rows_of_series(chart: Chart) -> list[_Rows]:
     """The rows of every series but arrows, which show a sense of rotation only."""
     return [
         (_cell_rows if series.kind == "cells" else _point_rows)(panel, panel.title or str(number), series)
@@ -231,35 +262,38 @@ def _rows_of_series(chart: Chart) -> list[list[list[str]]]:
     ]
 
 
-def _cell_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
+def _cell_rows(panel: Panel, name: str, series: Series) -> _Rows:
     """One row per cell, named by the row and column it stands in."""
     columns, rows = (
         [label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))]
         for axis in (panel.x, panel.y)
     )
-    n_row, n_column = series.y.shape
-    return [
-        [name, rows[r], "", columns[c], "", _number(float(series.y[r, c])), "", "", ""]
-        for r in range(n_row)
-        for c in range(n_column)
-    ]
+
+    def row(n: int) -> list[str]:
+        r, c = divmod(n, series.y.shape[1])
+        return [name, rows[r], "", columns[c], "", _number(series.y, n), "", "", ""]
+
+    return _Rows(series.y.size, row)
 
 
-def _point_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
-    return [
-        [
+def _point_rows(panel: Panel, name: str, series: Series) -> _Rows:
+    def row(n: int) -> list[str]:
+        return [
             name,
             series.texts[0][n] if series.kind == "text" else series.name or series.kind,
             panel.x.label,
-            _number(float(series.x[n])) if n < series.x.size else "",
+            _number(series.x, n),
             panel.y.label,
-            _number(float(series.y[n])) if n < series.y.size else "",
-            *("" if end is None else _number(float(end[n])) for end in (series.low, series.high)),
+            _number(series.y, n),
+            _number(series.low, n),
+            _number(series.high, n),
             series.interval,
         ]
-        for n in range(max(series.x.size, series.y.size))
-    ]
+
+    return _Rows(max(series.x.size, series.y.size), row)
 
 
-def _number(value: float) -> str:
+def _number(values: FloatArray | None, n: int) -> str:
+    """Number *n* of *values* as text; empty where there is none."""
+    value = float(values.flat[n]) if values is not None and n < values.size else math.nan
     return f"{value:.12g}" if math.isfinite(value) else ""

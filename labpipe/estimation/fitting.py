@@ -166,8 +166,8 @@ def fit_linear(
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
         quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
         curve = _curve(view, measured, fit)
-        # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
-        curve = _between_lines(view, curve, fit) if len(bands) == 1 else curve
+        # Bands of a sliding fit are drawn as coefficients over frequency; what is only counted is not drawn.
+        curve = _between_lines(view, curve, fit) if judging and len(bands) == 1 else curve
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
     return tuple(fits)
 

@@ -201,21 +201,20 @@ class Workers:
     def __init__(self, pool: ProcessPoolExecutor | None, count: int) -> None:
         self._pool = pool
         self._count = count
+        self._started = False
 
     def outcomes(
-        self, source: Source, fits: Sequence[FitSettings], repeats: int, seed: tuple[int, ...]
+        self, source: Source, fits: Sequence[FitSettings], numbers: Sequence[int], seed: tuple[int, ...]
     ) -> list[list[Outcome]]:
-        """(fit, repeat) -> Outcome; repeat r draws its noise from seed (*seed, r)."""
-        numbers = list(range(repeats))
-        if self._pool is None or repeats < WORTH_SHARING:
-            numbered = _repeated(source, fits, numbers, seed)
+        """(fit, repeat of *numbers*) -> Outcome; repeat r draws its noise from seed (*seed, r)."""
+        if self._pool is None or (len(numbers) < WORTH_SHARING and not self._started):
+            numbered = dict(_repeated(source, fits, numbers, seed))
         else:
+            self._started = True
             shares = [numbers[start :: self._count] for start in range(self._count)]
             futures = [self._pool.submit(_repeated, source, fits, share, seed) for share in shares]
-            numbered = sorted(
-                (pair for future in futures for pair in future.result()), key=lambda pair: pair[0]
-            )
-        return [[outcomes[number] for _, outcomes in numbered] for number in range(len(fits))]
+            numbered = dict(pair for future in futures for pair in future.result())
+        return [[numbered[number][fit] for number in numbers] for fit in range(len(fits))]
 
 
 @contextmanager
@@ -359,6 +358,8 @@ SEARCHED_BELOW, SEARCHED_ABOVE = 0.05, 20.0
 SEARCH_RATIO = 1.05
 # Repeats of one step of the search; the standard error of a success rate of 95 % is 1.5 %.
 SEARCH_REPEATS = 200
+# Repeats between two looks at how many are lost.
+SEARCH_STEP = 20
 
 
 def run_study(
@@ -407,7 +408,7 @@ def _cases(
     for noise, count in product(settings.noise, counts):
         source = source_of(rig, noise, count, settings.runs, frf)
         tell(f"study     noise {100 * noise:g} %, {source.n_line} lines, {settings.repeats} repeats")
-        outcomes = crew.outcomes(source, fits, settings.repeats, (settings.seed,))
+        outcomes = crew.outcomes(source, fits, range(settings.repeats), (settings.seed,))
         yield [
             summarised(
                 fit_outcomes, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line
@@ -431,21 +432,30 @@ def _threshold(
 ) -> StudyThreshold:
     """Bisection over the logarithm of the noise.
 
-    The same draws at every level keep the success rate from jittering.
+    The same draws at every level keep the success rate from jittering. A level is left as soon as too many
+    repeats are lost; those that were lost at the level before come first, since most are lost again.
     """
     count = int(settings.lines[0]) if settings.lines else None
-    repeats = min(settings.repeats, SEARCH_REPEATS)
+    numbers = list(range(min(settings.repeats, SEARCH_REPEATS)))
 
-    def rate(noise: float) -> float:
+    def is_held(noise: float) -> bool:
         source: Source = source_of(rig, noise, count, settings.runs, frf)
-        (outcomes,) = crew.outcomes(source, [fit], repeats, (settings.seed,))
-        return success_rate(outcomes, fit, source.truth, limit)
+        lost: list[int] = []
+        for start in range(0, len(numbers), SEARCH_STEP):
+            drawn = numbers[start : start + SEARCH_STEP]
+            (outcomes,) = crew.outcomes(source, [fit], drawn, (settings.seed,))
+            ended = zip(drawn, outcomes, strict=True)
+            lost += [r for r, outcome in ended if not _succeeded(outcome, fit, source.truth, limit)]
+            if (len(numbers) - len(lost)) / len(numbers) < settings.share:
+                break
+        numbers.sort(key=lambda r: r not in lost)
+        return (len(numbers) - len(lost)) / len(numbers) >= settings.share
 
     tell(f"study     threshold of {fit.name} at {100 * limit:g} %")
     low, high = SEARCHED_BELOW * min(settings.noise), SEARCHED_ABOVE * max(settings.noise)
-    if rate(low) < settings.share or rate(high) >= settings.share:
-        return StudyThreshold(fit.name, limit, None, repeats)
+    if not is_held(low) or is_held(high):
+        return StudyThreshold(fit.name, limit, None, len(numbers))
     while high / low > SEARCH_RATIO:
         middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if rate(middle) >= settings.share else (low, middle)
-    return StudyThreshold(fit.name, limit, float(np.sqrt(low * high)), repeats)
+        low, high = (middle, high) if is_held(middle) else (low, middle)
+    return StudyThreshold(fit.name, limit, float(np.sqrt(low * high)), len(numbers))

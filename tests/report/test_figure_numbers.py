@@ -38,6 +38,17 @@ def test_every_series_has_its_numbers_and_its_look(every_kind: Chart) -> None:
     assert colours == [0, 1, RULE, RULE, 2]
 
 
+def test_numbers_are_the_decimals_that_python_prints() -> None:
+    """Over the range of doubles; python's own rounding to digits is the reference."""
+    rng = np.random.default_rng(7)
+    size = np.concatenate([np.linspace(-300, 300, 400), np.linspace(-25, 25, 400)])
+    values = rng.choice([-1, 1], size.size) * 10.0 ** (size + rng.uniform(size=size.size))
+    some = np.concatenate([values, [0.0, -0.0, 5.0, 123456789.0, np.nan, np.inf]])
+    panel = Panel(Axis("t", "s", 0.0, 1.0), Axis("x", "mm", 0.0, 1.0), (curve("x", some, some),))
+    shown = [float(f"{value:.7g}") if np.isfinite(value) else None for value in some.tolist()]
+    assert entry_of(stacked((panel,), 4.0))["numbers"][0] == shown
+
+
 def test_axes_say_what_they_are_and_move_together(every_kind: Chart) -> None:
     entry = entry_of(every_kind)
     above, below = entry["panels"]

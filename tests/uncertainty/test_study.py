@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from labpipe.project.pipeline_file import load_pipeline
+from labpipe.uncertainty import study
 from labpipe.uncertainty.study import WORTH_SHARING
 
 
@@ -98,6 +102,30 @@ def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, t
     entries = json.loads((tmp_path / "identification.json").read_text("utf-8"))
     levels = {entry["fit"]: entry["noise"] for entry in entries["studies"][0]["thresholds"]}
     assert 0.008 < levels["ls"] < levels["iv"] < levels["ml"] < 0.09
+
+
+def test_a_threshold_leaves_a_level_as_soon_as_too_many_are_lost(
+    monkeypatch: pytest.MonkeyPatch, pipeline: Path
+) -> None:
+    """Bisection over all repeats of every level gives the same, by more fits."""
+    loaded = load_pipeline(pipeline)
+    settings = replace(loaded.sections["study"], noise=(0.02,), repeats=12, thresholds=True)
+    fits, drawn = [fit for fit in loaded.fits if fit.name == "ls"], []
+    outcomes = study.Workers.outcomes
+
+    def counted(self: study.Workers, *arguments: Any) -> Any:
+        drawn.append(len(arguments[2]))
+        return outcomes(self, *arguments)
+
+    monkeypatch.setattr(study.Workers, "outcomes", counted)
+    results = []
+    for step in (2, settings.repeats):
+        monkeypatch.setattr(study, "SEARCH_STEP", step)
+        drawn.clear()
+        threshold = study.run_study(settings.virtual_rig, settings, fits, None, lambda _: None).thresholds[0]
+        results.append((threshold.noise, sum(drawn)))
+    (early, fewer), (late, more) = results
+    assert early == late and early is not None and 1.2 * fewer < more
 
 
 def test_a_study_through_recordings_and_spectra(labpipe, root: Path, tmp_path: Path) -> None:
