@@ -32,8 +32,8 @@ def name_of(path: Path) -> str:
 NAMES = {name_of(path): path for path in MODULES}
 
 
-def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
-    return (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+def functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    return (node for node in nodes(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
 
 
 def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
@@ -47,6 +47,12 @@ def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 def trees() -> dict[Path, ast.Module]:
     """Every module's syntax tree."""
     return {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
+
+
+@functools.cache
+def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
+    """All nodes of a module's tree, which several tests look through."""
+    return tuple(ast.walk(tree))
 
 
 def length(path: Path) -> int:
@@ -73,7 +79,7 @@ def test_function_bodies_are_short() -> None:
 def test_classes_have_few_methods() -> None:
     """Ten public ones at most, properties left out."""
     for path, tree in trees().items():
-        for owner in (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)):
+        for owner in (node for node in nodes(tree) if isinstance(node, ast.ClassDef)):
             methods = [node for node in owner.body if isinstance(node, ast.FunctionDef)]
             own = [one.name for one in methods if not one.name.startswith("_") and not one.decorator_list]
             assert len(own) <= MANY_METHODS.get(owner.name, 10), (name_of(path), owner.name, own)
@@ -147,9 +153,9 @@ def test_no_ring_of_imports() -> None:
     assert ring(imports()) == []
 
 
-def named_in_strings(tree: ast.AST) -> Iterator[str]:
+def named_in_strings(tree: ast.Module) -> Iterator[str]:
     """Modules of labpipe that strings name as "module:attribute"."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if (
             isinstance(node, ast.Constant)
             and isinstance(node.value, str)
@@ -165,9 +171,7 @@ def test_the_core_imports_no_method() -> None:
     """
     for name, path in NAMES.items():
         if name != "labpipe" and not name.startswith("labpipe.methods"):
-            inside = {
-                node.module or "" for node in ast.walk(trees()[path]) if isinstance(node, ast.ImportFrom)
-            }
+            inside = {node.module or "" for node in nodes(trees()[path]) if isinstance(node, ast.ImportFrom)}
             named = {*imports()[name], *inside, *named_in_strings(trees()[path])}
             assert not [one for one in named if one.startswith("labpipe.methods.")], name
 
@@ -249,9 +253,9 @@ def constants_with_names() -> frozenset[str]:
     return frozenset(named)
 
 
-def compared_names(tree: ast.AST) -> Iterator[str]:
+def compared_names(tree: ast.Module) -> Iterator[str]:
     """Every comparison with the name of a model or an estimator, as a string or by a constant."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         compared = isinstance(node, ast.Compare)
         for side in (
             [node.left, *node.comparators]

@@ -292,8 +292,14 @@ def _sample(n_line: int) -> list[int]:
 
 def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bool:
     """True if a line is a row of numbers, some of which may be missing."""
-    numbers = 0
-    for field in fields_of(line, delimiter):
+    numbers, fields = 0, fields_of(line, delimiter)
+    if decimal == "." and "_" not in line:
+        # What most lines are, and what every kind of number holds, is seen at once.
+        try:
+            return bool([float(field) for field in fields])
+        except ValueError:
+            pass
+    for field in fields:
         if number(field, decimal):
             numbers += 1
         elif not is_missing(field):

@@ -91,7 +91,7 @@ def rising_crossings(force: FloatArray) -> FloatArray:
     low, high = force < -HYSTERESIS * peak, force > HYSTERESIS * peak
     marks = np.flatnonzero(low | high)
     rises = np.flatnonzero(low[marks[:-1]] & high[marks[1:]])
-    return np.array([_crossing(force, int(marks[n]), int(marks[n + 1])) for n in rises])
+    return _roots(force, marks[rises], marks[rises + 1])
 
 
 def _longest_period(force: FloatArray) -> int:
@@ -100,14 +100,20 @@ def _longest_period(force: FloatArray) -> int:
     return max(3, int(1.5 * force.size / max(lowest, 1)))
 
 
-def _crossing(force: FloatArray, before: int, after: int) -> float:
-    """Root of the straight line through the samples from *before* to *after*, or between the two of opposite
-    sign if there are no more.
+def _roots(force: FloatArray, before: IntArray, after: IntArray) -> FloatArray:
+    """Roots [samples] of the straight lines through the samples from *before* to *after* (n,), or between the
+    two of opposite sign if there are no more.
     """
-    values = force[before : after + 1]
-    number = np.arange(values.size)
-    slope, level = np.polyfit(number, values, 1)
-    return float(before - level / slope)
+    if not before.size:
+        return np.empty(0)
+    size = after - before + 1
+    begins = np.cumsum(size) - size
+    number = np.arange(int(np.sum(size))) - np.repeat(begins, size)
+    values = force[number + np.repeat(before, size)]
+    centre = (size - 1) / 2
+    level = np.add.reduceat(values, begins) / size
+    slope = np.add.reduceat((number - np.repeat(centre, size)) * values, begins) * 12 / (size * (size**2 - 1))
+    return np.asarray(before + centre - level / slope)
 
 
 def _scatter(times: FloatArray) -> float:

@@ -69,11 +69,11 @@ class NormalEquations:
             coefficients = _solved(matrix[n:, n:], -matrix[n:, :n]).reshape(order, n, n)[::-1]
         else:
             coefficients = _solved(matrix[:-n, :-n], -matrix[:-n, -n:]).reshape(order, n, n)
-        roots, vectors = _roots(coefficients)
+        roots = _roots(coefficients)
         with np.errstate(divide="ignore"):
             values = np.asarray(np.log(roots) * (1 if stable_noise else -1) / self.period, np.complex128)
         keep = (values.real < 0) & (values.imag > 0)
-        participation = vectors[:, keep].T / self.scale
+        participation = _null_vectors(coefficients, roots[keep]) / self.scale
         lengths = np.linalg.norm(participation, axis=1, keepdims=True)
         return Poles(
             values[keep] + 1j * self.origin, participation / lengths, np.full(int(np.sum(keep)), order)
@@ -140,22 +140,25 @@ def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     return np.asarray(vectors[:, keep] @ ((vectors[:, keep].T @ right_side) / values[keep, None]))
 
 
-def _roots(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Roots (n,) of det(I z^order + sum A_k z^k) and the left null vectors (n_input, n) of the matrix
-    polynomial there.
-
-    *coefficients* (order, n_input, n_input), A_0 first: eigenvalues of the block companion matrix of the
-    A_k^T, whose eigenvectors begin with the null vector.
+def _roots(coefficients: FloatArray) -> ComplexArray:
+    """Roots (order n_input,) of det(I z^order + sum A_k z^k): eigenvalues of the block companion matrix of
+    *coefficients* (order, n_input, n_input), A_0 first.
     """
     order, n, _ = coefficients.shape
     companion = np.zeros((order * n, order * n))
     companion[:-n, n:] = np.eye((order - 1) * n)
     companion[-n:] = -coefficients.transpose(2, 0, 1).reshape(n, -1)
-    roots, vectors = np.linalg.eig(companion)
-    # The block of the largest modulus has the most digits: z^k of large roots buries the first one.
-    blocks = vectors.reshape(order, n, -1)
-    largest = np.argmax(np.sum(np.abs(blocks) ** 2, axis=1), axis=0)
-    return roots.astype(np.complex128), blocks[largest, :, np.arange(roots.size)].T.astype(np.complex128)
+    return np.asarray(np.linalg.eigvals(companion), np.complex128)
+
+
+def _null_vectors(coefficients: FloatArray, roots: ComplexArray) -> ComplexArray:
+    """Left null vectors (n, n_input) of length 1 of I z^order + sum A_k z^k at *roots* z (n,)."""
+    order, n, _ = coefficients.shape
+    # Over the largest of their powers, so that none overflows.
+    powers = roots[:, None] ** (np.arange(order + 1) - order * (np.abs(roots) > 1)[:, None])
+    every = np.concatenate([coefficients, np.eye(n)[None]]).reshape(order + 1, n * n)
+    transposed = (powers @ every).reshape(-1, n, n).swapaxes(1, 2)
+    return np.asarray(np.linalg.svd(transposed)[2][:, -1].conj())
 
 
 # Two poles of different orders are one mode where they differ by less than half the decay rate and a share of
