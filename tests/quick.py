@@ -30,8 +30,9 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = str(ROOT / "labpipe") + os.sep
 SELECTION, SLOW = (Path(__file__).with_name(name) for name in ("quick.txt", "slow.txt"))
-# Where the workers of a recording write; set by the process that starts them.
-NOTES = "LABPIPE_TEST_NOTES"
+# Where the workers of a recording write, and whether only the selection is run; set by the process that
+# starts them.
+NOTES, SELECTED = "LABPIPE_TEST_NOTES", "LABPIPE_TEST_SELECTION"
 # Seconds of the processor for the selection, as noted: the notes cost time too, and two processes share it
 # after ten seconds of beginning.
 SECONDS = 50.0
@@ -146,6 +147,14 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(Recorder(Path(os.environ[NOTES])))
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """As a plug-in of a run of the selection: a name that no test has any more ends nothing."""
+    if SELECTED in os.environ:
+        names = set(selected())
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in names])
+        items[:] = [item for item in items if item.nodeid in names]
+
+
 def recorded(arguments: Sequence[str]) -> dict[str, Noted]:
     """Tests by their names, as a run of pytest with these arguments notes them."""
     with tempfile.TemporaryDirectory() as folder:
@@ -216,8 +225,11 @@ def main() -> int:
     if "--record" in sys.argv:
         record()
         return 0
-    of_folder = any(Path(argument).is_dir() for argument in sys.argv[1:])
-    return int(pytest.main([*sys.argv[1:], *(without_slow() if of_folder else selected())]))
+    if any(Path(argument).is_dir() for argument in sys.argv[1:]):
+        return int(pytest.main([*sys.argv[1:], *without_slow()]))
+    os.environ[SELECTED] = "1"
+    files = sorted({name.partition("::")[0] for name in selected()})
+    return int(pytest.main([*sys.argv[1:], "-p", "tests.quick", *filter(os.path.exists, files)]))
 
 
 if __name__ == "__main__":

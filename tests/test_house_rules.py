@@ -305,7 +305,7 @@ def test_a_comparison_with_a_name_is_seen(line: str) -> None:
 
 @pytest.mark.parametrize("selection", ["quick.txt", "slow.txt"])
 def test_the_short_answers_name_tests_that_exist(selection: str) -> None:
-    """One name that is none ends `python -m tests.quick` before the first test."""
+    """A name that is none tests nothing."""
     root = Path(__file__).parent
     gone, text = [], ""
     for line in (root / selection).read_text().splitlines():

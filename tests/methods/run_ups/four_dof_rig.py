@@ -119,8 +119,13 @@ def _integrated(rig: FourDofRig, spectra: np.ndarray, n: int) -> np.ndarray:
 
 def _extra_force(rig: FourDofRig, fine: int) -> Callable[[np.ndarray, int], np.ndarray]:
     """What the changing part of the stiffness adds to the force: -dK(t) x - cubic x^3."""
-    change = rig.stiffness * true_stiffness().T / fine
-    return lambda x, number: -(x @ change) * number - rig.cubic * x**3
+    # Asked for twice in every step: what is not there costs nothing.
+    change = -rig.stiffness * true_stiffness().T / fine
+    if not rig.cubic:
+        return lambda x, number: (x @ change) * number
+    if not rig.stiffness:
+        return lambda x, _: x * x * (-rig.cubic * x)
+    return lambda x, number: (x @ change) * number - rig.cubic * x * x * x
 
 
 def _steps(dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
