@@ -380,10 +380,8 @@ class Standing:
 
 @dataclass(frozen=True)
 class Update:
-    """What the bench says after an average: *standings* by `fit.parameter`, *findings*, whether to *stop*.
-
-    seconds: that one average takes; *events*: what happened to this average; *levels*: the largest size of
-    every channel in it [SI].
+    """What the bench says after an average: *standings* by `fit.parameter`, *findings*, whether to *stop*;
+    *seconds* that one takes, *events* of this one, *levels*: the largest size of every channel in it [SI].
     """
 
     averages: int

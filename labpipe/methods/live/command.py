@@ -97,10 +97,10 @@ def live(
         if simulate is not None:
             stream: Any = _played(simulate, run_name, seed, speed, rig)
         elif path is None:
-            stream = standard_input(columns_of(rig), None if output is None else output / FRAMES)
+            keep = None if output is None else output / FRAMES
+            stream = standard_input(columns_of(rig), keep)
             if stream.n_earlier and not quiet:
-                seconds = stream.n_earlier / stream.sample_rate
-                echo(f"goes on with the {seconds:.1f} s that are kept in {output / FRAMES}", err=True)
+                echo(f"goes on with the {stream.n_earlier} frames that are kept in {keep}", err=True)
         else:
             stream = open_source(path, columns_of(rig))
         session = Session(pipeline, rig, stream, goals, idle, path, stopped=lambda: bool(asked))

@@ -350,10 +350,8 @@ WEAK = 0.1
 
 @dataclass(frozen=True)
 class Average:
-    """One period or hit: *amplitude* (n_line, n_channel) [unit of each channel] on the cutter's lines.
-
-    *start*: its first sample in the stream; *number* from 1; *fault*: why it is left out, '' where it is
-    good; *peaks* (n_channel,) [SI]: largest sizes, by which levels are shown.
+    """One period or hit: *amplitude* (n_line, n_channel) [units of channels] on the lines, its first sample
+    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI].
     """
 
     number: int

@@ -216,8 +216,9 @@ class Page:
         seen = self._number
         while True:
             with self._news:
-                is_new = self._news.wait_for(lambda seen=seen: self._number != seen, HEARTBEAT)
-                seen = self._number
+                if self._number == seen:
+                    self._news.wait(HEARTBEAT)
+                is_new, seen = self._number != seen, self._number
             try:
                 request.wfile.write(b"data: new\n\n" if is_new else b": still here\n\n")
             except OSError:
