@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -111,6 +112,21 @@ def results_folder(path: Path) -> Iterator[OutputFolder]:
     finally:
         for remark in remarks:
             echo(f"warning: {remark}", err=True)
+
+
+@contextmanager
+def asked_to_stop() -> Iterator[list[int]]:
+    """The signals that asked a command to end, instead of ending it at once."""
+    asked: list[int] = []
+    before = {
+        number: signal.signal(number, lambda received, _frame: asked.append(received))
+        for number in (signal.SIGTERM, signal.SIGINT)
+    }
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def teller(quiet: bool, verbose: bool) -> Callable[[str], None]:

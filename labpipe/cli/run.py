@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -223,21 +221,6 @@ class _Seconds(click.ParamType[float]):
         return seconds
 
 
-@contextmanager
-def _asked_to_stop() -> Iterator[list[int]]:
-    """The signals that asked the watch to end, instead of ending it at once."""
-    asked: list[int] = []
-    before = {
-        number: signal.signal(number, lambda received, _frame: asked.append(received))
-        for number in (signal.SIGTERM, signal.SIGINT)
-    }
-    try:
-        yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 @click.command()
 @click.argument("folder", type=options.PLACE)
 @options.pipeline_file
@@ -325,7 +308,7 @@ def watch(
             hint="name a folder of this machine",
         )
     log_folder.mkdir(parents=True, exist_ok=True)
-    with only_one(log_folder / LOCK), _asked_to_stop() as asked, results_kept(output) as mirror:
+    with only_one(log_folder / LOCK), options.asked_to_stop() as asked, results_kept(output) as mirror:
         watched = Watch(
             pipeline,
             per_file,

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime, time
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -126,18 +126,26 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     return rate, samples.reshape(samples.shape[0], -1)
 
 
+def wav_chunks(stream: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
+    """Name, place and stated length [bytes] of the content of every chunk of a WAV file so far."""
+    order = {b"RIFF": "<", b"RIFX": ">"}.get(stream.read(4))
+    place = 12
+    while order is not None:
+        stream.seek(place)
+        head = stream.read(8)
+        if len(head) < 8:
+            return
+        name, length = struct.unpack(f"{order}4sI", head)
+        yield name, place + 8, length
+        place += 8 + length + length % 2
+
+
 def _check_length(path: Path) -> None:
     """DataError where the header claims more samples than the file holds, before memory is asked for them."""
-    size = path.stat().st_size
     with path.open("rb") as stream:
-        order = {b"RIFF": "<", b"RIFX": ">"}.get(stream.read(4))
-        place = 12
-        while order is not None and place + 8 <= size:
-            stream.seek(place)
-            name, length = struct.unpack(f"{order}4sI", stream.read(8))
-            if name == b"data" and place + 8 + length > size:
+        for name, place, length in wav_chunks(stream):
+            if name == b"data" and place + length > path.stat().st_size:
                 raise DataError("ends before its last sample", where=str(path), hint="the file is truncated")
-            place += 8 + length + length % 2
 
 
 def _share(samples: NDArray[np.generic]) -> FloatArray:

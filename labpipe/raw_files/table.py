@@ -271,6 +271,13 @@ def load_extra(module: str, extra: str, path: Path) -> Any:
         ) from None
 
 
+def check_names(path: Path, required: Sequence[str], columns: Sequence[str]) -> None:
+    """DataError for a *required* column that is not among the *columns* of a file, with the nearest."""
+    for name in required:
+        if name not in columns:
+            raise DataError(f"no column '{name}'", where=str(path), hint=nearest(name, columns))
+
+
 def check_columns(table: Table, required: Sequence[str]) -> None:
     """DataError for a required column that is missing (with the nearest name) or not unique."""
     for name in required:
@@ -278,8 +285,7 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
         if count == 0 and name in getattr(table, "unused", {}) and bool(getattr(table, "others", None)):
             hint = "resample: RATE in the rig file brings all to one rate"
             raise DataError(f"'{name}' has another rate than the others", where=str(table.path), hint=hint)
-        if count == 0:
-            raise DataError(f"no column '{name}'", where=str(table.path), hint=nearest(name, table.columns))
+        check_names(table.path, [name], table.columns)
         if count > 1:
             raise DataError(
                 f"the column '{name}' appears {count} times", where=str(table.path), hint="rename one of them"

@@ -14,8 +14,7 @@ from nptdms.log import log_manager
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
-from labpipe.raw_files.table import unique
-from labpipe.registry import nearest
+from labpipe.raw_files.table import check_names, unique
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -145,9 +144,7 @@ def growing_rows(
         with path.open("rb") as stream, TdmsFile.open(stream) as file:
             channels = {c.name: c for group in file.groups() for c in group.channels()}
             channels.update({f"{c.group_name}/{c.name}": c for c in list(channels.values())})
-            for name in columns:
-                if name not in channels:
-                    raise DataError(f"no column '{name}'", where=str(path), hint=nearest(name, channels))
+            check_names(path, columns, list(channels))
             chosen = [channels[name] for name in columns]
             last = min(first + most, *(len(channel) for channel in chosen))
             rows = [np.asarray(channel[first:last], float) for channel in chosen]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +57,52 @@ class Hit:
     fault: str = ""
 
 
+class HitSearch:
+    """Blocks of *n_sample* samples with a hit, in a recording of *n_channel* channels as it comes: a hit
+    begins where |force| in column *force* rises, its block *before* samples earlier, at sample *latest* at
+    the latest.
+    """
+
+    def __init__(
+        self, force: int, n_sample: int, before: int, n_channel: int, latest: float = np.inf
+    ) -> None:
+        self._force, self._n_sample, self._before, self._latest = force, n_sample, before, latest
+        # *window* begins at sample *_begin*; the search for triggers goes on at sample *_search*.
+        self.window = np.empty((0, n_channel))
+        self._begin = self._search = 0
+
+    def add(self, block: FloatArray) -> None:
+        """The next samples (n, n_channel) [SI]."""
+        self.window = np.concatenate([self.window, block])
+
+    def restart(self) -> None:
+        """The samples that follow belong to another recording: a block that is not complete is lost."""
+        self._search = self._begin = self._begin + self.window.shape[0]
+        self.window = self.window[:0]
+
+    def hits(self, zero: float, level: Callable[[], float]) -> Iterator[tuple[int, int, FloatArray]]:
+        """First sample, trigger within the block and samples (n_sample, n_channel) [SI] of every block that
+        is complete; its force differs from *zero* [N] by the *level* [N] that holds at this moment.
+        """
+        while True:
+            force = self.window[self._search - self._begin :, self._force]
+            above = np.flatnonzero(np.abs(force - zero) >= level())
+            if not above.size:
+                self._search = self._begin + self.window.shape[0]
+                break
+            trigger = self._search + int(above[0])
+            start = int(min(max(trigger - self._before, self._begin), self._latest))
+            first = start - self._begin
+            if first + self._n_sample > self.window.shape[0]:
+                self._search = trigger
+                break
+            yield start, trigger - start, self.window[first : first + self._n_sample]
+            self._search = start + self._n_sample
+        last = min(self._search - self._before, self._latest, self._begin + self.window.shape[0])
+        keep = int(max(last, self._begin))
+        self.window, self._begin = self.window[keep - self._begin :], keep
+
+
 def find_hits(
     source: SampleSource, force: int, n_sample: int, settings: ImpactSettings, first_number: int = 1
 ) -> Iterator[Hit]:
@@ -74,27 +120,12 @@ def find_hits(
     )
     before = round(settings.pretrigger * n_sample)
     latest = source.n_sample - n_sample if source.n_sample - n_sample <= before else source.n_sample
-    window = np.empty((0, len(source.channels)))
-    # *window* begins at sample *begin*; the search for triggers goes on at sample *search*.
-    begin = search = 0
-    number = first_number
+    search, number = HitSearch(force, n_sample, before, len(source.channels), latest), first_number
     for block in checked_blocks(source):
-        window = np.concatenate([window, block])
-        while True:
-            above = np.flatnonzero(np.abs(window[search - begin :, force] - zero_level) >= level)
-            if not above.size:
-                search = begin + window.shape[0]
-                break
-            trigger = search + int(above[0])
-            start = min(max(trigger - before, 0), latest)
-            if start + n_sample > begin + window.shape[0]:
-                search = trigger
-                break
-            samples = window[start - begin : start - begin + n_sample]
-            yield judged_hit(number, start, samples, trigger - start, force, settings)
-            number, search = number + 1, start + n_sample
-        keep = max(min(search - before, latest, begin + window.shape[0]), begin)
-        window, begin = window[keep - begin :], keep
+        search.add(block)
+        for start, trigger, samples in search.hits(zero_level, lambda: level):
+            yield judged_hit(number, start, samples, trigger, force, settings)
+            number += 1
 
 
 def judged_hit(

@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
-from tests.methods.live.test_live import PIPELINE, RIG, samples, write_csv
+from tests.methods.live.test_live import PIPELINE, RIG, killed_and_taken_up, samples, write_csv
 
 RATE, CHANNELS = 51200, 8
 
@@ -162,7 +163,31 @@ def kills(count: int) -> None:
         child.wait()
         again = subprocess.run(command, capture_output=True, check=True).stdout
         unequal += again != whole or (folder / "out" / "identification.json").read_bytes() != result
-    print(f"{count} kills, {unequal} unequal results")
+    print(f"a file that grows: {count} kills, {unequal} unequal results")
+    kills_of_frames(folder, count, rng)
+
+
+def kills_of_frames(folder: Path, count: int, rng: np.random.Generator) -> None:
+    """The same of frames on standard input, whose source goes on behind what was read last: the lines that
+    were printed come again, every frame is in the recordings, and the fits are those of a run of these.
+    """
+    rows, out = samples(40), folder / "out"
+    lines_equal = frames_equal = fits_equal = 0
+    for _ in range(count):
+        before, lines, _ = killed_and_taken_up(folder, rows, rng.uniform(0.05, 4.0))
+        lines_equal += lines[: max(len(before) - 1, 0)] == before[:-1]
+        files = sorted(out.glob("recording*.parquet"))
+        stored = np.concatenate([np.stack([c.to_numpy() for c in pq.read_table(f)], axis=1) for f in files])
+        frames_equal += np.array_equal(stored, rows)
+        command = [sys.executable, "-m", "labpipe", "run", str(folder / "pipeline.yaml"), "-q", "-o"]
+        named = f"recordings={json.dumps([str(path) for path in files])}"
+        command += [str(folder / "run"), "--set", named, "--set", "report.formats=[md]"]
+        subprocess.run(command, capture_output=True, check=True)
+        fits = [
+            json.loads((place / "identification.json").read_text())["fits"] for place in (out, folder / "run")
+        ]
+        fits_equal += fits[0] == fits[1]
+    print(f"frames: {count} kills; equal lines {lines_equal}, all frames {frames_equal}, fits {fits_equal}")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -29,13 +29,12 @@ from labpipe.methods.live.charts import (
     Charts,
     Common,
     Forecast,
-    Goal,
+    OtherForces,
     Standing,
     Update,
     Watch,
     check_names,
     forecast,
-    half_width,
     hit_variation,
     no_longer_falls,
     sequence_factor,
@@ -50,9 +49,11 @@ from labpipe.methods.live.running_fit import (
     Equation,
     Estimate,
     RunningFit,
+    normal_equations,
+    scaled,
 )
-from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Goodness
+from labpipe.records.finding import NORMAL, Finding, Parameter
+from labpipe.records.identification import Fit, Goodness
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
@@ -60,7 +61,7 @@ from labpipe.spectra.bands import lines_in
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
 from labpipe.spectra.ports import Layout, find_layout, sensor_response
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import SPECTRA, FrfSettings
 
 # The fit of a run is made of the averages so far when there are so many in every direction, and again when
 # there are so many times more: what it adds to noise moves little from average to average.
@@ -76,25 +77,22 @@ class FollowedFit:
         self.settings, self.setup = settings, _setup(settings, layout)
         model = damped(settings.kind.model(self.setup), settings)
         assert isinstance(model, DynamicModel)
-        self._channels = [layout.output_columns[0][row] for row in rows]
-        self._channels += [layout.input_columns[0][column] for column in columns]
+        ports = [*rows, *(len(layout.outputs) + column for column in columns)]
+        places = (*layout.output_columns[0], *layout.input_columns[0])
+        self._channels = [places[port] for port in ports]
+        self._columns = columns
         band = settings.band or (settings.bands[0] if settings.bands else None)
         self._lines = np.flatnonzero(lines_in(frequency, band))
         if self._lines.size <= len(model.names):
-            raise ConfigError(
-                f"identify.{settings.name}: {self._lines.size} lines in the band cannot tell "
-                f"{len(model.names)} coefficients",
-                hint="widen the band",
-            )
+            what = f"{self._lines.size} lines in the band cannot tell {len(model.names)} coefficients"
+            raise ConfigError(f"identify.{settings.name}: {what}", hint="widen the band")
         chosen, view = frequency[self._lines], form_view(layout.form, settings)
         sensors = (*layout.output_sensors, *layout.input_sensors)
-        picked = [sensors[row] for row in rows]
-        picked += [sensors[len(layout.outputs) + column] for column in columns]
-        self._sensors = np.array([sensor_response(sensor, chosen) for sensor in picked]).T
+        self._sensors = np.array([sensor_response(sensors[port], chosen) for port in ports]).T
         self._sensors[:, : len(rows)] *= (2j * np.pi * chosen[:, None]) ** layout.derivatives
         self._form = layout.form
         equation = Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
-        self.fit = RunningFit(equation, settings.coverage)
+        self.fit = RunningFit(equation)
         self.sums = Directions(hits)
         self.charts = Charts(self.fit)
         self.model = model
@@ -102,12 +100,18 @@ class FollowedFit:
         self.widths: dict[str, list[float]] = {}
         self.first: list[tuple[ComplexArray, int]] = []
         self.common: Mapping[str, Common] = {}
+        self.by_run: Fit | None = None
         self._looked_at, self._next_look = 0, FIRST_LOOK
+        self._by_turns: tuple[int, FloatArray] = 0, np.empty(0)
+
+    @property
+    def now(self) -> Estimate:
+        """The estimate, of a fit that has one."""
+        assert self.estimate is not None
+        return self.estimate
 
     def picked(self, average: Average) -> ComplexArray:
-        """The amplitudes of the fit's lines and channels, (n_line, 1, n_channel) [channels' units], sensors
-        taken out.
-        """
+        """The fit's lines and channels, sensors taken out, (n_line, 1, n_channel) [channels' units]."""
         z = average.amplitude[self._lines][:, self._channels] / self._sensors
         return z[:, None, :]
 
@@ -135,29 +139,24 @@ class FollowedFit:
         """Take one of the first averages out; whether it does not agree with the others."""
         self.move(place, -1)
         z, direction = self.first[place]
-        assert self.estimate is not None
-        return self.charts.jumps(z, self.sums.of(direction), self.estimate)
+        return self.charts.jumps(z, self.sums.of(direction), self.now)
 
     def look(self) -> None:
-        """Ask the fit of a run for what it adds to noise, of the averages so far.
-
-        Where it cannot be made, what was known before stays.
-        """
-        estimate = self.estimate
-        assert estimate is not None
-        if self._looked_at == estimate.n:
+        """Ask the fit of a run for what it adds to noise; where none can be made, the last one stays."""
+        if self._looked_at == self.now.n:
             return
-        self._looked_at = estimate.n
-        self._next_look = int(np.ceil(NEXT_LOOK * estimate.least))
+        self._looked_at = self.now.n
+        self._next_look = int(np.ceil(NEXT_LOOK * self.now.least))
         try:
             response = self.response()
             fits = [] if response is None else list(identify(response, replace(self.settings, test=())))
         except (LabpipeError, LinAlgError):
             return
+        self.by_run = fits[0] if fits else None
         now = {parameter.name: parameter.value for parameter in self._of_noise()}
         self.common = {
             parameter.name: Common(
-                float(np.hypot(parts.discrepancy, parts.systematic)),
+                NORMAL * float(np.hypot(parts.discrepancy, parts.systematic)),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
                 parameter.reason,
             )
@@ -188,63 +187,74 @@ class FollowedFit:
             covariance_dof=float((least - 1) * (2 * HALF_WIDTH + 1)),
         )
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficients and what is derived of them, with the interval that holds at this moment: of
-        noise, model error and stated uncertainties.
-        """
-        return tuple(self._whole(parameter) for parameter in self._of_noise())
-
-    def _whole(self, parameter: Parameter) -> Parameter:
-        common = self.common.get(parameter.name)
-        if common is None or parameter.ci95 is None:
-            return parameter
-        low, high = parameter.ci95
-        value, half = parameter.value + common.shift, float(np.hypot((high - low) / 2, common.half))
-        return replace(
-            parameter,
-            value=value,
-            ci95=(value - half, value + half),
-            reason=common.reason or parameter.reason,
-        )
-
     @property
     def by_chi_square(self) -> float:
-        """The factor on noise [1] by which a misfit widens an interval as long as its model error is
-        unknown.
-        """
-        estimate = self.estimate
-        assert estimate is not None
-        return float(np.sqrt(estimate.reduced)) if estimate.misfit and not self.common else 1.0
+        """The factor on noise [1] by a misfit whose model error is unknown as yet."""
+        return float(np.sqrt(self.now.reduced)) if self.now.misfit and not self.common else 1.0
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficients and what derives from them, with the whole interval that holds at this moment."""
+        parameters = []
+        for parameter in self._of_noise():
+            common = self.common.get(parameter.name)
+            if common is not None and parameter.ci95 is not None:
+                low, high = parameter.ci95
+                value, half = parameter.value + common.shift, math.hypot((high - low) / 2, common.half)
+                ends, reason = (value - half, value + half), common.reason or parameter.reason
+                parameter = replace(parameter, value=value, ci95=ends, reason=reason)
+            parameters.append(parameter)
+        return tuple(parameters)
 
     def _of_noise(self) -> tuple[Parameter, ...]:
-        estimate = self.estimate
-        assert estimate is not None
+        estimate = self.now
         dof = np.maximum(estimate.dof.astype(int), 1)
-        design = (
-            np.linalg.cholesky(_scaled(estimate.information)).T if estimate.identifiable else np.eye(dof.size)
+        design = scaled(estimate.information)[0] if estimate.identifiable else np.eye(dof.size)
+        # The scale is selected low where the width ends the test; what an interval has beyond noise.
+        widened = (1 + 2 / float(estimate.dof.min())) * self.by_chi_square**2
+        fitted = FitEstimate(
+            values=estimate.values,
+            covariance=widened * estimate.covariance,
+            scaled_design=np.linalg.cholesky(design).T,
+            gof=Goodness(0.0, 0.0, estimate.reduced, None),
+            dof=int(dof.min()),
+            parameter_dof=dof,
         )
-        widened = 1 + 2 / float(estimate.dof.min())
-        both = []
-        for factor in (1.0, widened * self.by_chi_square**2):
-            fitted = FitEstimate(
-                values=estimate.values,
-                covariance=factor * estimate.covariance,
-                scaled_design=design,
-                gof=Goodness(0.0, 0.0, estimate.reduced, None),
-                dof=int(dof.min()),
-                parameter_dof=dof,
-            )
-            both.append(reported_parameters(fitted, self.model, self.setup))
-        plain, wide = both
         return tuple(
-            replace(parameter, std_error=narrow.std_error)
-            for narrow, parameter in zip(plain, wide, strict=True)
+            replace(p, std_error=None if p.std_error is None else p.std_error / math.sqrt(widened))
+            for p in reported_parameters(fitted, self.model, self.setup)
         )
 
+    def by_other_forces(self, number: int, goal: float) -> OtherForces | None:
+        """What the forces that did not act yet would save of the averages until coefficient *number* has the
+        half-width *goal* [parameter unit]; None where all did.
+        """
+        shaken = self.sums.shaken
+        forces = [n for n, column in enumerate(self._columns) if column not in shaken]
+        if not forces:
+            return None
+        if self._by_turns[0] != self.now.n:
+            self._by_turns = self.now.n, self._round(forces)
+        rounds = (NORMAL / goal) ** 2 * self._by_turns[1][number]
+        each = max(math.ceil(rounds), LEAST_AVERAGES)
+        more = int(np.maximum(each - self.sums.counts, 0).sum()) + each * len(forces)
+        return OtherForces(tuple(self.setup.inputs[n].label for n in forces), more)
 
-def _scaled(information: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.diag(information))
-    return np.asarray(information / np.outer(scale, scale))
+    def _round(self, forces: Sequence[int]) -> FloatArray:
+        """The variance (n_parameter,) [squared parameter units] by one average in each direction: those that
+        were shaken, and *forces* as hard as they, by the coefficients and the noise so far.
+        """
+        n_output, mean, counts = len(self.setup.outputs), self.sums.mean, self.sums.counts
+        level = np.sqrt(np.mean(np.sum(np.abs(mean[..., n_output:]) ** 2, axis=2), axis=1))
+        z = np.zeros((mean.shape[0], len(forces), mean.shape[2]), np.complex128)
+        z[:, np.arange(len(forces)), n_output + np.array(forces)] = level[:, None]
+        gain = self.fit.equation.gain(self.now.values)
+        moved = gain[..., n_output:] @ z[..., n_output:].swapaxes(1, 2)
+        z[..., :n_output] = -np.linalg.solve(gain[..., :n_output], moved).swapaxes(1, 2)
+        noise = np.mean(self.sums.covariance() * counts[:, None, None], axis=1, keepdims=True)
+        _, _, multiplier, slopes, weighted = self.fit.parts(z, noise, self.now.values)
+        added, _ = normal_equations(slopes, weighted, multiplier)
+        unit, scale = scaled(self.now.information * counts.size / self.now.n + added)
+        return np.asarray(np.diag(np.linalg.pinv(unit, hermitian=True)) / scale**2)
 
 
 def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel], rate: float) -> str:
@@ -256,6 +266,10 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     reasons = (
         (frf.excitation not in CUTTERS, f"{frf.excitation} data are known by all samples together"),
         (not frf.single_averages, "its FRF follows from all averages together"),
+        (
+            settings.kind.of == SPECTRA,
+            f"{settings.model} balances all channels by mass and support, not an FRF",
+        ),
         (settings.kind.equations is None, f"the model {settings.model} is not linear in its parameters"),
         (not settings.estimates.likelihood, "`estimator: ml` alone is followed"),
         (of_all, "what `eliminate`, `bootstrap`, `monte_carlo` and `compare` do takes all averages"),
@@ -264,13 +278,17 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     plain = next((text for stands, text in reasons if stands), "")
     if plain:
         return plain
-    layout = find_layout([Recording(tuple(channels), np.zeros((2, len(channels))), rate)])
-    setup = _setup(settings, layout)
+    setup = _setup(settings, layout_of(channels, rate))
     if settings.mass == ESTIMATE and settings.kind.one_frf and transfer_of(setup):
         return "a transfer FRF of unknown mass tells its coefficients by all lines alone"
     if not isinstance(damped(settings.kind.model(setup), settings), DynamicModel):
         return f"`damping: {settings.damping}` is not linear in its parameters"
     return ""
+
+
+def layout_of(channels: Sequence[Channel], rate: float) -> Layout:
+    """The responses and forces of *channels* that are sampled at *rate* [Hz]."""
+    return find_layout([Recording(tuple(channels), np.zeros((2, len(channels))), rate)])
 
 
 def _setup(settings: FitSettings, layout: Layout) -> Setup:
@@ -295,22 +313,14 @@ FIRST_AGAIN = 5
 ACTS = 0.1
 
 
+@dataclass(eq=False, repr=False)
 class Bench(Watch):
     """All fits of a pipeline, followed over the samples of one stream."""
 
-    def __init__(
-        self,
-        channels: Sequence[Channel],
-        sample_rate: float,
-        frf: FrfSettings,
-        fits: Sequence[FitSettings],
-        goals: Sequence[Goal] = (),
-    ) -> None:
-        super().__init__(channels, sample_rate, frf, goals)
-        self._settings = tuple(fits)
-        self.cutter: Cutter = CUTTERS[frf.excitation](self.channels, sample_rate, frf)
-        sample = Recording(self.channels, np.zeros((2, len(self.channels))), sample_rate)
-        self.layout = find_layout([sample])
+    def __post_init__(self) -> None:
+        cutter = CUTTERS[self.frf.excitation]
+        self.cutter: Cutter = cutter(self.channels, self.sample_rate, self.frf)
+        self.layout = layout_of(self.channels, self.sample_rate)
         self.fits: list[FollowedFit] = []
         self.dropped = 0
         self._waiting: list[Average] = []
@@ -320,7 +330,7 @@ class Bench(Watch):
         self._unjudged: list[int] = []
         self._again = False
         self.findings: dict[tuple[str, str], Finding] = {}
-        names = {fit.name: names_of_fit(fit, self.layout) for fit in self._settings}
+        names = {fit.name: names_of_fit(fit, self.layout) for fit in self.settings}
         check_names(self.goals, names)
 
     @property
@@ -336,36 +346,31 @@ class Bench(Watch):
         made = []
         for average in self.cutter.add(block):
             self._last_start = average.start
-            names = [channel.name for channel in self.channels]
-            levels = dict(zip(names, average.peaks.tolist(), strict=True))
+            levels = {c.name: float(size) for c, size in zip(self.channels, average.peaks, strict=True)}
             update = replace(self._taken(average), levels=levels)
             self.keep(update)
             made.append(update)
         return made
 
     def _taken(self, average: Average) -> Update:
-        at = average.start / self.sample_rate
-        what = "hit" if self.hits else "period"
-        if average.fault:
-            self.dropped += 1
-            return self._update((f"{what} {average.number} at {at:.3f} s is left out: {average.fault}",))
-        if not self.fits:
+        event = f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s"
+        fault = average.fault
+        if not fault and not self.fits:
             self._waiting.append(average)
             # Noise is told by two averages of one direction.
             alike = [a for a in self._waiting if self._shaken(a)[0] == self._shaken(average)[0]]
+            self.averages = len(self._waiting)
             if len(alike) < 2:
-                self.averages = len(self._waiting)
                 return self._update(())
             self._begin(alike)
-            waiting, self._waiting, self.averages = self._waiting, [], 0
-            for earlier in waiting[:-1]:
+            self.averages = 0
+            for earlier in self._waiting[:-1]:
                 self._follow(earlier)
-            average = waiting[-1]
-        fault = self._follow(average)
+        fault = fault or self._follow(average)
         if fault:
             self.dropped += 1
-            return self._update((f"{what} {average.number} at {at:.3f} s is left out: {fault}",))
-        return self._update((f"{what} {average.number} at {at:.3f} s",))
+            event += f" is left out: {fault}"
+        return self._update((event,))
 
     def _shaken(self, average: Average) -> tuple[int, float]:
         """The number of an average's strongest force, and the size of all its forces [N]."""
@@ -392,8 +397,7 @@ class Bench(Watch):
         if not chosen.any():
             raise FitError("no line of the force exceeds its noise", hint="check `period` and `band`")
         self.lines = np.flatnonzero(chosen)
-        self.frequency = frequency[chosen]
-        self.fits = [FollowedFit(fit, self.layout, self.frequency, self.hits) for fit in self._settings]
+        self.fits = [FollowedFit(fit, self.layout, frequency[chosen], self.hits) for fit in self.settings]
 
     def _follow(self, average: Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
@@ -407,8 +411,9 @@ class Bench(Watch):
             if verdict.jump:
                 return "it does not agree with the averages before it"
             if verdict.change is not None:
-                begun = self._time_of(verdict.change)
-                message = f"{fit.settings.name}: the rig changes since about {begun}"
+                begun = self._starts[min(verdict.change, len(self._starts)) - 1] / self.sample_rate
+                when = f"average {verdict.change} ({begun:.1f} s)"
+                message = f"{fit.settings.name}: the rig changes since about {when}"
                 self._note(Finding("changes", message))
             if verdict.with_level:
                 message = f"{fit.settings.name}: the coefficients follow the level of the hits"
@@ -422,10 +427,6 @@ class Bench(Watch):
         self._again = self.fits[0].sums.of(direction).n == FIRST_AGAIN
         self._starts.append(average.start)
         return ""
-
-    def _time_of(self, number: int) -> str:
-        start = self._starts[min(number, len(self._starts)) - 1]
-        return f"average {number} ({start / self.sample_rate:.1f} s)"
 
     def _note(self, finding: Finding) -> None:
         self.findings.setdefault((finding.code, finding.message.split(":")[0]), finding)
@@ -464,7 +465,6 @@ class Bench(Watch):
     def _first_again(self) -> list[str]:
         """The first two averages of a direction, which had none before them, held against the others."""
         events = []
-        what = "hit" if self.hits else "period"
         for place, number in reversed(list(enumerate(self._unjudged))):
             if self.fits[0].sums.of(self.fits[0].first[place][1]).n < LEAST_AVERAGES:
                 continue
@@ -474,7 +474,7 @@ class Bench(Watch):
                 for fit in self.fits:
                     fit.move(place, 1)
                 continue
-            events.append(f"{what} {number} is left out: it does not agree with the averages after it")
+            events.append(f"{self.what} {number} is left out: it does not agree with the averages after it")
             self.averages, self.dropped = self.averages - 1, self.dropped + 1
             del self._unjudged[place]
             for fit in self.fits:
@@ -490,27 +490,25 @@ class Bench(Watch):
                 widths = fit.widths.setdefault(parameter.name, [])
                 if again:
                     widths.pop()
-                widths.append(half_width(parameter))
-                name = f"{fit.settings.name}.{parameter.name}"
-                standings[name] = self._standing(fit, parameter, variation)
+                standing = self._standing(fit, parameter, variation)
+                widths.append(standing.half)
+                standings[f"{fit.settings.name}.{parameter.name}"] = standing
         return standings
 
     def _standing(self, fit: FollowedFit, parameter: Parameter, variation: float) -> Standing:
-        half = half_width(parameter)
         wanted = self.goal_of(fit.settings.name, parameter)
         if wanted is None:
-            return Standing(parameter, half)
-        estimate = fit.estimate
-        assert estimate is not None
+            return Standing(parameter)
         remaining = None
         floor = fit.common[parameter.name].half if parameter.name in fit.common else 0.0
         if floor >= wanted:
             remaining = Forecast(None)
-        elif parameter.name in fit.model.names and estimate.identifiable:
+        elif parameter.name in fit.model.names and fit.now.identifiable:
             number = fit.model.names.index(parameter.name)
             of_noise = math.sqrt(wanted**2 - floor**2) / fit.by_chi_square
-            remaining = forecast(estimate, number, of_noise, fit.settings.coverage, variation)
-        return Standing(parameter, half, wanted, remaining, floor)
+            remaining = forecast(fit.now, number, of_noise, fit.settings.coverage, variation)
+            remaining = replace(remaining, others=fit.by_other_forces(number, of_noise))
+        return Standing(parameter, wanted, remaining, floor)
 
     def _of_fits(self, standings: Mapping[str, Standing]) -> list[Finding]:
         findings = []
@@ -522,49 +520,47 @@ class Bench(Watch):
                 message = "this excitation does not tell the coefficients apart; turn the shaker, or excite "
                 findings.append(Finding("collinear", f"{name}: {message}a second direction"))
             if estimate.misfit and estimate.n >= 3:
-                findings.append(
-                    Finding(
-                        "model-mismatch",
-                        f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model "
-                        "does not explain the averages within their noise; intervals count that",
-                    )
-                )
-            findings += self._floors(fit, standings)
+                message = f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model "
+                message += "does not explain the averages within their noise; intervals count that"
+                findings.append(Finding("model-mismatch", message))
+            for label, standing in standings.items():
+                owner, _, parameter = label.partition(".")
+                if owner == name and standing.goal is not None and not standing.reached:
+                    findings += self._floor(fit, label, standing, fit.widths[parameter])
         return [*findings, *self._not_told(standings)]
 
-    def _floors(self, fit: FollowedFit, standings: Mapping[str, Standing]) -> list[Finding]:
-        estimate, findings = fit.estimate, []
-        assert estimate is not None
-        for label, standing in standings.items():
-            owner, _, name = label.partition(".")
-            if owner != fit.settings.name or standing.goal is None or standing.reached:
-                continue
-            if standing.held_up:
-                cause, floor = standing.parameter.reason or "stated uncertainties", standing.floor
-            elif not fit.common and estimate.misfit and no_longer_falls(fit.widths[name]):
-                cause, floor = "model error", standing.half
-            else:
-                continue
-            share = 100 * floor / abs(standing.parameter.value)
-            message = f"{label}: more averages do not help: {cause}, floor {share:.2g} %"
-            findings.append(Finding("floor", message))
-        return findings
+    def _floor(
+        self, fit: FollowedFit, label: str, standing: Standing, widths: Sequence[float]
+    ) -> list[Finding]:
+        if standing.held_up:
+            cause, floor = standing.parameter.reason or "stated uncertainties", standing.floor
+        elif not fit.common and fit.now.misfit and no_longer_falls(widths):
+            cause, floor = "model error", standing.half
+        else:
+            return []
+        share = 100 * floor / abs(standing.parameter.value)
+        return [Finding("floor", f"{label}: more averages do not help: {cause}, floor {share:.2g} %")]
 
     def _not_told(self, standings: Mapping[str, Standing]) -> list[Finding]:
-        reachable = [
-            left.expected
-            for standing in standings.values()
-            if (left := standing.remaining) is not None and left.expected is not None
-        ]
+        missing = {
+            label: (left, math.inf if left.expected is None else left.expected)
+            for label, standing in standings.items()
+            if (left := standing.remaining) is not None and not standing.held_up and not standing.reached
+        }
+        nearest = min((n for _, n in missing.values()), default=math.inf)
         findings = []
-        for label, standing in standings.items():
-            left = standing.remaining
-            if left is None or standing.reached or standing.held_up:
-                continue
-            far = left.expected is None or left.expected > OUT_OF_REACH * max(min(reachable), 3)
-            if far and self.averages >= 5:
-                message = "is not identifiable with this direction and level: turn the shaker, or raise the"
-                findings.append(Finding("not-told", f"{label} {message} level"))
+        for label, (left, n) in missing.items():
+            if self.averages >= 5 and (n == math.inf or n > OUT_OF_REACH * max(nearest, 3)):
+                turn = "turn the shaker, or raise the level"
+                if left.others is not None:
+                    text = left.others.text(self.what)
+                    turn = (
+                        f"turn the shaker: {text}"
+                        if 2 * left.others.more < n
+                        else f"raise the level ({text})"
+                    )
+                message = f"{label} is not identifiable with this direction and level; {turn}"
+                findings.append(Finding("not-told", message))
         return findings
 
     def _enough(self, standings: Mapping[str, Standing]) -> bool:
@@ -575,14 +571,10 @@ class Bench(Watch):
         return not any(code in ("changes", "bad-averages") for code, _ in self.findings)
 
     def by_hand(self) -> dict[str, tuple[float, float]]:
-        """Intervals that hold at whatever moment the test is ended: 95 % for all averages at once.
-
-        The t mixture sequence (Wang and Ramdas 2023), tuned to the number of averages there are.
-        """
+        """By the t mixture sequence (Wang and Ramdas 2023), tuned to the number of averages there are."""
         intervals: dict[str, tuple[float, float]] = {}
         for fit in self.fits:
-            estimate = fit.estimate
-            if estimate is None:
+            if (estimate := fit.estimate) is None:
                 continue
             for name, value, error, dof in zip(
                 fit.model.names, estimate.values, estimate.std_error, estimate.dof, strict=True

@@ -17,9 +17,18 @@ from scipy import optimize, special, stats
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.methods.live.running_fit import HALF_WIDTH, Estimate, HitSums, RunningFit, Sums
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.live.running_fit import (
+    HALF_WIDTH,
+    Estimate,
+    HitSums,
+    RunningFit,
+    Sums,
+    normal_equations,
+    scaled,
+)
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.finding import NORMAL, Finding, Parameter
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.recording import Channel
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -57,8 +66,8 @@ class Series:
     """Normal scores of a series whose values theory expects to have the mean 0 and the deviation 1."""
 
     past: list[float] = field(default_factory=list)
-    above: float = 0.0
-    below: float = 0.0
+    # Cumulative sums of rises and of falls, and the averages since which they are not zero.
+    sums: list[float] = field(default_factory=lambda: [0.0, 0.0])
     since: list[int] = field(default_factory=lambda: [0, 0])
 
     def score(self, value: float) -> float:
@@ -72,17 +81,15 @@ class Series:
         """Keep a value that was no isolated fault, and move the cumulative sums by its *score*."""
         self.past.append(float(np.clip(value, -CLIPPED_PAST, CLIPPED_PAST)))
         step = float(np.clip(score, -LARGEST_STEP, LARGEST_STEP))
-        if self.above == 0:
-            self.since[0] = number
-        if self.below == 0:
-            self.since[1] = number
-        self.above, self.below = max(0.0, self.above + step - SLACK), max(0.0, self.below - step - SLACK)
+        for side, rise in enumerate((step, -step)):
+            if self.sums[side] == 0:
+                self.since[side] = number
+            self.sums[side] = max(0.0, self.sums[side] + rise - SLACK)
 
     def changed_since(self, limit: float) -> int | None:
         """The average since which the series has moved, None while it has not."""
-        if max(self.above, self.below) <= limit:
-            return None
-        return self.since[0] if self.above >= self.below else self.since[1]
+        side = int(np.argmax(self.sums))
+        return self.since[side] if self.sums[side] > limit else None
 
 
 @dataclass(frozen=True)
@@ -121,20 +128,18 @@ class Charts:
             # What the model does not explain is in every average: this one is held against those before it.
             z, of_energy = z - mean, share / (1 + share)
         residual = (gain @ z[..., None])[..., 0]
-        n_parameter = slopes.shape[-1]
-        flat = (weighted * share[..., None, None]).reshape(-1, n_parameter)
-        gradient = 2 * (flat.conj().T @ residual.reshape(-1)).real
-        information = 2 * (flat.conj().T @ slopes.reshape(-1, n_parameter)).real
-        scale = np.sqrt(np.diag(before.information))
+        scaled_residual = (inverse @ residual[..., None])[..., 0]
+        information, gradient = normal_equations(
+            slopes, share[..., None, None] * weighted, share[..., None] * scaled_residual
+        )
+        scale = scaled(before.information)[1]
         both = np.outer(scale, scale)
         own, others = (
             np.linalg.pinv(matrix / both, hermitian=True) for matrix in (information, before.information)
         )
         shift = -own @ (gradient / scale)
         whitened = np.linalg.solve(np.linalg.cholesky(own + others), shift)
-        energy = np.sum(
-            of_energy * np.sum((residual.conj() * (inverse @ residual[..., None])[..., 0]).real, axis=2)
-        )
+        energy = np.sum(of_energy * np.sum((residual.conj() * scaled_residual).real, axis=2))
         return whitened, float(energy / residual.size)
 
     def _scored(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[list[float], list[float], bool]:
@@ -157,16 +162,11 @@ class Charts:
         return values, scores, bool(jump)
 
     def jumps(self, z: ComplexArray, sums: Sums, others: Estimate) -> bool:
-        """Whether the average *z* (n_line, n_experiment, n_channel) [channels' units] does not agree with the
-        *others*, of which *sums* are.
-        """
+        """Whether *z* (n_line, n_experiment, n_channel) [units of channels] disagrees with the *others*."""
         return self._scored(z, sums, others)[2]
 
     def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
-        """The verdict on the next average *z* (n_line, n_experiment, n_channel) [channels' units].
-
-        *level*: size of its force [N].
-        """
+        """The verdict on the next average *z* (n_line, n_experiment, n_channel), its force of *level* [N]."""
         number = sums.n + 1
         if number < 3:
             return Verdict()
@@ -190,10 +190,7 @@ class Charts:
         n = len(self._pairs)
         if n not in LEVEL_LOOKS:
             return False
-        levels, scores = (
-            np.array([pair[0] for pair in self._pairs]),
-            np.array([pair[1] for pair in self._pairs]),
-        )
+        levels, scores = (np.array(column) for column in zip(*self._pairs, strict=True))
         if np.ptp(levels) == 0:
             return False
         limit = LEVEL * ALPHA / (len(LEVEL_LOOKS) * scores.shape[1])
@@ -208,39 +205,55 @@ HIT_VARIATION, PSEUDO_HITS = 0.4, 5
 
 
 @dataclass(frozen=True)
+class OtherForces:
+    """So many *more* averages reach a goal if *forces* that did not act yet take turns with the others."""
+
+    forces: tuple[str, ...]
+    more: int
+
+    def text(self, what: str) -> str:
+        """With y by turns 24 more periods."""
+        return f"with {' and '.join(self.forces)} by turns {self.more} more {what}s"
+
+
+@dataclass(frozen=True)
 class Forecast:
-    """Averages in all until a goal is reached, with a band of 80 %; None: never by more averages."""
+    """Averages in all until a goal is reached, with an 80 % band; None: never; *others*: by other forces."""
 
     expected: int | None
     low: int | None = None
     high: int | None = None
+    others: OtherForces | None = None
+
+    def after(self, averages: int) -> dict[str, int | None]:
+        """How many are to come after so many *averages*: as expected, from *low* to *high*; at twice the
+        level of force, where the noise is that of the sensors; with other directions.
+        """
+        more, low, high = (None if n is None else n - averages for n in (self.expected, self.low, self.high))
+        twice, others = None if more is None else -(-more // 4), self.others.more if self.others else None
+        at = {"averages": more, "at_twice_the_level": twice, "by_turns": others}
+        return {**at, "low": low, "high": high}
+
+
+def half_of_noise(std_error: FloatArray, dof: FloatArray, coverage: float) -> FloatArray:
+    """t(nu) sqrt(1 + 2 / nu) s (n_parameter,) [parameter units]: it keeps its coverage at the stop."""
+    return np.asarray(special.stdtrit(dof, (1 + coverage) / 2) * np.sqrt(1 + 2 / dof) * std_error)
 
 
 def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale: float = 1.0) -> int | None:
-    """Least number of averages for which the interval of coefficient *number* has the half-width *goal*
-    [parameter unit]; *scale* [1] of its variance.
-    """
+    """Averages that give coefficient *number* the half-width *goal*, its variance times *scale* [1]."""
     n, dof = estimate.n, estimate.dof[number]
     error = estimate.std_error[number] * np.sqrt(scale)
 
     def half(averages: float) -> float:
         later = dof * (averages - 1) / (n - 1)
-        return float(
-            special.stdtrit(later, (1 + coverage) / 2)
-            * np.sqrt(1 + 2 / later)
-            * error
-            * np.sqrt(n / averages)
-        )
+        return float(half_of_noise(error * np.sqrt(n / averages), later, coverage))
 
     if half(n) <= goal:
         return n
     if not goal > 0 or half(FAR) > goal:
         return None
-    low, high = n, FAR
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if half(middle) <= goal else (middle, high)
-    return high
+    return math.ceil(optimize.brentq(lambda averages: half(averages) - goal, n, FAR))
 
 
 def forecast(
@@ -265,13 +278,6 @@ def forecast(
     low = None if ends[0] is None else max(n + 1, int(np.floor(ends[0] * np.exp(-BAND * moved))))
     high = None if ends[1] is None else int(np.ceil(ends[1] * np.exp(BAND * moved)))
     return Forecast(expected, low, high)
-
-
-def at_twice_the_level(more: int) -> int:
-    """Averages at twice the level of force that tell as much as *more* at this one, where the noise is that
-    of the sensors.
-    """
-    return -(-more // 4)
 
 
 def hit_variation(energies: Sequence[float]) -> float:
@@ -309,10 +315,7 @@ _RULE = re.compile(r"\s*(?:(?P<fit>[\w-]+)\.)?(?P<name>[\w-]+)\.(?P<width>\w+)\s
 
 @dataclass(frozen=True)
 class Goal:
-    """The width that coefficient *name* of fit *fit* ('' for the only one that has it) shall have.
-
-    limit: of the value [1] where *relative*, else in *unit*.
-    """
+    """The width, *limit*, that coefficient *name* of fit *fit* ('' for all that have it) shall have."""
 
     text: str
     fit: str
@@ -341,31 +344,29 @@ class Goal:
 
 @dataclass(frozen=True)
 class Common:
-    """What more averages do not take from the interval of a coefficient: the standard uncertainty *error* of
-    model error and of stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*.
+    """What more averages do not take from the interval of a coefficient: its *half*-width by model error and
+    stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*.
     """
 
-    error: float
+    half: float
     shift: float
     reason: str
-
-    @property
-    def half(self) -> float:
-        return NORMAL * self.error
 
 
 @dataclass(frozen=True)
 class Standing:
-    """One coefficient after an average, the half-width *goal* asked for, and the averages *remaining*.
-
-    floor: the half-width that more averages do not take away [parameter unit].
-    """
+    """A coefficient, its *goal* and *floor* as half-widths [its unit], what is *remaining*."""
 
     parameter: Parameter
-    half: float
     goal: float | None = None
     remaining: Forecast | None = None
     floor: float = 0.0
+
+    @property
+    def half(self) -> float:
+        """Half of the 95 % interval [parameter unit], infinite without one."""
+        interval = self.parameter.ci95
+        return math.inf if interval is None else (interval[1] - interval[0]) / 2
 
     @property
     def reached(self) -> bool:
@@ -379,10 +380,8 @@ class Standing:
 
 @dataclass(frozen=True)
 class Update:
-    """What the bench says after an average: *standings* by `fit.parameter`, *findings*, whether to *stop*.
-
-    seconds: that one average takes; *events*: what happened to this average; *levels*: the largest size of
-    every channel in it [SI].
+    """What the bench says after an average: *standings* by `fit.parameter`, *findings*, whether to *stop*;
+    *seconds* that one takes, *events* of this one, *levels*: the largest size of every channel in it [SI].
     """
 
     averages: int
@@ -408,15 +407,9 @@ class Update:
             if standing.goal is not None:
                 parameters[name]["goal"] = standing.goal
             if standing.remaining is not None:
-                left = standing.remaining
-                more = None if left.expected is None else left.expected - self.averages
-                remaining[name] = {
-                    "averages": more,
-                    "at_twice_the_level": None if more is None else at_twice_the_level(more),
-                    "low": None if left.low is None else left.low - self.averages,
-                    "high": None if left.high is None else left.high - self.averages,
-                    "seconds": None if more is None else more * self.seconds,
-                }
+                left = standing.remaining.after(self.averages)
+                more = left["averages"]
+                remaining[name] = {**left, "seconds": None if more is None else more * self.seconds}
         return {
             "averages": self.averages,
             "parameters": parameters,
@@ -438,14 +431,27 @@ def check_names(goals: Sequence[Goal], names: Mapping[str, Sequence[str]]) -> No
             raise ConfigError(f"--until: no coefficient '{goal.name}'", hint=nearest(goal.name, known))
 
 
+@dataclass
 class Watch:
-    def __init__(
-        self, channels: Sequence[Channel], sample_rate: float, frf: FrfSettings, goals: Sequence[Goal]
-    ) -> None:
-        self.channels, self.sample_rate, self.frf = tuple(channels), sample_rate, frf
-        self.goals = tuple(goals)
-        self.averages = 0
-        self.updates: list[Update] = []
+    """What follows the samples of *channels* for the fits of *settings*, until its *goals* are reached."""
+
+    channels: tuple[Channel, ...]
+    sample_rate: float
+    frf: FrfSettings
+    settings: Sequence[FitSettings]
+    goals: Sequence[Goal] = ()
+    averages: int = field(default=0, init=False)
+    updates: list[Update] = field(default_factory=list, init=False)
+
+    @property
+    def what(self) -> str:
+        """What an average of the test is."""
+        names = {"impact": "hit", "periodic": "period", "decay": "decay"}
+        return names.get(self.frf.excitation, "average")
+
+    def by_hand(self) -> dict[str, tuple[float, float]]:
+        """Intervals that hold at whatever moment the test is ended, where there are such."""
+        return {}
 
     def keep(self, update: Update) -> None:
         self.updates.append(update)
@@ -460,8 +466,3 @@ class Watch:
             if goal.name == parameter.name and goal.fit in ("", fit)
         ]
         return min(wanted, default=None)
-
-
-def half_width(parameter: Parameter) -> float:
-    """Half of the 95 % interval [parameter unit], infinite without one."""
-    return float(np.inf) if parameter.ci95 is None else (parameter.ci95[1] - parameter.ci95[0]) / 2

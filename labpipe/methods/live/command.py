@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import signal
+import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,10 +20,12 @@ from labpipe.errors import ConfigError
 if TYPE_CHECKING:
     from labpipe.methods.live.charts import Update
     from labpipe.methods.live.session import Session
+    from labpipe.records.rig import Rig
 
 # Seconds between two pictures of the terminal and the page.
 PICTURE = 0.25
-REACHED, NOT_REACHED = 0, 1
+# Where frames of standard input are kept until the test is evaluated, below the folder of results.
+FRAMES = "frames"
 
 
 @click.command()
@@ -92,21 +93,23 @@ def live(
     if not goals and "live" in pipeline.sections:
         goals = pipeline.sections["live"].goals
     path = None if source in (None, "-") else Path(source)
-    with tempfile.TemporaryDirectory(prefix="labpipe-live-") as scratch, _asked_to_stop() as asked:
+    with options.asked_to_stop() as asked:
         if simulate is not None:
-            stream: Any = _played(simulate, run_name, seed, speed, Path(scratch), columns_of(rig))
+            stream: Any = _played(simulate, run_name, seed, speed, rig)
         elif path is None:
-            stream = standard_input(columns_of(rig))
+            keep = None if output is None else output / FRAMES
+            stream = standard_input(columns_of(rig), keep)
+            if stream.n_earlier and not quiet:
+                echo(f"goes on with the {stream.n_earlier} frames that are kept in {keep}", err=True)
         else:
             stream = open_source(path, columns_of(rig))
-        keep = Path(scratch) / "samples" if output is not None and path is None else None
-        session = Session(pipeline, rig, stream, goals, idle, keep, path, stopped=lambda: bool(asked))
+        session = Session(pipeline, rig, stream, goals, idle, path, stopped=lambda: bool(asked))
         enough = _followed(session, as_json, page, bell, quiet)
         if asked and not quiet and not as_json:
             _echo_by_hand(session)
         if output is not None:
             _finish(session, pipeline_path, overrides, output, quiet or as_json)
-    return REACHED if enough or not goals else NOT_REACHED
+    return 0 if enough or not goals else 1
 
 
 def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
@@ -131,41 +134,32 @@ def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bo
 @contextmanager
 def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterator[Callable[[Update], None]]:
     """What shows an update: a page, and a table on the terminal that is drawn anew, or lines elsewhere."""
-    from labpipe.methods.live.view import course, headline, rows_of
+    from labpipe.methods.live.view import Page, course, headline, rows_of
 
-    server = None
-    if page:
-        from labpipe.methods.live.view import Page
-
-        server = Page()
-        echo(f"page: {server.address}", err=True)
-    console = None if as_json or quiet else _console()
-    lines = 0
-
-    def show(update: Update) -> None:
-        nonlocal lines
+    silent, counted = as_json or quiet, -1
+    with ExitStack() as opened:
+        server = opened.enter_context(closing(Page())) if page else None
         if server is not None:
-            server.show(course(session, update))
-        if as_json or quiet:
-            return
+            echo(f"page: {server.address}", err=True)
+        console = None if silent else _console()
         if console is not None:
-            console.update(_picture(session, update), refresh=True)
-        elif update.stop or update.averages != lines:
-            lines = update.averages
-            values = "; ".join(f"{name} {value}" for name, value, goal, _ in rows_of(session, update) if goal)
-            echo(f"{headline(session, update)} {values}".rstrip())
+            opened.enter_context(console)
 
-    try:
-        if console is not None:
-            with console:
-                yield show
-        else:
-            yield show
-            if not as_json and not quiet:
-                _echo_last(session)
-    finally:
-        if server is not None:
-            server.close()
+        def show(update: Update) -> None:
+            nonlocal counted
+            if server is not None:
+                server.show(course(session, update))
+            if console is not None:
+                console.update(_picture(session, update), refresh=True)
+            elif not silent and (update.stop or update.averages != counted):
+                counted = update.averages
+                rows = rows_of(session, update)
+                values = "; ".join(f"{name} {value}" for name, value, goal, _ in rows if goal)
+                echo(f"{headline(session, update)} {values}".rstrip())
+
+        yield show
+    if console is None and not silent:
+        _echo_last(session)
 
 
 def _console() -> Any:
@@ -184,9 +178,9 @@ def _picture(session: Session, update: Update) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    from labpipe.methods.live.view import headline, rows_of
+    from labpipe.methods.live.view import HEADER, headline, rows_of
 
-    table = Table("coefficient", "value and 95 % interval", "goal", "still to come")
+    table = Table(*HEADER)
     for row in rows_of(session, update):
         table.add_row(*(Text(printable(cell)) for cell in row))
     colour = "green" if update.stop else ""
@@ -197,12 +191,11 @@ def _picture(session: Session, update: Update) -> Any:
 
 
 def _echo_last(session: Session) -> None:
-    from labpipe.methods.live.view import rows_of
+    from labpipe.methods.live.view import HEADER, rows_of
 
     updates = session.bench.updates if session.bench else []
     if updates:
-        header = ("coefficient", "value and 95 % interval", "goal", "still to come")
-        echo_table(header, rows_of(session, updates[-1]))
+        echo_table(HEADER, rows_of(session, updates[-1]))
         for finding in updates[-1].findings:
             echo(f"{finding.code}: {finding.message}")
 
@@ -216,40 +209,27 @@ def _echo_by_hand(session: Session) -> None:
             echo(f"  {name}  {low:.6g} ... {high:.6g}")
 
 
-@contextmanager
-def _asked_to_stop() -> Iterator[list[int]]:
-    """The interrupts that ended the test by hand."""
-    asked: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _frame: asked.append(number))
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Path, columns: list[str]) -> Any:
+def _played(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
     """A run of a virtual rig, played in real time."""
     import numpy as np
 
-    from labpipe.artefacts.writing import output_folder
+    from labpipe.methods.live.session import columns_of
     from labpipe.methods.live.sources import Played
-    from labpipe.project.simulate import TRUTH, load_virtual_rig, simulate_files
+    from labpipe.project.simulate import load_virtual_rig
     from labpipe.raw_files.screening import TimeAxisScreen
-    from labpipe.raw_files.table import check_columns, open_table
+    from labpipe.raw_files.table import check_names
+    from labpipe.simulate.virtual_rigs import LoggedTable, simulate
 
-    rig = load_virtual_rig(rig_path)
-    with output_folder(scratch / "rig") as folder:
-        names = simulate_files(rig, seed, [run_name] if run_name else None, folder)
-    tables = [open_table(scratch / "rig" / name) for name in names if name != TRUTH]
-    fitting = [table for table in tables if set(columns) <= set(table.columns)]
-    if not fitting:
-        check_columns(tables[0], columns)
-    table = fitting[0]
-    samples = np.concatenate(list(table.chunks(columns)))
-    rate = table.sample_rate
+    files = simulate(load_virtual_rig(rig_path), seed, [run_name] if run_name else None).files
+    tables = [file.columns for file in files.values() if isinstance(file, LoggedTable)]
+    columns = columns_of(rig)
+    chosen = next((table for table in tables if set(columns) <= set(table)), tables[0])
+    check_names(rig_path, columns, list(chosen))
+    samples = np.stack([chosen[name] for name in columns], axis=1)
+    rate = rig.sample_rate
     if rate is None:
         screen = TimeAxisScreen(columns[0])
-        screen.add(samples[:, 0])
+        screen.add(samples[:, 0] * rig.time_scale)
         rate = screen.sample_rate()
     return Played(samples, rate, speed)
 
@@ -260,16 +240,17 @@ def _finish(
     """Run the pipeline over the recording as `labpipe run` does, with the course of the test."""
     from labpipe.artefacts.writing import output_folder
     from labpipe.cli.terminal import echo_identification
+    from labpipe.methods.live.sources import Frames
     from labpipe.project.one_test import silent
     from labpipe.project.pipeline_file import load_pipeline
     from labpipe.project.report import outdate_reports, write_reports
     from labpipe.project.run import Manner, run
 
     files = session.recorded
-    if session.kept is not None:
+    if isinstance(session.stream, Frames):
         with output_folder(output) as folder:
-            session.write_recording(folder.write_path("recording.parquet"))
-        files = [output / "recording.parquet"]
+            files = session.stream.recordings(folder.write_path)
+        files = [output / path.name for path in files]
     named = json.dumps([str(path.resolve()) for path in files])
     goals = json.dumps([goal.text for goal in session.goals])
     pipeline = load_pipeline(pipeline_path, (*overrides, f"recordings={named}", f"live={{until: {goals}}}"))
@@ -277,4 +258,6 @@ def _finish(
         identification = run(pipeline, folder, Manner(silent))
         outdate_reports(folder, pipeline.report.formats)
     write_reports(identification, output, pipeline.report.formats, silent)
+    # From here on the recordings stand for the frames.
+    shutil.rmtree(output / FRAMES, ignore_errors=True)
     echo_identification(identification, quiet)

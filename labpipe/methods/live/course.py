@@ -13,6 +13,7 @@ from labpipe.display import difference_in, shown_unit, unit_label
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, obstacle
 from labpipe.methods.live.charts import Goal, Update
+from labpipe.methods.live.sources import MOST_ROWS
 from labpipe.project.ingest import ingest, unique_names
 from labpipe.project.tests import Test
 from labpipe.project.work import Work
@@ -24,8 +25,6 @@ from labpipe.report.chart import Axis, Panel, curve, level, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Section
 from labpipe.spectra.settings import FrfSettings
 
-# Samples that are handed on at once.
-BLOCK = 1 << 16
 # Coefficients that are drawn where nothing is asked for.
 DRAWN = 4
 
@@ -50,9 +49,7 @@ class LiveSettings(Settings):
 
 @dataclass(frozen=True)
 class CoefficientCourse:
-    """A coefficient *name* (fit.parameter) after each of *averages* (n,): its *value* and *half* (n,) [unit]
-    of its 95 % interval; the half-width *goal* [unit] that is asked for.
-    """
+    """A coefficient's *value* and *half*-width (n,) [unit] after so many *averages* (n,), and its *goal*."""
 
     name: str
     unit: str
@@ -155,15 +152,16 @@ def _course(
             bench = Bench(recording.channels, recording.sample_rate, frf, plain, settings.goals)
         else:
             bench.restart()
-        for block in recording.blocks(BLOCK):
+        for block in recording.blocks(MOST_ROWS):
             for update in bench.add(block):
                 if update.stop and enough is None:
                     enough = update.averages
                 left_out += [event for event in update.events if "left out" in event]
     assert bench is not None
-    what = "hit" if bench.hits else "period"
     coefficients = coefficients_of(bench.updates)
-    return [Course(test.name, what, bench.averages, coefficients, settings.until, enough, tuple(left_out))]
+    return [
+        Course(test.name, bench.what, bench.averages, coefficients, settings.until, enough, tuple(left_out))
+    ]
 
 
 def course_lines(courses: Courses) -> Iterator[str]:

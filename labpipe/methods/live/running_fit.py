@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy import fft, stats
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.errors import DataError, FitError
+from labpipe.errors import DataError
 from labpipe.estimation.model import DynamicModel
 from labpipe.records.recording import Channel
 from labpipe.spectra.bands import line_range
-from labpipe.spectra.impact import force_window, judged_hit
-from labpipe.spectra.period_average import samples_per_period
+from labpipe.spectra.impact import HitSearch, force_window, judged_hit
+from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
 
 # Lines to either side over which the scatter is averaged: it makes the first averages usable.
@@ -39,15 +39,9 @@ MISFIT_P = 1e-3
 SINGULAR = 1e10
 
 
-def moving_mean(values: NDArray[Any], half_width: int = HALF_WIDTH) -> NDArray[Any]:
+def moving_mean(values: NDArray[Any]) -> NDArray[Any]:
     """Mean over lines l - h ... l + h of *values* (n_line, ...) [any unit], the window cut at the ends."""
-    n_line = values.shape[0]
-    sums = np.zeros((n_line + 1, *values.shape[1:]), values.dtype)
-    np.cumsum(values, axis=0, out=sums[1:])
-    low = np.maximum(np.arange(n_line) - half_width, 0)
-    high = np.minimum(np.arange(n_line) + half_width + 1, n_line)
-    count = (high - low).reshape(-1, *(1,) * (values.ndim - 1))
-    return np.asarray((sums[high] - sums[low]) / count)
+    return neighbourhood_mean(values, np.ones(values.shape[0], bool), HALF_WIDTH)
 
 
 class PeriodSums:
@@ -69,78 +63,56 @@ class PeriodSums:
         self._scatter += sign * here[..., :, None] * (z - self.mean)[..., None, :].conj()
 
     def covariance(self) -> ComplexArray:
-        """Of the mean, averaged over neighbouring lines, (n_line, n_experiment, n_channel, n_channel)
-        [products of the channels' units].
-        """
+        """Of the mean, over neighbouring lines, (n_line, n_experiment, n_channel, n_channel) [units^2]."""
         return np.asarray(moving_mean(self._scatter) / ((self.n - 1) * self.n))
-
-    @property
-    def counts(self) -> IntArray:
-        """Averages of each experiment, (n_experiment,)."""
-        return np.full(self.mean.shape[1], self.n)
 
 
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
-    An average counts by the energy of its force. The mean is [H; 1], its covariance that of H.
+    An average counts by the energy of its force. The mean is [H; 1], its covariance that of H; *force_power*
+    (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages.
     """
 
     def __init__(self) -> None:
         self.n = 0
         self._xf = self._xx = np.empty(0, np.complex128)
-        self._ff = np.empty(0)
+        self.force_power = np.empty(0)
 
     def add(self, z: ComplexArray, sign: int = 1) -> None:
-        """The next hit or block *z* (n_line, n_experiment, n_channel) [channels' units], the force last;
-        *sign* -1 takes it out.
-        """
+        """Take *z* (n_line, n_experiment, n_channel) [channels' units], the force last, in, or out (-1)."""
         x, f = z[..., :-1], z[..., -1]
         if not self.n:
             self._xf = np.zeros(x.shape, np.complex128)
-            self._ff = np.zeros(f.shape)
+            self.force_power = np.zeros(f.shape)
             self._xx = np.zeros((*x.shape, x.shape[2]), np.complex128)
         self.n += sign
         self._xf += sign * x * f[..., None].conj()
-        self._ff += sign * np.abs(f) ** 2
+        self.force_power += sign * np.abs(f) ** 2
         self._xx += sign * x[..., :, None] * x[..., None, :].conj()
 
     @property
     def mean(self) -> ComplexArray:
         """[H; 1], (n_line, n_experiment, n_channel) [response units per force unit]."""
-        h = self._xf / self._ff[..., None]
+        h = self._xf / self.force_power[..., None]
         return np.concatenate([h, np.ones((*h.shape[:2], 1))], axis=2)
 
-    @property
-    def force_power(self) -> FloatArray:
-        """Sum of |F|^2 over the averages, (n_line, n_experiment) [squared force unit]."""
-        return self._ff
-
     def covariance(self) -> ComplexArray:
-        """Of [H; 1], the noise averaged over neighbouring lines, (n_line, n_experiment, n_channel, n_channel)
-        [squared units of H].
-        """
-        h = self._xf / self._ff[..., None]
-        noise = self._xx - self._ff[..., None, None] * h[..., :, None] * h[..., None, :].conj()
-        smooth = moving_mean(noise / (self.n - 1)) / self._ff[..., None, None]
+        """The same of [H; 1], (n_line, n_experiment, n_channel, n_channel) [squared units of H]."""
+        h = self._xf / self.force_power[..., None]
+        noise = self._xx - self.force_power[..., None, None] * h[..., :, None] * h[..., None, :].conj()
+        smooth = moving_mean(noise / (self.n - 1)) / self.force_power[..., None, None]
         n_channel = h.shape[2] + 1
         whole = np.zeros((*h.shape[:2], n_channel, n_channel), np.complex128)
         whole[..., :-1, :-1] = smooth
         return whole
-
-    @property
-    def counts(self) -> IntArray:
-        """Averages of each experiment, (n_experiment,)."""
-        return np.full(self.force_power.shape[1], self.n)
 
 
 Sums = PeriodSums | HitSums
 
 
 class Directions:
-    """The sums of every direction that was shaken, one experiment each; of those with two averages or more
-    what a running fit asks of sums.
-    """
+    """The sums of every direction that was shaken, one experiment each, once it has two averages."""
 
     def __init__(self, hits: bool) -> None:
         self._hits = hits
@@ -150,27 +122,23 @@ class Directions:
         return self._sums.setdefault(direction, HitSums() if self._hits else PeriodSums())
 
     @property
-    def _known(self) -> list[Sums]:
-        return [sums for sums in self._sums.values() if sums.n >= 2]
-
-    @property
-    def n(self) -> int:
-        """Averages of all directions together."""
-        return sum(sums.n for sums in self._known)
+    def shaken(self) -> dict[int, Sums]:
+        """Those with two averages or more."""
+        return {direction: sums for direction, sums in self._sums.items() if sums.n >= 2}
 
     @property
     def counts(self) -> IntArray:
         """Averages of each direction, (n_experiment,)."""
-        return np.array([sums.n for sums in self._known])
+        return np.array([sums.n for sums in self.shaken.values()])
 
     @property
     def mean(self) -> ComplexArray:
         """(n_line, n_experiment, n_channel) [channels' units]."""
-        return np.concatenate([sums.mean for sums in self._known], axis=1)
+        return np.concatenate([sums.mean for sums in self.shaken.values()], axis=1)
 
     def covariance(self) -> ComplexArray:
         """Of the mean, (n_line, n_experiment, n_channel, n_channel) [products of the channels' units]."""
-        return np.concatenate([sums.covariance() for sums in self._known], axis=1)
+        return np.concatenate([sums.covariance() for sums in self.shaken.values()], axis=1)
 
 
 class Equation:
@@ -197,12 +165,6 @@ class Equation:
         ]
         return np.array(stiffness, np.complex128), np.array([t.matrices.force for t in self.model.terms])
 
-    def split(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Displacement (n_line, n_experiment, n_output) [m], force (n_line, n_experiment, n_force) [N]."""
-        force = z[..., self.n_output :]
-        shift = self._offset * force[..., : self.n_output] if self._offset else 0.0
-        return (z[..., : self.n_output] - shift) / self._view[:, None, None], force
-
     def gain(self, values: FloatArray) -> ComplexArray:
         """G of e = G z at the coefficients, (n_line, n_output, n_channel) [N per channel's unit]."""
         stiffness = self.model.dynamic_stiffness(values, self.omega)
@@ -217,7 +179,9 @@ class Equation:
 
     def slopes(self, z: ComplexArray) -> ComplexArray:
         """de/dp of *z*, (n_line, n_experiment, n_output, n_parameter) [N per parameter unit]."""
-        motion, force = self.split(z)
+        force = z[..., self.n_output :]
+        shift = self._offset * force[..., : self.n_output] if self._offset else 0.0
+        motion = (z[..., : self.n_output] - shift) / self._view[:, None, None]
         stiffness, factors = self._terms
         moved = np.einsum("plij,lej->leip", stiffness, motion)
         if np.any(factors):
@@ -229,9 +193,9 @@ class Equation:
 class Estimate:
     """Where a running fit stands after *n* averages, the *least* in one direction.
 
-    values, std_error, dof, half (n_parameter,) [parameter units]: the 95 % interval is values +- half, of
-    noise and, beyond its limit, misfit; reduced: chi-square per degree of freedom, *misfit* whether it speaks
-    against the model; information and covariance (n_parameter, n_parameter), the latter of noise.
+    values, std_error, dof (n_parameter,) [parameter units]: of noise; reduced: chi-square per degree of
+    freedom, *misfit* whether it speaks against the model; information and covariance (n_parameter,
+    n_parameter), the latter of noise.
     """
 
     n: int
@@ -239,7 +203,6 @@ class Estimate:
     values: FloatArray
     std_error: FloatArray
     dof: FloatArray
-    half: FloatArray
     reduced: float
     misfit: bool
     identifiable: bool
@@ -255,27 +218,17 @@ class Estimate:
 class RunningFit:
     """The coefficients of one model by the sums of a running test."""
 
-    def __init__(self, equation: Equation, coverage: float = 0.95) -> None:
-        self.equation, self.coverage = equation, coverage
+    def __init__(self, equation: Equation) -> None:
+        self.equation = equation
         self.values: FloatArray | None = None
 
-    def update(self, sums: Sums | Directions, start: FloatArray | None = None) -> Estimate:
-        """The estimate after the averages in *sums*; from *start* (n_parameter,) [parameter units] instead of
-        a cold start.
-
-        FitError before the second average, and where the lines cannot tell the coefficients apart at all.
-        """
-        if sums.n < 2:
-            raise FitError("one average leaves the noise unknown")
+    def update(self, sums: Directions) -> Estimate:
+        """The estimate after the averages in *sums*, of which a direction has two."""
         mean, covariance = sums.mean, sums.covariance()
-        if self.values is None:
-            values, steps = (self._cold(mean, covariance) if start is None else start), COLD
-        else:
-            values, steps = self.values, WARM
-        values = self._descend(mean, covariance, values, steps)
-        estimate = self._judged(sums.counts, mean, covariance, values)
-        self.values = values
-        return estimate
+        cold = self.values is None
+        start = self._cold(mean, covariance) if self.values is None else self.values
+        self.values = self._descend(mean, covariance, start, COLD if cold else WARM)
+        return self._judged(sums.counts, mean, covariance, self.values)
 
     def parts(
         self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
@@ -284,20 +237,23 @@ class RunningFit:
         slopes (n_line, n_experiment, n_output, n_parameter) [N per parameter unit] at the likeliest
         amplitudes, and the inverse times these.
         """
+        residual, inverse, multiplier, spread = self._weighted(mean, covariance, values)
+        slopes = self.equation.slopes(mean - (spread @ multiplier[..., None])[..., 0])
+        return residual, inverse, multiplier, slopes, inverse @ slopes
+
+    def _weighted(
+        self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """The first three of the *parts*, and the covariance of amplitudes and residual."""
         gain = self.equation.gain(values)[:, None]
         residual = (gain @ mean[..., None])[..., 0]
         spread = covariance @ gain.conj().swapaxes(-1, -2)
         inverse = np.linalg.inv(gain @ spread)
-        multiplier = (inverse @ residual[..., None])[..., 0]
-        likely = mean - (spread @ multiplier[..., None])[..., 0]
-        slopes = self.equation.slopes(likely)
-        return residual, inverse, multiplier, slopes, inverse @ slopes
+        return residual, inverse, (inverse @ residual[..., None])[..., 0], spread
 
     def _cost(self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray) -> float:
-        gain = self.equation.gain(values)[:, None]
-        residual = (gain @ mean[..., None])[..., 0]
-        spread = gain @ covariance @ gain.conj().swapaxes(-1, -2)
-        return float(np.sum((residual.conj() * np.linalg.solve(spread, residual[..., None])[..., 0]).real))
+        residual, _, multiplier, _ = self._weighted(mean, covariance, values)
+        return float(np.sum((residual.conj() * multiplier).real))
 
     def _descend(
         self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray, steps: int
@@ -305,13 +261,9 @@ class RunningFit:
         cost = self._cost(mean, covariance, values)
         for _ in range(steps):
             _, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
-            information, gradient = _normal(slopes, weighted, multiplier)
-            scale = np.sqrt(np.diag(information))
-            scale[scale == 0] = 1.0
-            step = np.asarray(
-                np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0]
-                / scale
-            )
+            information, gradient = normal_equations(slopes, weighted, multiplier)
+            unit, scale = scaled(information)
+            step = np.linalg.lstsq(unit, gradient / scale, rcond=1e-12)[0] / scale
             share = 1.0
             while share > 1e-3:
                 trial = values - share * step
@@ -330,17 +282,13 @@ class RunningFit:
     def _cold(self, mean: ComplexArray, covariance: ComplexArray) -> FloatArray:
         n_parameter = len(self.equation.model.names)
         slopes = self.equation.slopes(mean)
-        motion, force = self.equation.split(mean)
-        constant = self.equation.model.constant
-        w = self.equation.omega[:, None, None]
-        held = constant.stiffness + 1j * w * constant.damping - w**2 * constant.mass
-        side = force @ constant.force.T - np.einsum("lij,lej->lei", held, motion)
+        # What the equation leaves without its coefficients, in which it is linear.
+        side = (self.equation.gain(np.zeros(n_parameter))[:, None] @ mean[..., None])[..., 0]
         values = np.zeros(n_parameter)
         design, right = slopes, side
         for number in range(REWEIGHTED):
             if number:
-                gain = self.equation.gain(values)[:, None]
-                inverse = np.linalg.inv(gain @ covariance @ gain.conj().swapaxes(-1, -2))
+                inverse = self._weighted(mean, covariance, values)[1]
                 weight = np.linalg.cholesky(inverse).conj().swapaxes(-1, -2)
                 design, right = np.asarray(weight @ slopes), (weight @ side[..., None])[..., 0]
             rows = np.concatenate(
@@ -356,13 +304,11 @@ class RunningFit:
         self, counts: IntArray, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
     ) -> Estimate:
         residual, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
-        information, _ = _normal(slopes, weighted, multiplier)
+        information, _ = normal_equations(slopes, weighted, multiplier)
         n_parameter, n_output = values.size, self.equation.n_output
-        scale = np.sqrt(np.diag(information))
-        scale[scale == 0] = 1.0
-        scaled = information / np.outer(scale, scale)
-        identifiable = bool(np.linalg.cond(scaled) < SINGULAR)
-        inverse = np.linalg.pinv(scaled, hermitian=True) / np.outer(scale, scale)
+        unit, scale = scaled(information)
+        identifiable = bool(np.linalg.cond(unit) < SINGULAR)
+        inverse = np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale)
         n, least = int(counts.sum()), int(counts.min())
         # Of the direction with the fewest averages, whose weights cost the most.
         smoothed = (least - 1) * (2 * HALF_WIDTH + 1)
@@ -375,28 +321,21 @@ class RunningFit:
         freedom = 2 * residual.size - n_parameter
         reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
         misfit = bool(stats.f.sf(reduced, freedom, smoothed) < MISFIT_P)
-        half = stats.t.ppf((1 + self.coverage) / 2, dof) * np.sqrt(1 + 2 / dof) * std_error
-        if misfit:
-            half = half * np.sqrt(reduced)
-        return Estimate(
-            n,
-            least,
-            values,
-            std_error,
-            dof,
-            half,
-            reduced,
-            misfit,
-            identifiable,
-            information,
-            covariance_of_values,
-        )
+        of_fit = (reduced, misfit, identifiable, information, covariance_of_values)
+        return Estimate(n, least, values, std_error, dof, *of_fit)
 
 
-def _normal(
+def scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """An information (n_parameter, n_parameter) [1/unit^2] with the diagonal 1, and its scale [1/unit]."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0] = 1.0
+    return np.asarray(information / np.outer(scale, scale)), scale
+
+
+def normal_equations(
     slopes: ComplexArray, weighted: ComplexArray, multiplier: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Information 2 Re J^H Lambda^-1 J and gradient 2 Re J^H lambda."""
+    """Information 2 Re J^H Lambda^-1 J (n_parameter, n_parameter) and gradient 2 Re J^H lambda [1/unit]."""
     n_parameter = slopes.shape[-1]
     flat = slopes.reshape(-1, n_parameter)
     information = 2 * (flat.conj().T @ weighted.reshape(-1, n_parameter)).real
@@ -411,10 +350,8 @@ WEAK = 0.1
 
 @dataclass(frozen=True)
 class Average:
-    """One period or hit: *amplitude* (n_line, n_channel) [unit of each channel] on the cutter's lines.
-
-    *start*: its first sample in the stream; *number* from 1; *fault*: why it is left out, '' where it is
-    good; *peaks* (n_channel,) [SI]: largest sizes, by which levels are shown.
+    """One period or hit: *amplitude* (n_line, n_channel) [units of channels] on the lines, its first sample
+    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI].
     """
 
     number: int
@@ -424,57 +361,45 @@ class Average:
     fault: str = ""
 
 
-class Cutter:
+class _Cutter:
     """Cuts calibrated blocks into averages; *frequency* (n_line,) [Hz] of their lines."""
 
-    frequency: FloatArray
-    n_sample: int
-
     def __init__(
-        self, channels: tuple[Channel, ...], sample_rate: float, n_sample: int, lines: slice
+        self, channels: tuple[Channel, ...], sample_rate: float, n_sample: int, settings: FrfSettings
     ) -> None:
-        self.channels, self.sample_rate, self.n_sample, self._lines = channels, sample_rate, n_sample, lines
-        self.frequency = np.arange(lines.start, lines.stop) * (sample_rate / n_sample)
-        self._rest = np.empty((0, len(channels)))
-        self._begin = 0
+        self.channels, self.sample_rate, self.n_sample = channels, sample_rate, n_sample
+        self._lines = line_range(n_sample, sample_rate, settings.band)
+        self.frequency = np.arange(self._lines.start, self._lines.stop) * (sample_rate / n_sample)
         self._number = 0
 
-    def add(self, block: FloatArray) -> Iterator[Average]:
-        """The averages that the next samples (n, n_channel) [SI] complete."""
-        self._rest = np.concatenate([self._rest, block])
-        yield from self._complete()
-
-    def restart(self) -> None:
-        """The samples that follow belong to another recording: what is not complete is lost."""
-        self._begin += self._rest.shape[0]
-        self._rest = self._rest[:0]
-
-    def _complete(self) -> Iterator[Average]:
-        raise NotImplementedError
-
-    def _missing(self, samples: FloatArray) -> str:
+    def _average(
+        self, start: int, samples: FloatArray, peaks: FloatArray, spectrum_of: FloatArray, fault: str
+    ) -> Average:
+        """The average of *samples* (n_sample, n_channel) [SI], by those of *spectrum_of*, ready for it."""
         there = np.isfinite(samples).all(axis=0)
-        return "" if there.all() else f"no number in channel '{self.channels[int(np.argmin(there))].name}'"
+        if not there.all():
+            fault = f"no number in channel '{self.channels[int(np.argmin(there))].name}'"
+        whole = fft.rfft(spectrum_of.T, axis=1)[:, self._lines].T * (2 / self.n_sample)
+        return Average(self._number, start, np.asarray(whole), peaks, fault)
 
-    def _transformed(self, samples: FloatArray) -> ComplexArray:
-        whole = fft.rfft(samples.T, axis=1)
-        return np.asarray(whole[:, self._lines].T * (2 / self.n_sample))
 
-
-class PeriodCutter(Cutter):
+class PeriodCutter(_Cutter):
     """Whole periods, the transient ones dropped at the start of each recording."""
 
     def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
         assert settings.period is not None
-        n_sample = samples_per_period(settings.period, sample_rate)
-        super().__init__(channels, sample_rate, n_sample, line_range(n_sample, sample_rate, settings.band))
+        super().__init__(channels, sample_rate, samples_per_period(settings.period, sample_rate), settings)
         self._skip = self._left = settings.skip
+        self._rest, self._begin = np.empty((0, len(channels))), 0
 
     def restart(self) -> None:
-        super().restart()
+        """The samples that follow belong to another recording: what is not complete is lost."""
+        self._begin, self._rest = self._begin + self._rest.shape[0], self._rest[:0]
         self._left = self._skip
 
-    def _complete(self) -> Iterator[Average]:
+    def add(self, block: FloatArray) -> Iterator[Average]:
+        """The averages that the next samples (n, n_channel) [SI] complete."""
+        self._rest = np.concatenate([self._rest, block])
         while self._rest.shape[0] >= self.n_sample:
             period, start = self._rest[: self.n_sample], self._begin
             self._rest, self._begin = self._rest[self.n_sample :], self._begin + self.n_sample
@@ -482,86 +407,70 @@ class PeriodCutter(Cutter):
                 self._left -= 1
                 continue
             self._number += 1
-            fault = self._missing(period)
-            moved = period - np.nan_to_num(period.mean(axis=0))
-            peaks = np.max(np.abs(moved), axis=0)
-            yield Average(self._number, start, self._transformed(np.nan_to_num(moved)), peaks, fault)
+            moved = np.nan_to_num(period - np.nan_to_num(period.mean(axis=0)))
+            yield self._average(start, period, np.max(np.abs(moved), axis=0), moved, "")
 
 
-class HitCutter(Cutter):
-    """Hits of one hammer, found as they come: by the noise before the first, then by the hits so far."""
+class HitCutter(_Cutter):
+    """Hits of one hammer, sought as they come: by the noise before the first, then by the hits so far."""
 
     def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
         assert settings.block is not None
-        n_sample = round(settings.block * sample_rate)
-        super().__init__(channels, sample_rate, n_sample, line_range(n_sample, sample_rate, settings.band))
+        super().__init__(channels, sample_rate, round(settings.block * sample_rate), settings)
         forces = [number for number, channel in enumerate(channels) if channel.role == "input"]
         if len(forces) != 1:
             raise DataError(
                 f"hits need one force, the rig has {len(forces)}", hint="one hammer per recording"
             )
         self._force, self._impact = forces[0], settings.impact
-        self._before = round(self._impact.pretrigger * n_sample)
-        self._search = 0
+        self._before = round(self._impact.pretrigger * self.n_sample)
+        self._search = HitSearch(self._force, self.n_sample, self._before, len(channels))
         self._sizes: list[float] = []
-        self._noise = self._zero = np.nan
+        self._noise = self._zero = 0.0
 
     def restart(self) -> None:
-        super().restart()
-        self._search = self._begin
+        self._search.restart()
 
     def _level(self) -> float:
         usual = self._impact.trigger * max(self._sizes) if self._sizes else 0.0
         return max(usual, FIRST_HIT * self._noise)
 
-    def _complete(self) -> Iterator[Average]:
-        if np.isnan(self._noise):
-            if self._rest.shape[0] < max(self._before, 16):
-                return
-            quiet = self._rest[: max(self._before, 16), self._force]
-            self._zero = float(np.median(quiet))
-            # Of a recording that begins within a hit the median is still the rest position.
-            self._noise = float(1.4826 * np.median(np.abs(quiet - self._zero)))
-            largest = float(np.max(np.abs(self._rest[:, self._force] - self._zero)))
-            if self._noise == 0.0 and largest == 0.0:
-                self._noise = np.nan
-                return
-            self._noise = self._noise or 1e-6 * largest
-        while True:
-            at = self._search - self._begin
-            size = np.abs(self._rest[at:, self._force] - self._zero)
-            above = np.flatnonzero(size >= self._level())
-            if not above.size:
-                self._search = self._begin + self._rest.shape[0]
-                break
-            trigger = self._search + int(above[0])
-            start = max(trigger - self._before, self._begin)
-            if start + self.n_sample > self._begin + self._rest.shape[0]:
-                self._search = trigger
-                break
-            first = start - self._begin
-            yield self._hit(start, self._rest[first : first + self.n_sample], trigger - start)
-            self._search = start + self.n_sample
-        keep = max(min(self._search - self._before - self._begin, self._rest.shape[0]), 0)
-        self._rest, self._begin = self._rest[keep:], self._begin + keep
+    def add(self, block: FloatArray) -> Iterator[Average]:
+        """The averages that the next samples (n, n_channel) [SI] complete."""
+        self._search.add(block)
+        if not self._noise and not self._is_quiet_known():
+            return
+        for start, trigger, samples in self._search.hits(self._zero, self._level):
+            yield self._hit(start, samples, trigger)
+
+    def _is_quiet_known(self) -> bool:
+        """Whether the rest position of the force and the noise about it are known, by the first samples."""
+        force, n = self._search.window[:, self._force], max(self._before, 16)
+        if force.size < n:
+            return False
+        self._zero = float(np.median(force[:n]))
+        # Of a recording that begins within a hit the median is still the rest position.
+        self._noise = float(1.4826 * np.median(np.abs(force[:n] - self._zero)))
+        self._noise = self._noise or 1e-6 * float(np.max(np.abs(force - self._zero)))
+        return self._noise > 0.0
 
     def _hit(self, start: int, samples: FloatArray, trigger: int) -> Average:
         self._number += 1
         hit = judged_hit(self._number, start, np.nan_to_num(samples), trigger, self._force, self._impact)
         what, _, column = hit.fault.rpartition(" ")
         fault = f"{what} '{self.channels[int(column) - 1].name}'" if column.isdigit() else hit.fault
-        fault = self._missing(samples) or fault
         size = float(np.max(np.abs(hit.samples[:, self._force])))
-        if not fault and self._sizes and size < WEAK * float(np.median(self._sizes)):
-            fault = f"weak: {100 * size / float(np.median(self._sizes)):.0f} % of the usual force"
-        if not fault:
+        usual = float(np.median(self._sizes)) if self._sizes else 0.0
+        if not fault and size < WEAK * usual:
+            fault = f"weak: {100 * size / usual:.0f} % of the usual force"
+        if not fault and np.isfinite(samples).all():
             self._sizes.append(size)
         windowed = hit.samples.copy()
         if self._impact.force_window is not None:
             length = self._impact.force_window * self.sample_rate
             windowed[:, self._force] *= force_window(self.n_sample, trigger, length)
-        peaks = np.max(np.abs(hit.samples), axis=0)
-        return Average(self._number, start, self._transformed(windowed), peaks, fault)
+        return self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
 
 
-CUTTERS = {"periodic": PeriodCutter, "impact": HitCutter}
+Cutter = PeriodCutter | HitCutter
+CUTTERS: dict[str, type[Cutter]] = {"periodic": PeriodCutter, "impact": HitCutter}

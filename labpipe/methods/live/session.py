@@ -10,28 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.bench import Bench, names_of_fit, obstacle
-from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, half_width
-from labpipe.methods.live.sources import MOST_ROWS, Folder, SampleStream, is_old
+from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
+from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names
+from labpipe.methods.live.sources import Folder, Frames, Kept, SampleStream, is_old
 from labpipe.project.ingest import Calibration, channel_screen
 from labpipe.project.measured import OTHERS
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.records.finding import WARNING, Finding, note
 from labpipe.records.identification import Fit
-from labpipe.records.recording import Channel, Recording
+from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
 from labpipe.records.spectra import FreeDecays
 from labpipe.spectra.measurement import measure
-from labpipe.spectra.ports import find_layout
-from labpipe.spectra.settings import FrfSettings
 
 # Rows of a time column by which the rate is known.
 ROWS_OF_RATE = 64
@@ -46,50 +42,13 @@ PAUSE = 0.1
 BEHIND = 1.0
 
 
-class Kept:
-    """Rows of samples on disk, in the order in which they come, as long as there is room."""
-
-    def __init__(self, path: Path, n_column: int) -> None:
-        self.path, self.n_row, self._n_column = path, 0, n_column
-        # Without a buffer nothing waits to be written when the disk is full.
-        self._file = path.open("wb", buffering=0)
-        self.full = ""
-
-    def add(self, rows: FloatArray) -> bool:
-        """Keep *rows* (n, n_column) [any unit]; False from the moment on when there is no room."""
-        if self.full:
-            return False
-        text = memoryview(np.ascontiguousarray(rows, np.float64).tobytes())
-        try:
-            while text:
-                text = text[self._file.write(text) :]
-        except OSError as error:
-            self.full = (error.strerror or str(error)).lower()
-            return False
-        self.n_row += rows.shape[0]
-        return True
-
-    def blocks(self, n_row: int, first: int = 0, end: int | None = None) -> Iterator[FloatArray]:
-        """Consecutive blocks (n, n_column) [unit in which they came] of at most *n_row* rows, of those from
-        *first* to *end*.
-        """
-        end = self.n_row if end is None else end
-        if self.n_row:
-            whole = np.memmap(self.path, np.float64, "r", shape=(self.n_row, self._n_column))
-            for start in range(first, end, n_row):
-                yield np.array(whole[start : min(start + n_row, end)])
-
-    def close(self) -> None:
-        self._file.close()
-
-
 @dataclass(frozen=True)
 class Part:
-    """One recording of those that came so far: samples *first* to *end* of what is on disk."""
+    """One recording of those that came so far: samples *first* to *end* of those in a file of float64."""
 
     channels: tuple[Channel, ...]
     sample_rate: float
-    kept: Kept
+    path: Path
     first: int
     end: int
     name: str
@@ -101,26 +60,20 @@ class Part:
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks (n, n_channel) [SI] of at most *n_sample* samples."""
-        return self.kept.blocks(n_sample, self.first, self.end)
+        whole = np.memmap(self.path, np.float64, "r", shape=(self.end, len(self.channels)))
+        for start in range(self.first, self.end, n_sample):
+            yield np.array(whole[start : start + n_sample])
 
 
+@dataclass(eq=False, repr=False)
 class WholeFits(Watch):
     """Fits that cannot follow single averages: made anew of all samples so far, at looks ever further
     apart. What begins anew (a file that falls into a folder, a gap) is another recording, as in a run.
     """
 
-    def __init__(
-        self,
-        channels: Sequence[Channel],
-        sample_rate: float,
-        frf: FrfSettings,
-        fits: Sequence[FitSettings],
-        goals: Sequence[Goal],
-    ) -> None:
-        super().__init__(channels, sample_rate, frf, goals)
-        self._fits = tuple(fits)
+    def __post_init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="labpipe-live-")
-        self._kept = Kept(Path(self._folder.name) / "samples", len(self.channels))
+        self._kept = Kept(Path(self._folder.name) / "samples", 8 * len(self.channels))
         self._next, self._looked_at = 0.0, 0
         self._firsts = [0]
 
@@ -131,7 +84,8 @@ class WholeFits(Watch):
 
     def add(self, block: FloatArray) -> list[Update]:
         """Keep the next samples (n, n_channel) [SI]; an update where it is time for a look."""
-        if not self._kept.full and not self._kept.add(block):
+        self._kept.add(np.ascontiguousarray(block, np.float64).tobytes())
+        if self._kept.full:
             return self.look()
         length = self.frf.period or self.frf.block or 1.0
         self._next = self._next or 3 * length * self.sample_rate
@@ -148,13 +102,13 @@ class WholeFits(Watch):
 
     @property
     def n_sample(self) -> int:
-        return self._kept.n_row
+        return self._kept.n_frame
 
     def _parts(self) -> list[Part]:
-        ends = [*self._firsts[1:], self.n_sample]
+        pieces = zip(self._firsts, [*self._firsts[1:], self.n_sample], strict=True)
         return [
-            Part(self.channels, self.sample_rate, self._kept, first, end, f"recording {number}")
-            for number, (first, end) in enumerate(zip(self._firsts, ends, strict=True), 1)
+            Part(self.channels, self.sample_rate, self._kept.path, first, end, f"recording {number}")
+            for number, (first, end) in enumerate(pieces, 1)
             if end > first
         ]
 
@@ -163,9 +117,9 @@ class WholeFits(Watch):
         kind = OTHERS.get(self.frf.gives)
         try:
             measured = measure(parts, self.frf) if kind is None else kind.make(parts, self.frf)
-            return measured, [fit for settings in self._fits for fit in identify(measured, settings)]
+            return measured, [fit for settings in self.settings for fit in identify(measured, settings)]
         except LabpipeError:
-            if len(parts) < 2 or parts[-1].end < self.n_sample:
+            if len(parts) < 2 or sum(part.n_sample for part in parts) < self.n_sample:
                 raise
         return self._fitted(parts[:-1])
 
@@ -178,8 +132,10 @@ class WholeFits(Watch):
         try:
             measured, fits = self._fitted(self._parts())
         except LabpipeError as error:
-            full = _no_room(self._kept, self.sample_rate)
-            update = Update(self.averages, findings=(*full, Finding("not-yet", error.what)))
+            update = Update(
+                self.averages,
+                findings=(*self._kept.findings(self.sample_rate), Finding("not-yet", error.what)),
+            )
             self.keep(update)
             return [update]
         check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
@@ -197,7 +153,7 @@ class WholeFits(Watch):
         update = Update(
             self.averages,
             standings=standings,
-            findings=(*_no_room(self._kept, self.sample_rate), *(f for f in findings if f.level == WARNING)),
+            findings=(*self._kept.findings(self.sample_rate), *(f for f in findings if f.level == WARNING)),
             stop=enough,
             seconds=seconds / max(self.averages, 1),
         )
@@ -205,32 +161,22 @@ class WholeFits(Watch):
         return [update]
 
     def _standing(self, fit: str, parameter: Any) -> Standing:
-        half, wanted = half_width(parameter), self.goal_of(fit, parameter)
-        if wanted is None:
-            return Standing(parameter, half)
-        expected = None
-        if np.isfinite(half) and self.averages:
-            expected = max(self.averages, int(np.ceil(self.averages * (half / wanted) ** 2)))
-        return Standing(parameter, half, wanted, Forecast(expected))
-
-    def by_hand(self) -> dict[str, tuple[float, float]]:
-        return {}
+        standing = Standing(parameter, wanted := self.goal_of(fit, parameter))
+        if wanted is None or not (np.isfinite(standing.half) and self.averages):
+            return standing
+        expected = max(self.averages, int(np.ceil(self.averages * (standing.half / wanted) ** 2)))
+        return replace(standing, remaining=Forecast(expected))
 
 
 @dataclass
 class Session:
-    """One test of a pipeline over the samples of a source.
-
-    idle: seconds without new samples after which the test is over; keep: where the samples of a source that
-    leaves no file are kept, None for nowhere.
-    """
+    """One test of a pipeline over the samples of a source; *idle* [s] without new ones ends it."""
 
     pipeline: Pipeline
     rig: Rig
     stream: SampleStream
     goals: Sequence[Goal] = ()
     idle: float = 90.0
-    keep: Path | None = None
     path: Path | None = None
     bench: Bench | WholeFits | None = None
     n_row: int = 0
@@ -238,24 +184,14 @@ class Session:
     stopped: Callable[[], bool] = lambda: False
 
     def __post_init__(self) -> None:
-        if self.pipeline.frf is None:
-            raise ConfigError(
-                "frf: is missing", where=str(self.pipeline.path), hint="say what the excitation is"
-            )
-        if not self.pipeline.fits:
-            raise ConfigError(
-                "identify: is missing", where=str(self.pipeline.path), hint="name what is wanted"
-            )
+        hints = {"frf": "say what the excitation is", "identify": "name what is wanted"}
+        for key, section in (("frf", self.pipeline.frf), ("identify", self.pipeline.fits)):
+            if not section:
+                raise ConfigError(f"{key}: is missing", where=str(self.pipeline.path), hint=hints[key])
         self._calibration, self._screen = Calibration(self.rig), channel_screen(self.rig)
         self._head: list[FloatArray] = []
         self._rate: float | None = None
         self._last_time: float | None = None
-        self.kept = None if self.keep is None else Kept(self.keep, len(self.columns))
-
-    @property
-    def columns(self) -> list[str]:
-        """What the source is asked for: the time, if the rig names it, and the rig's columns."""
-        return columns_of(self.rig)
 
     def updates(self) -> Iterator[Update]:
         """What each new average changes, until the source ends, rests too long, or *stopped* says so."""
@@ -277,14 +213,12 @@ class Session:
                     yield replace(update, findings=(*update.findings, *self._behind(*waited)))
             yield from self._ended()
         finally:
-            for open_one in (self.kept, self.bench):
-                if isinstance(open_one, Kept | WholeFits):
+            for open_one in (self.stream, self.bench):
+                if isinstance(open_one, Frames | WholeFits):
                     open_one.close()
 
     def _behind(self, since: float, done: int) -> list[Finding]:
-        """What is said where samples come faster than they are followed, *since* a time [s] when *done* were
-        followed and no more were there.
-        """
+        """What is said of a late picture; *done* samples were all there were at the time *since* [s]."""
         if self._rate is None:
             return []
         lag = time.monotonic() - since - (self.n_row - done) / self._rate
@@ -292,8 +226,6 @@ class Session:
         return [note("behind", message)] if lag > BEHIND else []
 
     def _taken(self, rows: FloatArray) -> Iterator[Update]:
-        if self.kept is not None and not self.kept.full and not self.kept.add(rows):
-            self.findings += _no_room(self.kept, self._rate or self.stream.sample_rate)
         if self.bench is None:
             self._head.append(rows)
             if not self._begun():
@@ -312,7 +244,9 @@ class Session:
             self.n_row += piece.shape[0]
             for update in self.bench.add(block):
                 screened = self._screen.findings() if self.n_row else ()
-                yield replace(update, findings=(*update.findings, *self.findings, *screened))
+                kept = self.stream.kept if isinstance(self.stream, Frames) else None
+                full = kept.findings(self._rate or 1.0) if kept else []
+                yield replace(update, findings=(*update.findings, *self.findings, *screened, *full))
 
     def _begun(self) -> bool:
         head = np.concatenate(self._head)
@@ -353,8 +287,7 @@ class Session:
         linear = [fit for fit in fits if fit.kind.equations is not None]
         names: dict[str, tuple[str, ...]] = {}
         if linear and any(not goal.fit for goal in self.goals):
-            channels = self.rig.all_channels
-            layout = find_layout([Recording(tuple(channels), np.zeros((2, len(channels))), rate)])
+            layout = layout_of(self.rig.all_channels, rate)
             names = {fit.name: names_of_fit(fit, layout) for fit in linear}
         known = {name for fit in followed for name in names.get(fit.name, ())}
         return {goal.fit for goal in self.goals} | {
@@ -388,14 +321,6 @@ class Session:
                 self.bench.restart()
             begin = end
 
-    def write_recording(self, path: Path) -> None:
-        """What was kept of a source that leaves no file, as a Parquet file."""
-        assert self.kept is not None
-        schema = pa.schema([(name, pa.float64()) for name in self.columns])
-        with pq.ParquetWriter(path, schema) as writer:
-            for rows in self.kept.blocks(MOST_ROWS):
-                writer.write_table(pa.table(list(rows.T), schema=schema))
-
     def _ended(self) -> Iterator[Update]:
         if self.bench is None:
             raise DataError("the source ended before it held enough samples", hint="is it the right one?")
@@ -409,14 +334,6 @@ class Session:
         if isinstance(self.stream, Folder):
             return list(self.stream.files)
         return [] if self.path is None else [self.path]
-
-
-def _no_room(kept: Kept, rate: float | None) -> list[Finding]:
-    """What is said of a disk that is full."""
-    if not kept.full:
-        return []
-    where = f"{kept.n_row / rate:.1f} s" if rate else f"sample {kept.n_row}"
-    return [Finding("disk-full", f"{kept.full}: samples from {where} on are not kept, {kept.n_row} are")]
 
 
 def _not_followed(fit: str, reason: str, whole: bool) -> Finding:

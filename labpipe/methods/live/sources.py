@@ -18,12 +18,16 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError
-from labpipe.raw_files.table import check_columns, open_table
+from labpipe.raw_files.other_tables import wav_chunks
+from labpipe.raw_files.table import check_columns, check_names, open_table
 from labpipe.raw_files.text_table import CsvTable, plain_suffix
-from labpipe.registry import Registry, nearest
+from labpipe.records.finding import Finding
+from labpipe.registry import Registry
 
 # Samples that are handed on at once.
 MOST_ROWS = 1 << 16
@@ -57,30 +61,19 @@ def open_source(path: Path, columns: Sequence[str]) -> SampleStream:
         return Folder(path, columns)
     suffix = plain_suffix(path)
     if suffix not in SOURCES or path.suffix.lower() != suffix:
-        raise DataError(
-            f"files with the ending '{path.suffix}' cannot be read while they grow",
-            where=str(path),
-            hint=f"known: {', '.join(SOURCES.names())}; or a folder into which whole files fall",
-        )
+        hint = f"known: {', '.join(SOURCES.names())}; or a folder into which whole files fall"
+        what = f"files with the ending '{path.suffix}' cannot be read while they grow"
+        raise DataError(what, where=str(path), hint=hint)
     if not path.parent.is_dir():
         raise DataError("no such folder", where=str(path.parent))
     return SOURCES.load(suffix)(path, columns)
 
 
-class _Source:
-    """What all sources here share; *restarted*: the samples read last begin another recording."""
+class _Growing:
+    """A file that grows; *restarted*: the samples read last begin another recording."""
 
     restarted = False
 
-    def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file]; n is 0 where none came yet, None at the end."""
-        return self._next()
-
-    def _next(self) -> FloatArray | None:
-        raise NotImplementedError
-
-
-class _Growing(_Source):
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         self.path, self.columns = path, list(columns)
         self.sample_rate: float | None = None
@@ -102,7 +95,8 @@ class GrowingText(_Growing):
         self._place = 0
         self._rest = b""
 
-    def _next(self) -> FloatArray | None:
+    def read(self) -> FloatArray | None:
+        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
         self.restarted = False
         size = self._size()
         if size < self._place:
@@ -140,38 +134,29 @@ class GrowingText(_Growing):
         return True
 
 
-class GrowingTable(_Growing):
-    """A file that is opened anew each time: TDMS while it is written, Parquet once it is whole."""
+class GrowingTdms(_Growing):
+    """A TDMS file that is opened anew each time, segment by segment while it is written."""
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         super().__init__(path, columns)
         self._done = self._seen = 0
 
-    def _next(self) -> FloatArray | None:
+    def read(self) -> FloatArray | None:
+        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        from labpipe.raw_files.tdms_table import growing_rows
+
         size = self._size()
         if not size or size == self._seen:
             return self._none
-        rows, self.sample_rate = self._rows_from(self._done)
-        if not rows.shape[0]:
-            return rows
+        rows, self.sample_rate = growing_rows(self.path, self.columns, self._done, MOST_ROWS)
         self._done += rows.shape[0]
-        if rows.shape[0] < MOST_ROWS:
+        if 0 < rows.shape[0] < MOST_ROWS:
             self._seen = size
         return rows
 
-    def _rows_from(self, first: int) -> tuple[FloatArray, float | None]:
-        if self.path.suffix.lower() == ".tdms":
-            from labpipe.raw_files.tdms_table import growing_rows
 
-            return growing_rows(self.path, self.columns, first, MOST_ROWS)
-        try:
-            table = open_table(self.path)
-        except DataError:
-            # Without its foot a Parquet file is not whole yet.
-            return self._none, self.sample_rate
-        check_columns(table, self.columns)
-        rows = np.concatenate([self._none, *table.chunks(self.columns)])
-        return rows[first : first + MOST_ROWS], table.sample_rate
+# Samples of a WAV file by the code and bits that its head states; the code of heads with a longer one.
+WAV_KINDS, EXTENSIBLE = {(1, 16): "<i2", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}, 0xFFFE
 
 
 class GrowingWav(_Growing):
@@ -181,7 +166,8 @@ class GrowingWav(_Growing):
         super().__init__(path, columns)
         self._place, self._kind, self._n_track = 0, np.dtype("<i2"), 0
 
-    def _next(self) -> FloatArray | None:
+    def read(self) -> FloatArray | None:
+        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
         if not self._place and not self._opened():
             return self._none
         frame = self._kind.itemsize * self._n_track
@@ -199,32 +185,22 @@ class GrowingWav(_Growing):
         if self._size() < 44:
             return False
         with self.path.open("rb") as stream:
-            head = stream.read(4096)
-        if head[:4] != b"RIFF" or head[8:12] != b"WAVE":
-            raise DataError("is no WAV file", where=str(self.path))
-        at, kinds = 12, {(1, 16): "<i2", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}
-        while at + 8 <= len(head):
-            name, length = head[at : at + 4], struct.unpack_from("<I", head, at + 4)[0]
-            if name == b"fmt ":
-                form, self._n_track, rate, _, _, bits = struct.unpack_from("<HHIIHH", head, at + 8)
-                if form == 0xFFFE:
-                    form = struct.unpack_from("<H", head, at + 32)[0]
-                if (form, bits) not in kinds:
-                    raise DataError(
-                        f"{bits}-bit samples cannot be read while they grow", where=str(self.path)
-                    )
-                self._kind, self.sample_rate = np.dtype(kinds[form, bits]), float(rate)
-            elif name == b"data":
-                known = [str(n + 1) for n in range(self._n_track)]
-                for column in self.columns:
-                    if column not in known:
-                        raise DataError(
-                            f"no column '{column}'", where=str(self.path), hint=nearest(column, known)
-                        )
-                self._place = at + 8
-                return True
-            at += 8 + length + length % 2
-        return False
+            if stream.read(4) != b"RIFF":
+                raise DataError("is no WAV file", where=str(self.path))
+            stream.seek(0)
+            places = {name: place for name, place, _ in wav_chunks(stream)}
+            if not {b"fmt ", b"data"} <= places.keys():
+                return False
+            stream.seek(places[b"fmt "])
+            head = stream.read(40)
+        form, self._n_track, rate, _, _, bits = struct.unpack_from("<HHIIHH", head)
+        kind = (struct.unpack_from("<H", head, 24)[0] if form == EXTENSIBLE else form, bits)
+        if kind not in WAV_KINDS:
+            raise DataError(f"{bits}-bit samples cannot be read while they grow", where=str(self.path))
+        self._kind, self.sample_rate = np.dtype(WAV_KINDS[kind]), float(rate)
+        check_names(self.path, self.columns, [str(n + 1) for n in range(self._n_track)])
+        self._place = places[b"data"]
+        return True
 
 
 class GrowingHdf5(_Growing):
@@ -235,7 +211,8 @@ class GrowingHdf5(_Growing):
         self._file: Any = None
         self._done = 0
 
-    def _next(self) -> FloatArray | None:
+    def read(self) -> FloatArray | None:
+        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
         import h5py
 
         if self._file is None:
@@ -245,61 +222,97 @@ class GrowingHdf5(_Growing):
                 self._file = h5py.File(self.path, "r", libver="latest", swmr=True)
             except OSError:
                 return self._none
-        datasets = []
-        for name in self.columns:
-            if name not in self._file:
-                known = [key for key, value in self._file.items() if hasattr(value, "shape")]
-                raise DataError(f"no column '{name}'", where=str(self.path), hint=nearest(name, known))
-            datasets.append(self._file[name])
-            datasets[-1].refresh()
+        names = [name for name, entry in self._file.items() if hasattr(entry, "shape")]
+        check_names(self.path, self.columns, names)
+        datasets = [self._file[name] for name in self.columns]
+        for dataset in datasets:
+            dataset.refresh()
         last = min(min(dataset.shape[0] for dataset in datasets), self._done + MOST_ROWS)
         rows = np.array([dataset[self._done : last] for dataset in datasets], float).T
         self._done = max(last, self._done)
         return rows
 
 
-class Folder(_Source):
-    """A folder into which whole recordings fall, each read once it no longer changes."""
+class Folder:
+    """Whole recordings of a folder, or a single one, each once it no longer changes."""
 
     def __init__(self, path: Path, columns: Sequence[str], settle: float = 1.0) -> None:
         self.path, self.columns, self._settle = path, list(columns), settle
         self.sample_rate: float | None = None
         self.restarted = False
-        self._read: set[Path] = set()
         self._chunks: Iterator[FloatArray] = iter(())
         self.files: list[Path] = []
 
-    def _next(self) -> FloatArray | None:
+    def read(self) -> FloatArray | None:
+        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
         self.restarted = False
         chunk = next(self._chunks, None)
         if chunk is not None:
             return chunk
-        for path in sorted(self.path.iterdir()):
-            if path in self._read or path.name.startswith(".") or not path.is_file():
+        for path in sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]:
+            if path in self.files or path.name.startswith(".") or not path.is_file():
                 continue
             if time.time() - path.stat().st_mtime < self._settle or not path.stat().st_size:
                 continue
-            self._read.add(path)
-            table = open_table(path)
+            try:
+                table = open_table(path)
+            except DataError:
+                if path != self.path:
+                    raise
+                # Without its foot a Parquet file is not whole yet.
+                break
             check_columns(table, self.columns)
             self.sample_rate = table.sample_rate or self.sample_rate
             self._chunks, self.restarted = table.chunks(self.columns), bool(self.files)
             self.files.append(path)
-            return next(self._chunks, np.empty((0, len(self.columns))))
-        return np.empty((0, len(self.columns)))
+            break
+        return next(self._chunks, np.empty((0, len(self.columns))))
 
 
-class Frames(_Source):
+class Kept:
+    """Frames of *size* bytes on disk as they come, behind a *head*; *full*: why there is no more room."""
+
+    def __init__(self, path: Path, size: int, head: bytes = b"") -> None:
+        self.path, self.full, self._size, self._n_byte = path, "", size, -len(head)
+        # Without a buffer nothing waits to be written when the disk is full, or the process is killed.
+        self._file = path.open("wb", buffering=0)
+        self.add(head)
+
+    def add(self, content: bytes) -> None:
+        try:
+            while content and not self.full:
+                written = self._file.write(content)
+                self._n_byte, content = self._n_byte + written, content[written:]
+        except OSError as error:
+            self.full = (error.strerror or str(error)).lower()
+
+    @property
+    def n_frame(self) -> int:
+        """Whole frames that are on disk."""
+        return max(self._n_byte, 0) // self._size
+
+    def findings(self, rate: float) -> list[Finding]:
+        """What is said of a full disk, of frames at the *rate* [Hz]."""
+        message = f"{self.full}: samples from {self.n_frame / rate:.1f} s on are not kept, {self.n_frame} are"
+        return [Finding("disk-full", message)] if self.full else []
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Frames:
     """Raw frames: one JSON line that says rate, channels and type, then interleaved samples.
 
-    `{"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}`; DataError for a head that says less.
+    `{"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}`; DataError for a head that says less. What
+    is read is first written to a file of the folder *keep*. The files that are there already, of processes
+    that were killed, come before what is read; *n_earlier* are their samples.
     """
 
-    def __init__(self, stream: BinaryIO, columns: Sequence[str]) -> None:
-        self._stream, self.columns = stream, list(columns)
-        head = stream.readline(1 << 16)
+    def __init__(self, stream: BinaryIO, columns: Sequence[str], keep: Path | None = None) -> None:
+        self.columns, self._rest, self.restarted, self._begins = list(columns), b"", False, False
+        self._head = stream.readline(1 << 16)
         try:
-            stated = json.loads(head)
+            stated = json.loads(self._head)
             self.channels = [str(name) for name in stated["channels"]]
             self.sample_rate: float | None = float(stated["sample_rate"])
             self._kind = np.dtype(stated.get("dtype", "<f8"))
@@ -308,44 +321,81 @@ class Frames(_Source):
             raise DataError("standard input begins with no header", hint=hint) from None
         if self._kind.kind not in "iuf" or not self.sample_rate > 0:
             raise DataError(f"samples of the type {self._kind} at {self.sample_rate:g} Hz cannot be read")
-        self._rest = b""
-        self._picked = [self._place(name) for name in self.columns]
+        check_names(Path("standard input"), self.columns, self.channels)
+        self._picked = [self.channels.index(name) for name in self.columns]
+        self._frame = self._kind.itemsize * len(self.channels)
+        self.files = [] if keep is None else sorted(keep.glob("*.frames"))
+        self.n_earlier = sum((path.stat().st_size - len(self._head)) // self._frame for path in self.files)
+        self._streams = [*(self._reopened(path) for path in self.files), stream]
+        self.kept: Kept | None = None
+        if keep is not None:
+            keep.mkdir(parents=True, exist_ok=True)
+            self.files.append(keep / f"{len(self.files) + 1:04}.frames")
+            self.kept = Kept(self.files[-1], self._frame, self._head)
 
-    def _place(self, column: str) -> int:
-        if column not in self.channels:
-            raise DataError(f"no channel '{column}' in the frames", hint=nearest(column, self.channels))
-        return self.channels.index(column)
+    def _reopened(self, path: Path) -> BinaryIO:
+        stream = path.open("rb")
+        if stream.readline(1 << 16) != self._head:
+            hint = "name another folder, or remove these frames"
+            raise DataError("holds frames of another test", where=str(path.parent), hint=hint)
+        return stream
 
-    def _next(self) -> FloatArray | None:
-        if not select.select([self._stream], [], [], 0.2)[0]:
-            return np.empty((0, len(self.columns)))
-        # What has come, without waiting for more.
-        text = (
-            self._stream.read1(1 << 20)
-            if isinstance(self._stream, io.BufferedReader)
-            else self._stream.read()
-        )
-        if not text:
-            return None
+    def read(self) -> FloatArray | None:
+        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        stream = self._streams[0]
+        if len(self._streams) > 1:
+            text = stream.read(1 << 20)
+            if not text:
+                # What was cut off by the kill is no frame; what follows is another recording.
+                stream.close()
+                self._streams, self._rest, self._begins = self._streams[1:], b"", True
+                return self.read()
+        else:
+            if not select.select([stream], [], [], 0.2)[0]:
+                return np.empty((0, len(self.columns)))
+            # What has come, without waiting for more.
+            text = stream.read1(1 << 20) if isinstance(stream, io.BufferedReader) else stream.read()
+            if not text:
+                return None
+            if self.kept is not None:
+                self.kept.add(text)
+        rows = self._rows(text)
+        self.restarted = self._begins and rows.shape[0] > 0
+        self._begins &= not self.restarted
+        return rows
+
+    def _rows(self, text: bytes) -> FloatArray:
         whole = self._rest + text
-        frame = self._kind.itemsize * len(self.channels)
-        end = len(whole) // frame * frame
+        end = len(whole) // self._frame * self._frame
         self._rest = whole[end:]
-        return (
-            np.frombuffer(whole[:end], self._kind)
-            .reshape(-1, len(self.channels))[:, self._picked]
-            .astype(float)
-        )
+        frames = np.frombuffer(whole[:end], self._kind).reshape(-1, len(self.channels))
+        return frames[:, self._picked].astype(float)
+
+    def recordings(self, write_path: Callable[[str], Path]) -> list[Path]:
+        """What is on disk as Parquet files, one for each process, where *write_path* of their names says."""
+        schema, paths = pa.schema([(name, pa.float64()) for name in self.columns]), []
+        for number, path in enumerate(self.files, 1):
+            paths.append(write_path(f"recording{f'-{number}' if len(self.files) > 1 else ''}.parquet"))
+            self._rest = b""
+            with self._reopened(path) as stream, pq.ParquetWriter(paths[-1], schema) as writer:
+                while text := stream.read(1 << 22):
+                    writer.write_table(pa.table(list(self._rows(text).T), schema=schema))
+        return paths
+
+    def close(self) -> None:
+        if self.kept is not None:
+            self.kept.close()
 
 
-class Played(_Source):
+class Played:
     """A recording in memory as if it were made now, *speed* [1] times as fast."""
 
     def __init__(self, samples: FloatArray, sample_rate: float, speed: float) -> None:
         self._samples, self.sample_rate, self._speed = samples, sample_rate, speed
-        self._done, self._began = 0, time.monotonic()
+        self._done, self._began, self.restarted = 0, time.monotonic(), False
 
-    def _next(self) -> FloatArray | None:
+    def read(self) -> FloatArray | None:
+        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
         if self._done >= self._samples.shape[0]:
             return None
         due = int((time.monotonic() - self._began) * self._speed * self.sample_rate)
@@ -354,11 +404,11 @@ class Played(_Source):
         return block
 
 
-def standard_input(columns: Sequence[str]) -> Frames:
-    """The frames on standard input; ConfigError on a terminal."""
+def standard_input(columns: Sequence[str], keep: Path | None) -> Frames:
+    """The frames on standard input, kept in the folder *keep*; ConfigError on a terminal."""
     if sys.stdin.isatty():
         raise ConfigError("standard input is a terminal", hint="pipe frames into the command, or name a file")
-    return Frames(sys.stdin.buffer, columns)
+    return Frames(sys.stdin.buffer, columns, keep)
 
 
 def is_old(path: Path, seconds: float) -> bool:

@@ -3,43 +3,27 @@
 from __future__ import annotations
 
 import math
-import queue
 import secrets
 import threading
+from collections.abc import Iterator
+from dataclasses import replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
-from labpipe.display import difference_in, shown_unit, unit_label, with_error
+from labpipe.cli.many import duration
+from labpipe.display import amount_text, difference_in, shown_unit, unit_label
 from labpipe.document.html_page import render_html
-from labpipe.methods.live.bench import Bench, FollowedFit
-from labpipe.methods.live.charts import Standing, Update, at_twice_the_level
+from labpipe.methods.live.bench import Bench
+from labpipe.methods.live.charts import Standing, Update
 from labpipe.methods.live.course import coefficients_of, course_figure
 from labpipe.methods.live.session import Session
-from labpipe.quantities import to_display
-from labpipe.records.finding import NORMAL
-from labpipe.report.chart import Axis, Panel, Series, curve, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
+from labpipe.report.figures import fitted_curve_figure, response_figure
 
-# Points of a fitted curve between its first and last line.
-DENSE = 400
-
-
-def value_text(standing: Standing) -> str:
-    """A coefficient with its interval: 134.50 ± 0.12 kN/m."""
-    parameter = standing.parameter
-    unit = shown_unit(parameter.unit, parameter.value, None)
-    half = difference_in(standing.half, unit) if math.isfinite(standing.half) else None
-    return with_error(to_display(parameter.value, unit), half, unit)
-
-
-def goal_text(standing: Standing) -> str:
-    """The width that is asked for, relative to the value."""
-    if standing.goal is None:
-        return ""
-    return f"± {100 * standing.goal / abs(standing.parameter.value):.2g} %"
+HEADER = ("coefficient", "value and 95 % interval", "goal", "still to come")
 
 
 def left_text(standing: Standing, update: Update, what: str) -> str:
@@ -51,11 +35,12 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
     left = standing.remaining
     if left is None or left.expected is None:
         return "not by more averages" if left is not None else ""
+    still = left.after(update.averages)
     more = max(left.expected - update.averages, 1)
     text = f"{more} more {what}{'s' if more != 1 else ''}, about {duration(more * update.seconds)}"
     if left.low is not None and left.high is not None:
-        text += f" (80 %: {max(left.low - update.averages, 0)}-{left.high - update.averages})"
-    return text + (f"; at twice the level {at_twice_the_level(more)}" if left.low is not None else "")
+        text += f" (80 %: {max(still['low'] or 0, 0)}-{still['high']}); at twice the level {-(-more // 4)}"
+    return text + (f"; {left.others.text(what)}" if left.others and left.others.more < more else "")
 
 
 def level_text(session: Session, name: str, size: float) -> str:
@@ -69,33 +54,21 @@ def level_text(session: Session, name: str, size: float) -> str:
     return f"{text} ({200 * size / reach:.0f} % of its range)"
 
 
-def duration(seconds: float) -> str:
-    """A time as one says it: 40 s, 4 min, 2.5 h."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def what_of(session: Session) -> str:
-    """What an average of the test is."""
-    frf = session.pipeline.frf
-    assert frf is not None
-    return {"impact": "hit", "periodic": "period", "decay": "decay"}.get(frf.excitation, "average")
-
-
 def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]:
     """Coefficient, value with its interval, goal, what is left; those asked for first."""
-    what = what_of(session)
-    entries = sorted(update.standings.items(), key=lambda entry: entry[1].goal is None)
-    return [
-        (name, value_text(standing), goal_text(standing), left_text(standing, update, what))
-        for name, standing in entries
-    ]
+    what = session.bench.what if session.bench else ""
+    rows = []
+    for name, standing in sorted(update.standings.items(), key=lambda entry: entry[1].goal is None):
+        value, unit = standing.parameter.value, standing.parameter.unit
+        goal = "" if standing.goal is None else f"± {100 * standing.goal / abs(value):.2g} %"
+        half = standing.half if math.isfinite(standing.half) else None
+        rows.append((name, amount_text(value, half, unit), goal, left_text(standing, update, what)))
+    return rows
 
 
 def headline(session: Session, update: Update) -> str:
     """One sentence: where the test stands."""
-    what = what_of(session)
+    what = session.bench.what if session.bench else ""
     count = f"{update.averages} {what}{'s' if update.averages != 1 else ''}"
     if update.stop:
         return f"Enough: {count}, every goal is reached."
@@ -111,9 +84,8 @@ def course(session: Session, update: Update) -> Document:
     blocks += [Paragraph(f"{finding.code}: {finding.message}", "warning") for finding in update.findings]
     rows = rows_of(session, update)
     if rows:
-        header = ("coefficient", "value and 95 % interval", "goal", "still to come")
         holds = "Intervals hold at this moment: of noise, model error and stated uncertainties"
-        blocks.append(Table(header, tuple(rows), holds))
+        blocks.append(Table(HEADER, tuple(rows), holds))
     sections = [Section("Where the test stands", tuple(blocks))]
     updates = session.bench.updates if session.bench else []
     coefficients = coefficients_of(updates)
@@ -133,48 +105,15 @@ def course(session: Session, update: Update) -> Document:
     return Document(session.pipeline.title, "while it runs", tuple(sections), to_sign=False)
 
 
-def _responses(session: Session) -> list[Figure]:
-    fits = session.bench.fits if isinstance(session.bench, Bench) else []
-    return [figure for fit in fits if (figure := _response(fit)) is not None]
-
-
-def _response(fit: FollowedFit) -> Figure | None:
-    """Measured receptances with their 95 % bands, the fitted ones, and the coherences of the averages; None
-    before every direction was shaken twice.
-    """
-    estimate, response = fit.estimate, None if fit.estimate is None else fit.response()
-    if estimate is None or response is None or response.variance is None:
-        return None
-    equation = fit.fit.equation
-    forces = np.broadcast_to(
-        np.eye(len(response.inputs)), (response.frequency.size, *2 * (equation.n_force,))
-    )
-    motion, _ = equation.split(np.concatenate([response.matrix.swapaxes(1, 2), forces], axis=2))
-    share = response.variance / np.abs(response.matrix) ** 2
-    coherence = 1 / (1 + response.averages * share)
-    dense = np.linspace(equation.omega[0], equation.omega[-1], DENSE)
-    fitted = np.abs(fit.model.receptance(estimate.values, dense))
-    panels: list[Panel] = []
-    coherences: list[Series] = []
-    for row, output in enumerate(response.outputs):
-        for column, force in enumerate(response.inputs):
-            name, size = f"{output.label}/{force.label}", np.abs(motion[:, column, row])
-            # Of an amplitude, whose error is one of both components.
-            half = NORMAL * size * np.sqrt(share[:, row, column] / 2)
-            ends = (np.maximum(size - half, 1e-3 * size), size + half)
-            series = (
-                curve("measured", response.frequency, size, line="", marker=".", band=ends),
-                curve("fitted", dense / (2 * np.pi), fitted[:, row, column], colour=1),
-            )
-            amplitude = Axis(f"|{name}|", "m/N", logarithmic=True)
-            panels.append(Panel(Axis("frequency", "Hz"), amplitude, series))
-            coherences.append(
-                curve(name, response.frequency, coherence[:, row, column], colour=len(coherences))
-            )
-    panels.append(Panel(Axis("frequency", "Hz"), Axis("coherence", low=0.0, high=1.0), tuple(coherences)))
-    name, chart = fit.settings.name, stacked(panels, 1.8 * len(panels) + 0.8)
-    caption = f"{name}: receptance so far with its 95 % band, the fitted model, and the coherence."
-    return Figure(chart, caption, f"Measured and fitted receptance of {name}")
+def _responses(session: Session) -> Iterator[Figure]:
+    """What was measured so far, and the curve fitted to it at the last look, as a report shows them."""
+    for fit in session.bench.fits if isinstance(session.bench, Bench) else ():
+        response = None if fit.estimate is None else fit.response()
+        if response is not None and response.variance is not None:
+            noise = response.averages * response.variance / np.abs(response.matrix) ** 2
+            yield response_figure(replace(response, name=fit.settings.name, coherence=1 / (1 + noise)))
+        if fit.by_run is not None and fit.by_run.curve is not None:
+            yield fitted_curve_figure(fit.by_run, fit.by_run.curve)
 
 
 ADDRESS = "127.0.0.1"
@@ -214,8 +153,7 @@ class Page:
     def __init__(self, port: int = 0) -> None:
         self.token = secrets.token_urlsafe(16)
         self._html = b""
-        self._listeners: list[queue.Queue[bool]] = []
-        self._lock = threading.Lock()
+        self._number, self._news = 0, threading.Condition()
         page = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -236,10 +174,9 @@ class Page:
 
     def show(self, document: Document) -> None:
         self._html = render_html(document).encode()
-        with self._lock:
-            for listener in self._listeners:
-                if listener.empty():
-                    listener.put(True)
+        with self._news:
+            self._number += 1
+            self._news.notify_all()
 
     def close(self) -> None:
         self._server.shutdown()
@@ -265,36 +202,24 @@ class Page:
             request.send_error(HTTPStatus.NOT_FOUND)
 
     @staticmethod
-    def _send(request: BaseHTTPRequestHandler, content: bytes) -> None:
+    def _send(request: BaseHTTPRequestHandler, content: bytes = b"", kind: str = "text/html") -> None:
         request.send_response(HTTPStatus.OK)
-        for name, value in (
-            ("Content-Type", "text/html; charset=utf-8"),
-            ("Content-Length", str(len(content))),
-            ("Cache-Control", "no-store"),
-            ("Referrer-Policy", "no-referrer"),
-        ):
+        headers = {"Content-Type": f"{kind}; charset=utf-8", "Cache-Control": "no-store"}
+        headers |= {"Content-Length": str(len(content))} if content else {}
+        for name, value in {**headers, "Referrer-Policy": "no-referrer"}.items():
             request.send_header(name, value)
         request.end_headers()
         request.wfile.write(content)
 
     def _events(self, request: BaseHTTPRequestHandler) -> None:
-        news: queue.Queue[bool] = queue.Queue()
-        with self._lock:
-            self._listeners.append(news)
-        request.send_response(HTTPStatus.OK)
-        request.send_header("Content-Type", "text/event-stream")
-        request.send_header("Cache-Control", "no-store")
-        request.end_headers()
-        try:
-            while True:
-                try:
-                    news.get(timeout=HEARTBEAT)
-                    request.wfile.write(b"data: new\n\n")
-                except queue.Empty:
-                    request.wfile.write(b": still here\n\n")
-                request.wfile.flush()
-        except OSError:
-            pass
-        finally:
-            with self._lock:
-                self._listeners.remove(news)
+        self._send(request, kind="text/event-stream")
+        seen = self._number
+        while True:
+            with self._news:
+                if self._number == seen:
+                    self._news.wait(HEARTBEAT)
+                is_new, seen = self._number != seen, self._number
+            try:
+                request.wfile.write(b"data: new\n\n" if is_new else b": still here\n\n")
+            except OSError:
+                return

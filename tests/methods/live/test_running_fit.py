@@ -6,8 +6,22 @@ import numpy as np
 import pytest
 
 from labpipe.estimation.model import DynamicModel, entry_term, fixed_matrices
-from labpipe.methods.live.charts import Charts, cusum_limit, forecast, no_longer_falls, sequence_factor
-from labpipe.methods.live.running_fit import Equation, HitSums, PeriodSums, RunningFit, moving_mean
+from labpipe.methods.live.charts import (
+    Charts,
+    cusum_limit,
+    forecast,
+    half_of_noise,
+    no_longer_falls,
+    sequence_factor,
+)
+from labpipe.methods.live.running_fit import (
+    Directions,
+    Equation,
+    HitSums,
+    PeriodSums,
+    RunningFit,
+    moving_mean,
+)
 
 # Estimates relative to the truth, standard errors, degrees of freedom, half-widths and chi-square per degree
 # of freedom of k, c, m after n periods: an independent implementation of the method, on the stream below.
@@ -75,32 +89,34 @@ def stream(seed, n, response=H):
 
 
 def test_estimates_and_monitors_of_an_independent_calculation():
-    fit, sums, before = RunningFit(Equation(model(), OMEGA)), PeriodSums(), None
+    fit, sums, before = RunningFit(Equation(model(), OMEGA)), Directions(hits=False), None
     charts = Charts(fit)
     for number, z in enumerate(stream(20261123, 12), 1):
         if number in MONITORS:
-            shift, energy = charts.monitors(z, sums, before)
+            shift, energy = charts.monitors(z, sums.of(0), before)
             # After few steps each the two descents are this near to the common minimum.
             np.testing.assert_allclose([*shift, energy], MONITORS[number], atol=5e-6)
-        sums.add(z)
+        sums.of(0).add(z)
         if number < 2:
             continue
         before = fit.update(sums)
         if number in GOLDEN:
             relative = [*before.values / TRUTH, *before.std_error / TRUTH]
-            stated = [*relative, *before.dof, *before.half / TRUTH, before.reduced]
+            half = half_of_noise(before.std_error, before.dof, 0.95)
+            stated = [*relative, *before.dof, *half / TRUTH, before.reduced]
             np.testing.assert_allclose(stated, GOLDEN[number], rtol=3e-5)
 
 
 def test_wanted_5_percent_k_is_enough_after_8_periods_and_c_after_9():
-    fit, sums, enough = RunningFit(Equation(model(), OMEGA)), PeriodSums(), {}
+    fit, sums, enough = RunningFit(Equation(model(), OMEGA)), Directions(hits=False), {}
     for z in stream(20261123, 12):
-        sums.add(z)
-        if sums.n >= 2:
+        sums.of(0).add(z)
+        if sums.of(0).n >= 2:
             estimate = fit.update(sums)
-            for name, value, half in zip("kc", estimate.values, estimate.half, strict=False):
+            halves = half_of_noise(estimate.std_error, estimate.dof, 0.95)
+            for name, value, half in zip("kc", estimate.values, halves, strict=False):
                 if estimate.judged and half <= 0.05 * value:
-                    enough.setdefault(name, sums.n)
+                    enough.setdefault(name, sums.of(0).n)
     assert enough == {"k": 8, "c": 9}
 
 
@@ -119,7 +135,7 @@ def test_hits_weigh_by_their_energy_as_h1_does():
 
 
 def test_a_period_of_another_level_of_noise_is_a_jump_and_a_drift_a_change():
-    fit, sums = RunningFit(Equation(model(), OMEGA)), PeriodSums()
+    fit, sums = RunningFit(Equation(model(), OMEGA)), Directions(hits=False)
     charts, estimate = Charts(fit), None
     moved = 1 / (0.997 * TRUTH[0] + 1j * OMEGA * TRUTH[1] - OMEGA**2 * TRUTH[2])
     verdicts = {}
@@ -128,11 +144,11 @@ def test_a_period_of_another_level_of_noise_is_a_jump_and_a_drift_a_change():
         z = next(sound) if number <= 20 else next(drifted)
         if number == 12:
             z = 3 * z - 2 * z.mean(axis=0)
-        verdicts[number] = charts.judge(z, sums, estimate, 1.0) if estimate else None
+        verdicts[number] = charts.judge(z, sums.of(0), estimate, 1.0) if estimate else None
         if verdicts[number] is not None and verdicts[number].jump:
             continue
-        sums.add(z)
-        estimate = fit.update(sums) if sums.n >= 2 else None
+        sums.of(0).add(z)
+        estimate = fit.update(sums) if sums.of(0).n >= 2 else None
     jumps = [number for number, verdict in verdicts.items() if verdict and verdict.jump]
     assert jumps == [12]
     since = next(verdict.change for number, verdict in verdicts.items() if verdict and verdict.change)
@@ -151,11 +167,11 @@ def test_the_limit_of_a_cumulative_sum_is_passed_as_often_as_is_said(alarm):
 
 
 def test_forecast_of_noise_alone_is_the_square_of_the_widths():
-    fit, sums = RunningFit(Equation(model(), OMEGA)), PeriodSums()
+    fit, sums = RunningFit(Equation(model(), OMEGA)), Directions(hits=False)
     for z in stream(3, 10):
-        sums.add(z)
+        sums.of(0).add(z)
     estimate = fit.update(sums)
-    half = estimate.half[0]
+    half = half_of_noise(estimate.std_error, estimate.dof, 0.95)[0]
     ahead = forecast(estimate, 0, half / 2, 0.95)
     # Four times as many averages but for the degrees of freedom, which make them fewer.
     assert 36 <= ahead.expected <= 40
