@@ -59,7 +59,7 @@ from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
-from labpipe.estimation.mismatch import Judgement, judge
+from labpipe.estimation.mismatch import Judgement, by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import ModelError, with_interval_parts
 from labpipe.estimation.output_error import OutputError
@@ -305,7 +305,11 @@ def _fit_band(
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
     case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
-    judged = _judged(case, n_band, leaking=bool(leakage)) if judging else _Judged(estimate)
+    judged = (
+        _judged(case, n_band, leaking=bool(leakage))
+        if judging
+        else _Judged(by_lines(measured, model, estimate, settings))
+    )
     estimate, judgement = judged.estimate, judged.judgement
     parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)

@@ -221,6 +221,22 @@ def _biased(judged: _Judge, own: _Minimum) -> Judgement:
     return Judgement(judged.finding(said, "Use the estimator ml"), covariance)
 
 
+def by_lines(measured: Measured, model: FittedModel, estimate: Estimate, settings: FitSettings) -> Estimate:
+    """The *estimate* of ml with errors from the scatter of every line by itself, where the noise is unknown:
+    what grows with the response is largest where the lines say most of damping, and its mean over the band is
+    too small there. As it is where lines share noise, and of another estimator.
+    """
+    of_ml = settings.estimates.likelihood and estimate.converged
+    if has_noise(measured) or measured.line_noise is not None or not of_ml:
+        return estimate
+    problem: OutputError[ReceptanceModel] = OutputError(
+        measured, expected(measured, model), fit_weights(measured)
+    )
+    jacobian, residual = problem.jacobian(estimate.values), problem.residual(estimate.values)
+    scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
+    return replace(estimate, covariance=measured.shared_noise * scatter.covariance)
+
+
 def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
