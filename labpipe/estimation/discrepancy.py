@@ -21,7 +21,15 @@ from scipy import linalg, optimize, special
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.estimation.mode_model import AS_IT_IS, MOVED, SECOND, Fitted, extensions, half_width
+from labpipe.estimation.mode_model import (
+    AS_IT_IS,
+    MOVED,
+    SECOND,
+    Fitted,
+    extensions,
+    half_width,
+    is_extension,
+)
 
 # Priors of the members.
 LADDER = {AS_IT_IS: 0.8, SECOND: 0.1, **dict.fromkeys(MOVED, 0.025)}
@@ -383,6 +391,9 @@ def _components(
         # What runs away is sorted out below.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             judged = evidence(fit, of, amplitudes, rows, steps, begin)
+            # What an extension adds may vanish, or leave its range: its volume is no evidence then.
+            if not is_extension(base, fit.model, judged.theta):
+                return []
     except FitError:
         return []
     n = base.model.n_interest

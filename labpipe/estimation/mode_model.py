@@ -311,11 +311,26 @@ def extensions(base: Fitted) -> Iterator[Fitted]:
                 fit = model.fitted(np.concatenate([base.theta[:n], [np.log(share * zeta)], base.theta[n:]]))
             except FitError:
                 continue
-            # Longer than the resonance is wide, or shorter than it can be seen, is another model.
-            if 0.05 < np.exp(fit.theta[n]) / zeta < 3 and (best is None or fit.chi2 < best.chi2):
+            if is_extension(base, model, fit.theta) and (best is None or fit.chi2 < best.chi2):
                 best = fit
         if best is not None:
             yield replace(best, occam=0.5 * np.log(2 * np.pi) - np.log(3.5))
+
+
+def is_extension(base: Fitted, model: ModeModel, theta: FloatArray) -> bool:
+    """Whether a *model* at *theta* (n,) is still the ordinary fit *base* with what its member adds: a second
+    mode in the band and of like damping beside one that moved by less than its width, a motion that is
+    neither longer than the resonance is wide nor too short to be seen.
+    """
+    n, frequency = model.n_interest, model.curve.frequency
+    f_n, zeta = base.model.frequency_and_damping(base.theta)
+    if model.member in MOVED:
+        return bool(0.05 < np.exp(theta[n]) / zeta < 3)
+    if model.member != SECOND:
+        return True
+    (own, damping), (f_2, zeta_2) = model.frequency_and_damping(theta), np.exp(theta[n : n + 2])
+    like = 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING
+    return bool(frequency[0] <= f_2 <= frequency[-1] and like and abs(np.log(own / f_n)) < 2 * zeta)
 
 
 def half_width(model: ModeModel, q: FloatArray) -> float:
@@ -355,18 +370,11 @@ def _second_mode(base: Fitted) -> Fitted | None:
             fits.append(_nearest_first(model.fitted(model.started(q)), f_n))
         except FitError:
             continue
+    fits = [fit for fit in fits if is_extension(base, model, fit.theta)]
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.chi2)
-    f_2, zeta_2 = np.exp(best.theta[n : n + 2])
-    moved = abs(np.log(model.frequency_and_damping(best.theta)[0] / f_n))
-    damping = model.frequency_and_damping(best.theta)[1]
-    if (
-        not frequency[0] <= f_2 <= frequency[-1]
-        or not 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING
-        or moved >= 2 * zeta
-    ):
-        return None
+    f_2 = np.exp(best.theta[n])
     own = (
         1 / (2 * np.sqrt(_k_and_m(model, best.theta)))
         if model.coefficients
@@ -390,11 +398,18 @@ def _k_and_m(model: ModeModel, theta: FloatArray) -> float:
 def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
     """The same two modes, the one that is nearer to the old pole first.
 
-    Of coefficients the first mode is the one with them.
+    Of coefficients the first mode is the one with them: fitted again from those of the second, whose residue
+    is 1 / (2 sqrt(k m)).
     """
-    theta = fit.theta.copy()
-    if fit.model.coefficients or abs(theta[2] - np.log(f_n)) >= abs(theta[0] - np.log(f_n)):
+    theta, model, n = fit.theta.copy(), fit.model, fit.model.n_interest
+    first, second = np.log(model.frequency_and_damping(theta)), theta[n : n + 2]
+    if abs(second[0] - np.log(f_n)) >= abs(first[0] - np.log(f_n)):
         return fit
+    if model.coefficients:
+        w, zeta = 2 * np.pi * np.exp(second[0]), np.exp(second[1])
+        m = model.mass or 1 / (2 * w * abs(complex(*theta[-2:])))
+        q = np.log([m * w**2, 2 * zeta * m * w, m][:n])
+        return model.fitted(model.started(np.concatenate([q, first])))
     theta[:2], theta[2:4] = fit.theta[2:4], fit.theta[:2]
     theta[4:6], theta[-2:] = fit.theta[-2:], fit.theta[4:6]
     return replace(fit, theta=theta)
