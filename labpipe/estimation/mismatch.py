@@ -14,6 +14,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
+from labpipe.estimation.budget import Case
 from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
@@ -221,16 +222,16 @@ def _biased(judged: _Judge, own: _Minimum) -> Judgement:
     return Judgement(judged.finding(said, "Use the estimator ml"), covariance)
 
 
-def by_lines(measured: Measured, model: FittedModel, estimate: Estimate, settings: FitSettings) -> Estimate:
-    """The *estimate* of ml with errors from the scatter of every line by itself, where the noise is unknown:
+def by_lines(case: Case) -> Estimate:
+    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown:
     what grows with the response is largest where the lines say most of damping, and its mean over the band is
     too small there. As it is where lines share noise, and of another estimator.
     """
-    of_ml = settings.estimates.likelihood and estimate.converged
-    if has_noise(measured) or measured.line_noise is not None or not of_ml:
+    measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
+    if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
         return estimate
     problem: OutputError[ReceptanceModel] = OutputError(
-        measured, expected(measured, model), fit_weights(measured)
+        measured, expected(measured, case.model), fit_weights(measured)
     )
     jacobian, residual = problem.jacobian(estimate.values), problem.residual(estimate.values)
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
