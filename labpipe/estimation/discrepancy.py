@@ -21,7 +21,16 @@ from scipy import linalg, optimize, special
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.estimation.mode_model import AS_IT_IS, MOVED, SECOND, Fitted, extensions, half_width
+from labpipe.estimation.mode_model import (
+    AS_IT_IS,
+    MOVED,
+    SECOND,
+    Fitted,
+    both,
+    extensions,
+    half_width,
+    is_extension,
+)
 
 # Priors of the members.
 LADDER = {AS_IT_IS: 0.8, SECOND: 0.1, **dict.fromkeys(MOVED, 0.025)}
@@ -334,7 +343,8 @@ def mixture(base: Fitted) -> Mixture:
     ladder = {member: LADDER[member] / sum(LADDER[other] for other in fits) for member in fits}
     found: list[Component] = []
     sources: list[tuple[Fitted, Course]] = []
-    for member, fit in fits.items():
+
+    def add(member: str, fit: Fitted) -> None:
         rows = model.prior_rows(base.theta, fit.theta.size)
         for of in courses:
             prior = np.log(ladder[member]) + fit.occam - np.log(3 * counts[of.kind])
@@ -343,9 +353,17 @@ def mixture(base: Fitted) -> Mixture:
             )
             found.extend(parts)
             sources.extend([(fit, of)] * len(parts))
+
+    for member, fit in fits.items():
+        add(member, fit)
     if not found:
         raise FitError("no course of a model error continues the fit")
     best = int(np.argmax([component.log_weight for component in found]))
+    together = both(base, fits) if found[best].amplitude > 0 or found[best].member else None
+    if together is not None:
+        ladder[together.model.member] = LADDER[SECOND] ** 2
+        add(together.model.member, together)
+        best = int(np.argmax([component.log_weight for component in found]))
     if found[best].amplitude > 0:
         found.extend(_second_courses(base, *sources[best], found[best], float(amplitude_prior[1]), ladder))
     logs = np.array([component.log_weight for component in found])
@@ -383,6 +401,9 @@ def _components(
         # What runs away is sorted out below.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             judged = evidence(fit, of, amplitudes, rows, steps, begin)
+            # What an extension adds may vanish, or leave its range: its volume is no evidence then.
+            if not is_extension(base, fit.model, judged.theta):
+                return []
     except FitError:
         return []
     n = base.model.n_interest

@@ -59,7 +59,7 @@ from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
-from labpipe.estimation.mismatch import Judgement, judge
+from labpipe.estimation.mismatch import Judgement, by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import ModelError, with_interval_parts
 from labpipe.estimation.output_error import OutputError
@@ -92,10 +92,10 @@ def identify(
     """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
 
     *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held
-    against a free one; without it the intervals are those of the estimator alone, which a study counts, at a
-    fraction of the time. *earlier*: fits that the settings name, such as the baseline of a floating
-    bearing. Raises ConfigError where settings and measurement do not fit together, FitError
-    where the data cannot support the fit.
+    against a free one; without it the intervals are those of the estimator alone, of unknown noise by the
+    scatter of every line, which studies and repeats take, at a fraction of the time. *earlier*: fits that the
+    settings name, such as the baseline of a floating bearing. Raises ConfigError where settings and
+    measurement do not fit together, FitError where the data cannot support the fit.
     """
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
@@ -305,7 +305,7 @@ def _fit_band(
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
     case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
-    judged = _judged(case, n_band, leaking=bool(leakage)) if judging else _Judged(estimate)
+    judged = _judged(case, n_band, leaking=bool(leakage)) if judging else _Judged(by_lines(case))
     estimate, judgement = judged.estimate, judged.judgement
     parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)

@@ -14,6 +14,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
+from labpipe.estimation.budget import Case
 from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
@@ -219,6 +220,22 @@ def _biased(judged: _Judge, own: _Minimum) -> Judgement:
         f"{_grown(estimate, covariance)} since they include the distance"
     )
     return Judgement(judged.finding(said, "Use the estimator ml"), covariance)
+
+
+def by_lines(case: Case) -> Estimate:
+    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown:
+    what grows with the response is largest where the lines say most of damping, and its mean over the band is
+    too small there. As it is where lines share noise, and of another estimator.
+    """
+    measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
+    if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
+        return estimate
+    problem: OutputError[ReceptanceModel] = OutputError(
+        measured, expected(measured, case.model), fit_weights(measured)
+    )
+    jacobian, residual = problem.jacobian(estimate.values), problem.residual(estimate.values)
+    scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
+    return replace(estimate, covariance=measured.shared_noise * scatter.covariance)
 
 
 def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:

@@ -4,7 +4,7 @@ resonance that moves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -59,8 +59,8 @@ class ModeModel:
 
     coefficients: q = ln k, ln c, ln m of 1 / (k + c s + m s^2), or without ln m where *mass* is given; else q
     = ln f_n, ln zeta of A / (s - lambda) + A^* / (s - lambda^*), A the first amplitude. residual: Legendre
-    terms 1, x, ... of the band. member: SECOND adds ln f_2, ln zeta_2 and an amplitude, a law of MOVED adds
-    ln e, the relative rms motion of the resonance.
+    terms 1, x, ... of the band. member: a law of MOVED adds ln e, the relative rms motion of the resonance,
+    SECOND adds ln f_2, ln zeta_2 and an amplitude, SECOND and a law both.
     """
 
     curve: Curve
@@ -87,7 +87,17 @@ class ModeModel:
     @property
     def n_shape(self) -> int:
         """Parameters in which the model is not linear."""
-        return self.n_interest + {AS_IT_IS: 0, SECOND: 2}.get(self.member, 1)
+        return self.n_interest + bool(self.law) + 2 * self.has_second
+
+    @property
+    def has_second(self) -> bool:
+        """Whether a second mode stands beside the first."""
+        return self.member.startswith(SECOND)
+
+    @property
+    def law(self) -> str:
+        """By which the resonance moves, "" where it does not."""
+        return self.member.removeprefix(SECOND)
 
     @cached_property
     def terms(self) -> ComplexArray:
@@ -137,8 +147,8 @@ class ModeModel:
         """The resonance of unit amplitude (n_line,) and its derivatives (n_line, n_shape) by *q* (n_shape,)
         [1]; *s* (n_line,) [rad/s].
         """
-        nodes, weights = NODES.get(self.member, (np.zeros(1), np.ones(1)))
-        moved = self.member in NODES
+        nodes, weights = NODES.get(self.law, (np.zeros(1), np.ones(1)))
+        moved = bool(self.law)
         x = (np.exp(q[self.n_interest]) * nodes if moved else nodes)[:, None]
         value, *slopes = (self._coefficients_at if self.coefficients else self._pole_at)(q, s, x)
         columns = np.zeros((s.size, self.n_shape), np.complex128)
@@ -152,7 +162,7 @@ class ModeModel:
         (n_node, n_line).
         """
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
-        if self.member == "L":
+        if self.law == "L":
             root = np.sqrt(max(1 - zeta**2, 1e-12))
             pole, by_zeta = w * (-zeta + 1j * (root + x)), -w * zeta * (1 + 1j * zeta / root)
             value = 1 / (s - pole)
@@ -171,7 +181,7 @@ class ModeModel:
         """
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
-        if self.member == "L":
+        if self.law == "L":
             w = np.sqrt(k / m)
             s = s - 1j * w * x
             value = 1 / (k + c * s + m * s**2)
@@ -206,17 +216,17 @@ class ModeModel:
             a, da, b, db = self._with_conjugate(q)
             slopes = amplitudes[0] * da + np.conj(amplitudes[0]) * db
             main, columns = amplitudes[0] * a, [_pair(a, b), terms]
-        if self.member == SECOND:
-            a, da, b, db = ModeModel(self.curve)._with_conjugate(q[self.n_interest :])
+        if self.has_second:
+            a, da, b, db = ModeModel(self.curve)._with_conjugate(q[-2:])
             columns.append(_pair(a, b))
-            slopes[:, self.n_interest :] = amplitudes[-1] * da + np.conj(amplitudes[-1]) * db
+            slopes[:, -2:] = amplitudes[-1] * da + np.conj(amplitudes[-1]) * db
         linear = np.hstack(columns)
         value = linear @ theta[self.n_shape :] + (main if self.coefficients else 0.0)
         return value, np.hstack([slopes, linear]), main
 
     def started(self, q: FloatArray) -> FloatArray:
         """theta (n,) with the amplitudes of least chi-square for *q* (n_shape,) [1]."""
-        n_amplitude = self.residual + (not self.coefficients) + (self.member == SECOND)
+        n_amplitude = self.residual + (not self.coefficients) + self.has_second
         theta = np.concatenate([q, np.zeros(2 * n_amplitude)])
         value, jacobian, _ = self.at(theta)
         rows, side = (
@@ -298,24 +308,59 @@ class Fitted:
 
 def extensions(base: Fitted) -> Iterator[Fitted]:
     """The ordinary fits of the named extensions that have one: a second mode, and a resonance that moves."""
-    found = _second_mode(base)
+    found = second_mode(base)
     if found is not None:
         yield found
+    yield from moved(base)
+
+
+def moved(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fitted]:
+    """The ordinary fits of a resonance that moves by each of the *laws* beside what *base* holds."""
     zeta = base.model.frequency_and_damping(base.theta)[1]
     n = base.model.n_interest
-    for law in MOVED:
-        model = replace(base.model, member=law)
+    for law in laws:
+        model = replace(base.model, member=base.model.member + law)
         best: Fitted | None = None
         for share in (0.3, 0.8):
             try:
                 fit = model.fitted(np.concatenate([base.theta[:n], [np.log(share * zeta)], base.theta[n:]]))
             except FitError:
                 continue
-            # Longer than the resonance is wide, or shorter than it can be seen, is another model.
-            if 0.05 < np.exp(fit.theta[n]) / zeta < 3 and (best is None or fit.chi2 < best.chi2):
+            if is_extension(base, model, fit.theta) and (best is None or fit.chi2 < best.chi2):
                 best = fit
         if best is not None:
-            yield replace(best, occam=0.5 * np.log(2 * np.pi) - np.log(3.5))
+            yield replace(best, occam=base.occam + 0.5 * np.log(2 * np.pi) - np.log(3.5))
+
+
+def both(base: Fitted, fits: Mapping[str, Fitted]) -> Fitted | None:
+    """The ordinary fit of a second mode beside a resonance that moves, from either of these in *fits* by
+    member; None where neither leads to one.
+    """
+    moving = [fit for fit in fits.values() if fit.model.law]
+    likely = min(moving, key=lambda fit: fit.chi2, default=base)
+    found = [second_mode(likely)] if moving else []
+    found += moved(fits[SECOND], (likely.model.law,) if moving else MOVED) if SECOND in fits else []
+    usable = [fit for fit in found if fit is not None and is_extension(base, fit.model, fit.theta)]
+    return min(usable, key=lambda fit: fit.chi2, default=None)
+
+
+def is_extension(base: Fitted, model: ModeModel, theta: FloatArray) -> bool:
+    """Whether a *model* at *theta* (n,) [1] is still the ordinary fit *base* with what its member adds: a
+    second mode in the band and of like damping beside one that moved by less than its width, a motion that is
+    neither longer than the resonance is wide nor too short to be seen.
+    """
+    n, frequency = model.n_interest, model.curve.frequency
+    f_n, zeta = base.model.frequency_and_damping(base.theta)
+    if model.law and not 0.05 < np.exp(theta[n]) / zeta < 3:
+        return False
+    if not model.has_second:
+        return True
+    (own, damping), (f_2, zeta_2) = (
+        model.frequency_and_damping(theta),
+        np.exp(theta[model.n_shape - 2 : model.n_shape]),
+    )
+    like = 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING
+    return bool(frequency[0] <= f_2 <= frequency[-1] and like and abs(np.log(own / f_n)) < 2 * zeta)
 
 
 def half_width(model: ModeModel, q: FloatArray) -> float:
@@ -325,12 +370,12 @@ def half_width(model: ModeModel, q: FloatArray) -> float:
     return float(np.clip(2 * zeta * f_n, 2 * spacing, model.curve.width))
 
 
-def _second_mode(base: Fitted) -> Fitted | None:
+def second_mode(base: Fitted) -> Fitted | None:
     """The fit with one more mode in the band, from the two best of PLACES.
 
     None where there is none like the first.
     """
-    model, n = replace(base.model, member=SECOND), base.model.n_interest
+    model, n = replace(base.model, member=SECOND + base.model.law), base.model.n_shape
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
     value, jacobian, _ = base.model.at(base.theta)
@@ -355,18 +400,11 @@ def _second_mode(base: Fitted) -> Fitted | None:
             fits.append(_nearest_first(model.fitted(model.started(q)), f_n))
         except FitError:
             continue
+    fits = [fit for fit in fits if is_extension(base, model, fit.theta)]
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.chi2)
-    f_2, zeta_2 = np.exp(best.theta[n : n + 2])
-    moved = abs(np.log(model.frequency_and_damping(best.theta)[0] / f_n))
-    damping = model.frequency_and_damping(best.theta)[1]
-    if (
-        not frequency[0] <= f_2 <= frequency[-1]
-        or not 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING
-        or moved >= 2 * zeta
-    ):
-        return None
+    f_2 = np.exp(best.theta[n])
     own = (
         1 / (2 * np.sqrt(_k_and_m(model, best.theta)))
         if model.coefficients
@@ -380,7 +418,7 @@ def _second_mode(base: Fitted) -> Fitted | None:
         - np.log(2 * np.log(4))
         - np.log(2 * np.pi * t2)
     )
-    return replace(best, occam=float(occam - min(size / (2 * t2), 20.0)))
+    return replace(best, occam=base.occam + float(occam - min(size / (2 * t2), 20.0)))
 
 
 def _k_and_m(model: ModeModel, theta: FloatArray) -> float:
@@ -388,13 +426,17 @@ def _k_and_m(model: ModeModel, theta: FloatArray) -> float:
 
 
 def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
-    """The same two modes, the one that is nearer to the old pole first.
+    """The same two modes, the one that is nearer to the old pole first, fitted again from there.
 
-    Of coefficients the first mode is the one with them.
+    Coefficients are those of the first mode; the residue of the second is 1 / (2 sqrt(k m)) of its own.
     """
-    theta = fit.theta.copy()
-    if fit.model.coefficients or abs(theta[2] - np.log(f_n)) >= abs(theta[0] - np.log(f_n)):
+    theta, model, n = fit.theta, fit.model, fit.model.n_interest
+    first, second = np.log(model.frequency_and_damping(theta)), theta[model.n_shape - 2 : model.n_shape]
+    if abs(second[0] - np.log(f_n)) >= abs(first[0] - np.log(f_n)):
         return fit
-    theta[:2], theta[2:4] = fit.theta[2:4], fit.theta[:2]
-    theta[4:6], theta[-2:] = fit.theta[-2:], fit.theta[4:6]
-    return replace(fit, theta=theta)
+    own = second
+    if model.coefficients:
+        w, zeta = 2 * np.pi * np.exp(second[0]), np.exp(second[1])
+        m = model.mass or 1 / (2 * w * abs(complex(*theta[-2:])))
+        own = np.log([m * w**2, 2 * zeta * m * w, m][:n])
+    return model.fitted(model.started(np.concatenate([own, theta[n : model.n_shape - 2], first])))

@@ -1,6 +1,6 @@
 """A test of several recordings, or of several hits, of the same FRFs: each is fitted alone, and the
 parameters are means of these repeats, with the part between them and the model error that all of them share.
-Where they follow the level of the force, they are stated at the middle one.
+Where they follow the level of the force, they are stated at the middle one; where they drift, in the middle.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from labpipe.estimation.repeats import (
     PRIOR_SCALE,
     Kept,
     RepeatMean,
+    drifts,
     follows,
     groups_of,
     in_groups,
@@ -36,7 +37,7 @@ FREQUENCY, DAMPING = ("f_n",), ("zeta", "eta")
 # Scale of the prior of others over their scatter or noise: three repeats then hold 95 % at any spread.
 WIDER = 2.0
 # What values may follow.
-LEVEL = "level of the force"
+LEVEL, ORDER = "level of the force", "order of recording"
 # Neighbouring lines that share the scatter of the aligned residuals, and the least share they divide by.
 NEIGHBOURS, LEAST_REST = 15, 0.02
 # Parameters of a numbered mode; half-power widths, and share of a frequency, within which two are the same.
@@ -182,7 +183,7 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
     judged = [name for name in names if name.startswith((*FREQUENCY, *DAMPING))] or names
     groups = groups_of(test.settings.repeat_groups, list(repeats)) if test.settings.repeat_groups else ()
     levels = None if groups else test.levels(list(repeats))
-    kept, covariate, at = _course(levels, [columns[name] for name in judged], groups)
+    kept, course = _course(levels, [columns[name] for name in judged], groups)
     used = [bool(of_repeat) for of_repeat in kept.used]
     good = [fit for fit, is_used in zip(repeats.values(), used, strict=True) if is_used]
     common = {parameter.name: parameter for parameter in _common(pooled, good, test)}
@@ -198,7 +199,7 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         ]
         if name in columns or 2 * len(shown) > len(good) > 1:
             of = _Values.of([by_name[place][name] for place in shown])
-            along = None if covariate is None else covariate[[sum(used[:place]) for place in shown]]
+            along = None if course is None else course.covariate[[sum(used[:place]) for place in shown]]
             scale = _scale(parameter, of, ratios)
             of_groups = [groups[place] for place in shown] if groups else ()
             means[name] = (
@@ -211,8 +212,8 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
                 of.values.size,
                 means[name].spread,
                 (),
-                "" if at is None else LEVEL,
-                at,
+                "" if course is None else course.of,
+                None if course is None else course.at,
                 len(set(of_groups)),
             )
             stated.append(_stated(parameter, means[name], of, common.get(name), pooled.dof, summary))
@@ -221,30 +222,43 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
     return replace(
         pooled,
         parameters=tuple(stated),
-        findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means, test)),
-        notes=(*pooled.notes, _said(sum(used), test, at)),
+        findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means, test, course)),
+        notes=(*pooled.notes, _said(sum(used), test, course)),
     )
+
+
+@dataclass(frozen=True)
+class _Course:
+    """What values follow, *of* LEVEL or ORDER: the *covariate* (n_used,) [1], 0 where they are stated, *at*
+    that level or place.
+    """
+
+    of: str
+    covariate: FloatArray
+    at: float
 
 
 def _course(
     levels: FloatArray | None, judged: Sequence[_Values], groups: Sequence[str]
-) -> tuple[Kept, FloatArray | None, float | None]:
-    """Which repeats are used; where what is *judged* follows their *levels* (n,), these over the middle one
-    less 1 (n_used,), and the middle one.
+) -> tuple[Kept, _Course | None]:
+    """Which repeats are used, and what is *judged* follows: their *levels* (n,) over the middle one less 1,
+    else their order, from -1/2 to 1/2; None where neither, or where *groups* are named.
     """
     values, variances = (
         np.stack([getattr(of, part) for of in judged], axis=1) for part in ("values", "variances")
     )
-    if levels is None:
-        return kept_repeats(values, variances, groups=groups), None, None
-    middle = float(np.median(levels))
-    covariate = levels / middle - 1
+    if groups:
+        return kept_repeats(values, variances, groups=groups), None
+    middle = 1.0 if levels is None else float(np.median(levels))
+    covariate = np.zeros(len(values)) if levels is None else levels / middle - 1
     kept = kept_repeats(values, variances, covariate if np.ptp(covariate) >= LEAST_RANGE else None)
-    covariate = covariate[kept.used]
     chosen = [of.chosen(list(kept.used)) for of in judged]
-    if not any(follows(of.values, of.variances, covariate) for of in chosen):
-        return kept, None, None
-    return kept, covariate, middle
+    of_level, order = covariate[kept.used], np.linspace(-0.5, 0.5, len(values))[kept.used]
+    if any(follows(of.values, of.variances, of_level) for of in chosen):
+        return kept, _Course(LEVEL, of_level, middle)
+    if any(drifts(of.values, of.variances, order) for of in chosen):
+        return kept, _Course(ORDER, order, (len(values) + 1) / 2)
+    return kept, None
 
 
 def _usable(parameter: Parameter | None) -> bool:
@@ -364,18 +378,20 @@ def _stated(
     )
 
 
-def _said(used: int, test: _Test, at: float | None) -> str:
+def _said(used: int, test: _Test, course: _Course | None) -> str:
     response = test.response
     recorded, what = len(response.repeat_names), response.repeats_are
     over = f"{used} {what}" if used == recorded else f"{used} of {recorded} {what}"
     over += in_groups(test.settings.repeat_groups)
     level = ""
-    if at is not None:
-        size = "a peak" if what == "hits" else "an r.m.s."
+    if course is not None and course.of == LEVEL:
+        size = f"{'a peak' if what == 'hits' else 'an r.m.s.'} of {course.at:.3g} [SI]"
         level = (
-            f" They follow the level of '{response.inputs[0].label}' and hold at {size} of {at:.3g} [SI], "
-            "the middle one; for levels that were not measured nothing is stated."
+            f" They follow the level of '{response.inputs[0].label}' and hold at {size}, the middle one; for "
+            "levels that were not measured nothing is stated."
         )
+    elif course is not None:
+        level = f" They drift, and hold in the middle of the {what}."
     return (
         f"values are means over {over}, each fitted alone; intervals hold what these scatter by and the "
         f"model error that they share.{level} `repeats: pool` fits all of them together."
@@ -383,7 +399,7 @@ def _said(used: int, test: _Test, at: float | None) -> str:
 
 
 def _findings(
-    names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean], test: _Test
+    names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean], test: _Test, course: _Course | None
 ) -> list[Finding]:
     """Notes on repeats that stand out or drift, and a warning where they are two populations."""
     what = test.response.repeats_are
@@ -398,9 +414,20 @@ def _findings(
         for name, is_used in zip(names, kept.used, strict=True)
         if not is_used
     ]
-    ordered = [
-        name for name, mean in means.items() if mean.ordered and name.startswith((*FREQUENCY, *DAMPING))
-    ]
+    judged = {name: mean for name, mean in means.items() if name.startswith((*FREQUENCY, *DAMPING))}
+    if course is not None and course.of == ORDER:
+        # Errors of a slope over the order are sqrt(12) times those of the mean.
+        changes = ", ".join(
+            f"{name} by {100 * mean.slopes[0]:+.2g} %"
+            for name, mean in judged.items()
+            if abs(mean.slopes[0]) > 12**0.5 * mean.half_width
+        )
+        message = (
+            f"the values drift from the first of the {what} to the last ({changes}), and are those in the "
+            "middle. Record what changes (temperature), or name the groups (repeat_groups)"
+        )
+        findings.append(note("repeats-in-order", message))
+    ordered = [name for name, mean in judged.items() if mean.ordered]
     if ordered:
         message = (
             f"{', '.join(ordered)}: neighbouring {what} are alike, so the values drift or come in "

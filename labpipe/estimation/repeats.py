@@ -196,6 +196,19 @@ def follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) ->
     return paule_mandel(values, variances, turned[:, 1:]) > 0 and abs(slope) > CURVED * np.sqrt(variance)
 
 
+def drifts(values: FloatArray, variances: FloatArray, place: FloatArray) -> bool:
+    """Whether *values* (n,) [any unit], *variances* (n,) of their noise, follow their *place* (n,) [1] in the
+    order of recording: neighbours are alike, and a line leaves less than one step at any place would.
+    """
+    if order_in_time(values)[0] == 1.0 or not follows(values, variances, place):
+        return False
+    line = float(np.polyfit(place, values, 1, full=True)[1].sum())
+    return line < min(
+        float(np.var(values[:at]) * at + np.var(values[at:]) * (values.size - at))
+        for at in range(1, values.size)
+    )
+
+
 def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray) -> float:
     """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter.
 

@@ -64,10 +64,11 @@ def test_intervals_hold_the_truth(case: str, draws: int) -> None:
 
 def test_three_sweeps_as_repeats_are_hardly_less_sure_than_together() -> None:
     """Nothing moves between them: every interval holds the damping, and on average is no wider than Student's
-    t of two degrees of freedom makes that of their common noise.
+    t of two degrees of freedom makes that of their common noise. Their noise is that of all together, as far
+    as equal weights use it as well: within 30 %.
     """
     sweep, count, noise, _ = CASES["three, noise of the force too"]
-    wide = []
+    wide, noisy = [], []
     for seed in range(6):
         response = measure([record(seed, sweep, count, noise)], FrfSettings("sweep"))
         (each,) = identify(response, FitSettings("sdof", mass=1.0))
@@ -75,4 +76,6 @@ def test_three_sweeps_as_repeats_are_hardly_less_sure_than_together() -> None:
         low, high = each.parameter("c").ci95
         assert low < dict(zip(("k", "c", "f_n"), TRUTH, strict=True))["c"] < high
         wide.append((high - low) / np.ptp(pooled.parameter("c").ci95))
+        noisy.append(each.parameter("c").interval.noise / pooled.parameter("c").std_error)
     assert 0.7 < np.exp(np.mean(np.log(wide))) < 4.3 / 1.96
+    assert 1 / 1.3 < np.exp(np.mean(np.log(noisy))) < 1.3
