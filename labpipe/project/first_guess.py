@@ -101,7 +101,7 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
         rows += chunks[-1].shape[0]
         if rows >= MOST_ROWS:
             break
-    return names, np.concatenate(chunks)
+    return names, np.concatenate([np.empty((0, len(names))), *chunks])
 
 
 def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
@@ -386,6 +386,8 @@ def _is_mode(mobility: FloatArray, peak: int) -> bool:
     reach = max(int(1.5 * _half_power_lines(mobility, peak)), 4)
     around = slice(max(peak - reach, 0), peak + reach + 1)
     y = (mobility[around] / mobility[peak]) ** 2
+    if not np.all(np.isfinite(y)):
+        return False
     x = np.linspace(-1, 1, y.size)
     columns = np.stack([np.ones_like(x), x, -y * x, -y * x * x], axis=1)
     c = np.linalg.lstsq(columns, y, rcond=None)[0]
