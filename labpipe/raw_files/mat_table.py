@@ -28,7 +28,7 @@ _MATRIX, _COMPRESSED = 14, 15
 _TYPES = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18))
 _CLASSES, _OPAQUE = range(1, 18), 17
 # Cells and structures hold an element for each of their places.
-_BOXES, _NUMERIC, _COMPLEX = (1, 2), range(6, 16), 0x800
+_BOXES, _TEXT, _NUMERIC, _COMPLEX = (1, 2), 4, range(6, 16), 0x800
 _FLAGS, _DIMENSIONS = 6, 5
 
 
@@ -92,7 +92,7 @@ def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None
     if flags & 0xFF in _BOXES and math.prod(dimensions) > end - following:
         raise ValueError("a variable lacks its parts")
     parts = _check(content, following, end, order) - 1
-    if flags & 0xFF in _NUMERIC and parts != (2 if flags & _COMPLEX else 1):
+    if flags & 0xFF in (_TEXT, *_NUMERIC) and parts != (2 if flags & _COMPLEX else 1):
         raise ValueError("a variable lacks its numbers")
 
 

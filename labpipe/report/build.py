@@ -67,8 +67,8 @@ def _failed(identification: Identification) -> tuple[Block, ...]:
     """Missing results with their reasons, before all results."""
     rows = tuple((failed.name, failed.message) for failed in identification.failed)
     lead = Paragraph(
-        f"INCOMPLETE: {len(rows)} test(s), fit(s) or comparison(s) could not be evaluated. What follows is the "
-        "rest.",
+        f"INCOMPLETE: {len(rows)} test(s), fit(s) or comparison(s) could not be evaluated. What follows is "
+        "the rest.",
         "failed",
     )
     return (lead, Table(("name", "why"), rows, "What could not be evaluated"))
