@@ -6,12 +6,13 @@ What they do not say stays open.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import FloatArray, IntArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.project.rig_file import DEFAULT_ROLES
 from labpipe.project.settings_reader import DECIDE
@@ -101,7 +102,7 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
         rows += chunks[-1].shape[0]
         if rows >= MOST_ROWS:
             break
-    return names, np.concatenate(chunks)
+    return names, np.concatenate([np.empty((0, len(names))), *chunks])
 
 
 def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
@@ -322,30 +323,36 @@ def _along(channel: GuessedChannel, outputs: Sequence[GuessedChannel]) -> Guesse
 # Bands around the peaks of FRFs, as a first look at their modes.
 
 # A fit looks at this share of the peak's frequency to either side, or at so many half-power widths if that is
-# less, and at this many lines at least; a stabilisation diagram at so many.
-AROUND, WIDTHS, LEAST_LINES, MODAL_LINES = 0.1, 10.0, 12, 26
-# Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
+# less, but at some widths and this many lines at least; a stabilisation diagram at so many.
+AROUND, WIDTHS, LEAST_WIDTHS, LEAST_LINES, MODAL_LINES = 0.1, 10.0, 2.5, 12, 26
+# Logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
 STANDS_OUT = 0.7
-# Of the peaks of ten FRFs by others modes have .93 or more, noise .9 or less (median .3).
-LIKE_A_MODE = 0.95
+# R^2 of a mode: of amplitudes, where peaks of ten FRFs by others have .93 or more and noise .9 or less
+# (median .3); of complex numbers, where noise has .64 or less and channels that were not excited .87.
+LIKE_A_MODE, LIKE_A_POLE = 0.95, 0.9
+# Fewest lines that can tell a mode, and least half-width of a pole in lines: a single line by itself is none.
+LEAST_AROUND, LEAST_WIDTH = 9, 0.1
 # Coherence at a peak that no noise has.
 EXPLAINED = 0.8
+Numbers = FloatArray | ComplexArray
 
 
-def highest_peak(mobility: FloatArray, coherence: FloatArray | None = None) -> int:
+def highest_peak(mobility: Numbers, coherence: FloatArray | None = None) -> tuple[int, bool]:
     """The line of the highest peak of a *mobility* (n_line,) [1] that looks like a mode, or that the force
-    explains by its *coherence* (n_line,) [1].
+    explains by its *coherence* (n_line,) [1], and whether there is one.
 
     A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
-    follow no pole, unless there is no other.
+    follow no pole; without any it is the highest of all.
     """
-    found = peaks_of(mobility)
-    ordered = found[np.argsort(-mobility[found])] if found.size else np.array([np.argmax(mobility)])
-    explained = np.zeros(mobility.size) if coherence is None else coherence
-    return next(
-        (int(one) for one in ordered if explained[one] > EXPLAINED or _is_mode(mobility, int(one))),
-        int(ordered[0]),
-    )
+    size = np.abs(mobility)
+    found = peaks_of(size)
+    ordered = found[np.argsort(-size[found])] if found.size else np.array([np.argmax(size)])
+    explained = np.zeros(size.size) if coherence is None else coherence
+    like_a_mode: Callable[[Any, int], bool] = _is_pole if np.iscomplexobj(mobility) else _is_mode
+    for peak in map(int, ordered):
+        if found.size and (explained[peak] > EXPLAINED or like_a_mode(mobility, peak)):
+            return peak, True
+    return int(ordered[0]), False
 
 
 def peaks_of(mobility: FloatArray) -> IntArray:
@@ -363,17 +370,18 @@ def band_of(
 ) -> tuple[float, float]:
     """The band [Hz] around the line *peak* of a *mobility* (n_line,) [1], with so many *lines* at least."""
     spacing = float(np.median(np.diff(frequency)))
-    width = _half_power_lines(mobility, peak)
-    # Of a light damping a tenth of the frequency holds neighbours.
-    reach = max(min(AROUND * float(frequency[peak]), WIDTHS * float(width) * spacing), lines / 2 * spacing)
+    width = half_power_lines(mobility, peak) * spacing
+    # Of a light damping a tenth of the frequency holds neighbours, of a heavy one no whole peak.
+    reach = min(AROUND * float(frequency[peak]), WIDTHS * width)
+    reach = max(reach, LEAST_WIDTHS * width, lines / 2 * spacing)
     lowest, highest = float(frequency[frequency > 0][0]), float(frequency[-1])
     # What an end of the lines cuts off is added on the other side.
     low = max(min(float(frequency[peak]) - reach, highest - lines * spacing), lowest)
     return low, min(max(float(frequency[peak]) + reach, low + lines * spacing), highest)
 
 
-def _half_power_lines(mobility: FloatArray, peak: int) -> int:
-    """Lines around a *peak* with half its power or more."""
+def half_power_lines(mobility: FloatArray, peak: int) -> int:
+    """Lines around a *peak* of a *mobility* (n_line,) [1] with half its power or more."""
     beside = mobility < mobility[peak] / np.sqrt(2)
     left, right = beside[:peak][::-1], beside[peak:]
     return int(np.argmax(left) if left.any() else left.size) + int(
@@ -381,12 +389,56 @@ def _half_power_lines(mobility: FloatArray, peak: int) -> int:
     )
 
 
+# Mean sine of the steps of a phase by half a half-power width around a peak: of a pole about -0.7.
+# Of fourteen FRFs by others -0.1 to -0.7, and 0.23 of one that is conjugate. A peak over the median that no
+# noise has.
+RISES, CLEAR = 0.15, 10.0
+
+
+def phase_rises(h: Numbers, peak: int) -> bool:
+    """Whether the phase of FRFs (n_line, n_element) [1] rises through the *peak*: the phase of no mode does,
+    so that they are complex conjugates, as where the factors of a cross spectrum are interchanged.
+    """
+    size = np.abs(h[:, 0])
+    if size[peak] < CLEAR * np.median(size):
+        return False
+    width = max(half_power_lines(size, peak), 2)
+    around, step = h[max(peak - width, 0) : peak + width + 1], width // 2
+    products = around[step:] * around[:-step].conj()
+    return bool(np.sum(products.imag) > RISES * np.sum(np.abs(products)))
+
+
+def _is_pole(h: ComplexArray, peak: int) -> bool:
+    """Whether H around a *peak* is that of one stable pole beside a constant, (a + b x) / (x - p), by R^2."""
+    x, y = _around(h, peak)
+    if not y.size:
+        return False
+    a, b, p = np.linalg.lstsq(np.stack([np.ones_like(x), x, y], axis=1), x * y, rcond=None)[0]
+    left = y - (a + b * x) / (x - p)
+    explained = np.vdot(left, left).real < (1 - LIKE_A_POLE) * np.sum(np.abs(y - y.mean()) ** 2)
+    return bool(explained and p.imag > LEAST_WIDTH * (x[1] - x[0]))
+
+
+def _around(h: Numbers, peak: int) -> tuple[FloatArray, Numbers]:
+    """Three half-power widths around a *peak*, up to lines that are higher: their places from -1 to 1, and
+    values by that of the peak; none where they are too few or no numbers.
+    """
+    size = np.abs(h)
+    reach = max(int(1.5 * half_power_lines(size, peak)), 4)
+    higher = np.flatnonzero(size > size[peak])
+    begin = max(peak - reach, 0, *(higher[higher < peak][-1:] + 1))
+    end = min(peak + reach + 1, h.size, *higher[higher > peak][:1])
+    y = h[begin:end] / size[peak]
+    if y.size < LEAST_AROUND or not np.all(np.isfinite(y)):
+        y = y[:0]
+    return np.linspace(-1, 1, y.size), y
+
+
 def _is_mode(mobility: FloatArray, peak: int) -> bool:
     """Whether |H|^2 around a *peak* is a quotient of two parabolas, as of one mode beside others, by R^2."""
-    reach = max(int(1.5 * _half_power_lines(mobility, peak)), 4)
-    around = slice(max(peak - reach, 0), peak + reach + 1)
-    y = (mobility[around] / mobility[peak]) ** 2
-    x = np.linspace(-1, 1, y.size)
+    x, y = _around(mobility**2, peak)
+    if not y.size:
+        return False
     columns = np.stack([np.ones_like(x), x, -y * x, -y * x * x], axis=1)
     c = np.linalg.lstsq(columns, y, rcond=None)[0]
     left = y - (c[0] + c[1] * x) / (1 + c[2] * x + c[3] * x * x)

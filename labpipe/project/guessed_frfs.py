@@ -47,7 +47,7 @@ class GuessedFrf:
 
     word: what the entry calls the columns, '' for records that need none. elements: the columns of each
     element of a matrix by its name. form: where a name says it. doubts: what is a guess. label: what records
-    say of their numbers that is no unit of an FRF.
+    say of their numbers that is no unit of an FRF. conjugate: *values* are conjugates of the file's numbers.
     """
 
     columns: dict[str, str]
@@ -59,6 +59,7 @@ class GuessedFrf:
     form: str = ""
     doubts: tuple[str, ...] = ()
     label: str = ""
+    conjugate: bool = False
 
 
 def guessed_frf(path: Path) -> GuessedFrf | None:

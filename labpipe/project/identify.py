@@ -22,7 +22,7 @@ from labpipe.project.judging import judge
 from labpipe.project.measured import MeasuredTest
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.tests import Test
-from labpipe.project.work import COMPARE_PREFIX, Work
+from labpipe.project.work import COMPARE_PREFIX, FIT_PREFIX, Work
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import shown_part
 from labpipe.records.sections import section
@@ -95,7 +95,7 @@ def _run_sections(work: Work) -> dict[str, Any]:
 def _same_work(existing: Identification, basis: Identification) -> bool:
     """True if both rest on the same inputs, settings, rig and code, and the same tests failed."""
     failed_tests = tuple(
-        failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX)
+        failure for failure in existing.failed if not failure.name.startswith((COMPARE_PREFIX, FIT_PREFIX))
     )
     same = all(getattr(existing, name) == getattr(basis, name) for name in BASIS)
     return same and failed_tests == basis.failed

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.project.first_guess import (
     MODAL_LINES,
@@ -17,14 +17,16 @@ from labpipe.project.first_guess import (
     copies,
     first_rows,
     guess_channels,
+    half_power_lines,
     highest_peak,
+    peaks_of,
     step_of,
     time_columns,
     with_hammer,
 )
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
-from labpipe.raw_files.first_look import Excitation, look
+from labpipe.raw_files.first_look import Excitation, look, round_down
 from labpipe.raw_files.table import Table
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
@@ -98,12 +100,20 @@ def excitation_of(force: FloatArray, rate: float) -> Excitation:
     return Excitation("sweep", widest.stop - widest.start, band, len(sweeps))
 
 
+# Lines in the half-power width of a peak that show its damping, and fewest blocks of a random recording.
+RESOLVED, FEWEST_BLOCKS = 5, 4
+
+
 @dataclass(frozen=True)
 class Proposal:
-    """A fit by its *model*, with the *band* [Hz] around a peak where one was seen."""
+    """A fit by its *model*, with the *band* [Hz] around a peak where one was seen; *is_mode*: the peak looks
+    like a mode; *lines*: those in its half-power width.
+    """
 
     model: str = "sdof"
     band: tuple[float, float] | None = None
+    is_mode: bool = True
+    lines: int = RESOLVED
 
 
 UNSEEN = Proposal()
@@ -115,29 +125,44 @@ AT_ONE_POINT = 60.0
 
 def proposed(
     frequency: FloatArray,
-    mobility: FloatArray,
+    mobility: FloatArray | ComplexArray,
     *,
     at_one_point: bool,
     coherence: FloatArray | None = None,
-    phase: FloatArray | None = None,
 ) -> Proposal:
     """The fit around the highest peak of a *mobility* (n_line,) [1]: a single mass where force and response
-    are at one point, which the *phase* (n_line,) [rad] of the mobility can deny, else a mode.
+    are at one point, which the phase of complex ones can deny, else a mode.
     """
-    peak = highest_peak(mobility, coherence)
-    turned = phase is not None and abs(phase[peak]) > np.radians(AT_ONE_POINT)
+    peak, seen = highest_peak(mobility, coherence)
+    turned = abs(np.angle(mobility[peak])) > np.radians(AT_ONE_POINT)
+    size = np.abs(mobility)
     if (at_one_point and not turned) or frequency.size < MODAL_LINES:
-        return Proposal("sdof", band_of(frequency, mobility, peak))
-    return Proposal("modal", band_of(frequency, mobility, peak, MODAL_LINES))
+        return Proposal("sdof", band_of(frequency, size, peak), seen, half_power_lines(size, peak))
+    band = band_of(frequency, size, peak, MODAL_LINES)
+    return Proposal("modal", band, seen, half_power_lines(size, peak))
 
 
 def proposals(
     first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation
-) -> dict[str, Proposal]:
-    """A fit around the highest peak of the mobility of each response, by its channel.
+) -> tuple[dict[str, Proposal], Excitation]:
+    """A fit around the highest peak of the mobility of each response, by its channel, and the excitation with
+    blocks, if it is random, that are long enough for these peaks or the longest of which there are some.
 
     None where nothing can be measured.
     """
+    fits = _proposals(first, inputs, outputs, excitation)
+    while excitation.kind == "random" and any(fit.lines < RESOLVED for fit in fits.values()):
+        length = round_down(2 * excitation.length + excitation.length // 2)
+        if FEWEST_BLOCKS * length > first.rows.shape[0]:
+            break
+        excitation = replace(excitation, length=length, repeats=first.rows.shape[0] // length)
+        fits = _proposals(first, inputs, outputs, excitation)
+    return fits, excitation
+
+
+def _proposals(
+    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation
+) -> dict[str, Proposal]:
     chosen = [*inputs, *outputs]
     channels = tuple(_as_channel(first.channels[number]) for number in chosen)
     kinds = {channel.quantity for channel in channels if channel.role == "output"}
@@ -161,14 +186,16 @@ def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Propo
     """The fit to an element of the first column; *stated*: the quantities are no guess, so that phases say
     something.
     """
-    order = {"receptance": 1, "accelerance": -1}.get(response.form, 0)
-    phase = np.angle(response.matrix[:, row, 0] * 1j**order) if stated else None
     coherence = None if response.coherence is None else response.coherence[:, row, 0]
     if coherence is not None and coherence.min() > ALL_EXPLAINED:
         # One hit explains itself.
         coherence = None
-    mobility = _mobility(response)[:, row]
-    return proposed(response.frequency, mobility, at_one_point=True, coherence=coherence, phase=phase)
+    order = {"receptance": 1, "accelerance": -1}.get(response.form, 0)
+    # Neither the low nor the high end outweighs a resonance.
+    weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
+    mobility = response.matrix[:, row, 0] * 1j**order * weight
+    peak_of = mobility if stated else np.abs(mobility)
+    return proposed(response.frequency, peak_of, at_one_point=True, coherence=coherence)
 
 
 def _as_channel(channel: GuessedChannel) -> Channel:
@@ -177,15 +204,6 @@ def _as_channel(channel: GuessedChannel) -> Channel:
         channel.quantity if channel.quantity in ("force", "velocity", "acceleration") else "displacement"
     )
     return Channel(channel.key, quantity, channel.role, channel.dof)
-
-
-def _mobility(response: FrequencyResponse) -> FloatArray:
-    """|velocity / force| (n_frequency, n_output) of the first force: neither the low nor the high end
-    outweighs a resonance.
-    """
-    order = {"receptance": 1, "mobility": 0, "accelerance": -1}.get(response.form, 0)
-    weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
-    return np.abs(response.matrix[:, :, 0]) * weight[:, None]
 
 
 # Share of its frequency to either side of a mode that a fit of its decay looks at, and the periods of a decay
@@ -208,11 +226,30 @@ def decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[flo
     except DataError:
         return {}
     samples = max((decay.samples for decay in decays), key=len)
-    window = np.hanning(samples.shape[0])[:, None]
-    periods = np.argmax(np.abs(np.fft.rfft((samples - samples.mean(axis=0)) * window, axis=0)), axis=0)
-    frequency = periods * rate / samples.shape[0]
-    return {
-        channel.name: ((1 - DECAY_WIDTH) * float(f), (1 + DECAY_WIDTH) * float(f))
-        for channel, n, f in zip(channels, periods, frequency, strict=True)
-        if n >= LEAST_PERIODS
-    }
+    bands = {}
+    for column, channel in enumerate(channels):
+        line = _power(samples[:, column], np.hanning(samples.shape[0]))
+        strongest, length = int(np.argmax(line)), samples.shape[0]
+        if strongest < LEAST_PERIODS:
+            # It drifts or swings slowly while it decays: the highest peak of so many periods, of all decays.
+            strongest, length = _strongest_peak([decay.samples[:, column] for decay in decays])
+        if strongest:
+            f = strongest * rate / length
+            bands[channel.name] = ((1 - DECAY_WIDTH) * f, (1 + DECAY_WIDTH) * f)
+    return bands
+
+
+def _strongest_peak(decays: Sequence[FloatArray]) -> tuple[int, int]:
+    """(line, samples) of the highest peak of LEAST_PERIODS or more in the mean power of the longer half of
+    the decays (n_sample,) [any unit]; line 0 for none.
+    """
+    length = sorted(decay.size for decay in decays)[len(decays) // 2]
+    taper = 0.5 + 0.5 * np.cos(np.pi * np.arange(length) / length)
+    power = np.mean([_power(decay[:length], taper) for decay in decays if decay.size >= length], axis=0)
+    peaks = peaks_of(np.sqrt(power))
+    peaks = peaks[peaks >= LEAST_PERIODS]
+    return (int(peaks[np.argmax(power[peaks])]) if peaks.size else 0), length
+
+
+def _power(samples: FloatArray, taper: FloatArray) -> FloatArray:
+    return np.asarray(np.abs(np.fft.rfft((samples - samples.mean()) * taper)) ** 2)

@@ -10,13 +10,21 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.project.first_guess import MODAL_LINES, GuessedChannel, band_of, peaks_of
+from labpipe.project.first_guess import (
+    MODAL_LINES,
+    GuessedChannel,
+    band_of,
+    highest_peak,
+    peaks_of,
+    phase_rises,
+)
 from labpipe.project.guessed_frfs import GuessedFrf, guessed_frf
 from labpipe.project.proposals import (
     UNSEEN,
@@ -103,7 +111,14 @@ def _rig(first: FirstLook, path: Path) -> str:
             "not state it"
         )
     lines.append("channels:                      # key = the name used everywhere else")
-    lines.extend(_channel_line(channel) for channel in first.channels)
+    open_units = [
+        channel.quantity for channel in first.channels if channel.unit == DECIDE != channel.quantity
+    ]
+    for number, channel in enumerate(first.channels):
+        before = [one.quantity for one in first.channels[:number] if one.unit == DECIDE]
+        anchor = "&" if channel.quantity not in before else "*"
+        several = channel.unit == DECIDE and open_units.count(channel.quantity) > 1
+        lines.append(_channel_line(channel, anchor if several else ""))
     lines.extend(f"# not used: {unused}" for unused in first.unused)
     lines.append(
         "# mass: 1 kg                   # that moves with the response; without it the mass is estimated"
@@ -112,18 +127,25 @@ def _rig(first: FirstLook, path: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _channel_line(channel: GuessedChannel) -> str:
+def _channel_line(channel: GuessedChannel, anchor: str) -> str:
+    """A channel; *anchor*: of a unit that several channels of a quantity share, '&' where it is decided, '*'
+    where it is only referred to.
+    """
     entries = {
         "column": json.dumps(channel.column, ensure_ascii=False),
         "quantity": channel.quantity,
         "unit": json.dumps(channel.unit),
     }
+    if anchor:
+        entries["unit"] = f"{anchor}{channel.quantity}" + (f" {DECIDE}" if anchor == "&" else "")
     entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
     if channel.sensitivity:
         entries["sensitivity"] = channel.sensitivity
     if channel.invert:
         entries["invert"] = "true"
     decisions = f"  {MARK} {'; '.join(channel.decisions)}" if channel.decisions else ""
+    if anchor == "*":
+        decisions = "  # the same unit" + (f"; {channel.guess}" if channel.guess else "")
     listed = ", ".join(f"{key}: {text}" for key, text in entries.items())
     return f"  {channel.key}: {{{listed}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
 
@@ -134,6 +156,9 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     decays = {} if inputs else decay_bands(first, outputs)
     if excitation is not None and _side_by_side(first, outputs):
         return _pipeline_of_stator(first, excitation, paths)
+    peaks: Mapping[str, Proposal] = {}
+    if excitation is not None and first.rate:
+        peaks, excitation = proposals(first, inputs[:1], outputs, excitation)
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",
@@ -147,7 +172,6 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
             "\n".join([*lines, *(line for fit in decays.items() for line in _decay_lines(*fit, first.rate))])
             + "\n"
         )
-    peaks = proposals(first, inputs[:1], outputs, excitation) if excitation is not None and first.rate else {}
     force = (
         first.channels[inputs[0]].key
         if inputs
@@ -159,8 +183,8 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
                 "fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", UNSEEN
             )
         )
-    for output in (first.channels[number].key for number in outputs):
-        lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output, UNSEEN)))
+    keys = [first.channels[number].key for number in outputs]
+    lines.extend(_all_fit_lines(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
     lines.append(
         "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
     )
@@ -247,17 +271,34 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     return lines
 
 
+# Fits by their responses: names and proposals.
+Fits = Mapping[str, tuple[str, Proposal]]
+
+
+def _all_fit_lines(force: str, fits: Fits, estimator: str = "ml") -> list[str]:
+    """A fit for each response, as comments where no peak looks like a mode and others have one."""
+    some = any(proposal.is_mode for _, proposal in fits.values())
+    lines: list[str] = []
+    for output, (name, proposal) in fits.items():
+        fit = _fit_lines(name, force, output, proposal, estimator)
+        if some and not proposal.is_mode:
+            fit = [f"# no peak of {output} looks like a mode:", *(f"# {line}" for line in fit)]
+        lines += fit
+    return lines
+
+
 def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator: str = "ml") -> list[str]:
     own = {
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
         "modal": ["    model: modal               # `sdof` gives k and c where force and response meet"],
     }
+    last = {"modal": ["    modal: {order: 6}".ljust(31) + "# few poles for one peak; higher for close modes"]}
     lines = [f"  {name}:", *own[proposal.model]]
     lines += [f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
         low, high = proposal.band
         lines.append(f"    band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# around the highest peak")
-    return lines
+    return lines + last.get(proposal.model, [])
 
 
 def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
@@ -303,15 +344,17 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
     ]
     lines.extend(_sources(files, paths, "frfs"))
     lines.append("identify:")
-    for row, port in enumerate(response.outputs):
-        proposal = proposal_of(response, row, stated=True)
-        force, output = json.dumps(response.inputs[0].label), json.dumps(port.label)
-        lines.extend(_fit_lines(f"fit_{row + 1}", force, output, proposal, estimator))
+    fits = {
+        json.dumps(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
+        for row, port in enumerate(response.outputs)
+    }
+    lines.extend(_all_fit_lines(json.dumps(response.inputs[0].label), fits, estimator))
     return "\n".join(lines) + "\n"
 
 
 def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Sequence[str]) -> str:
     """A pipeline that begins with FRFs of another program: one file, or one for each point."""
+    guessed = _with_falling_phase(guessed)
     lines = [
         "# What to do with the FRFs. Paths are relative to this file.",
         "title: Stiffness and damping from measured FRFs",
@@ -332,6 +375,8 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
         lines.append(f"  file: {json.dumps(paths[0], ensure_ascii=False)}")
     if guessed.word:
         lines.append(f"  {guessed.word}: {_flow(guessed.columns)}")
+    if guessed.conjugate:
+        lines.append("  conjugate: true".ljust(31) + "# the phase rises through the highest peak")
     lines += _unit_lines(guessed)
     outputs, force = ["y"], "f"
     if guessed.elements:
@@ -351,22 +396,40 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     if len(paths) > 1:
         outputs = [f"{DECIDE}    {MARK} the dof of a response"]
         force = f"{DECIDE}    {MARK} the dof of the force"
-    moving = guessed.frequency > 0
+    fits = _fits_of(guessed, outputs)
+    return "\n".join([*lines, *_all_fit_lines(force, fits, "ls")]) + "\n"
+
+
+def _fits_of(guessed: GuessedFrf, outputs: Sequence[str]) -> Fits:
+    """A fit to each element of the FRFs."""
+    mobility, moving = _mobility(guessed), guessed.frequency > 0
+    fits = {}
     for number, output in enumerate(outputs):
         proposal = UNSEEN
-        if moving.sum() > 1 and number < guessed.values.shape[1]:
-            frequency, h = guessed.frequency[moving], guessed.values[moving, number]
-            order = _order(guessed)
-            proposal = proposed(
-                frequency,
-                np.abs(h) * frequency**order,
-                # Without a form there is no stiffness, and without a phase nothing speaks against one point.
-                at_one_point=bool(guessed.unit or guessed.form),
-                phase=np.angle(h * 1j**order) if np.iscomplexobj(h) else None,
-            )
-        name = "fit" if len(outputs) == 1 else f"fit_{number + 1}"
-        lines += _fit_lines(name, force, output, proposal, "ls")
-    return "\n".join(lines) + "\n"
+        if moving.sum() > 1 and number < mobility.shape[1]:
+            # Without a form there is no stiffness.
+            at_one_point = bool(guessed.unit or guessed.form)
+            proposal = proposed(guessed.frequency[moving], mobility[:, number], at_one_point=at_one_point)
+        fits[output] = ("fit" if len(outputs) == 1 else f"fit_{number + 1}", proposal)
+    return fits
+
+
+def _mobility(guessed: GuessedFrf) -> FloatArray | ComplexArray:
+    """Mobilities (n_line, n_element) [1] of FRFs above 0 Hz; amplitudes where nothing else is known."""
+    moving, order = guessed.frequency > 0, _order(guessed)
+    mobility = guessed.values[moving] * guessed.frequency[moving, None] ** order
+    return np.asarray(mobility * 1j**order if np.iscomplexobj(mobility) else np.abs(mobility))
+
+
+def _with_falling_phase(guessed: GuessedFrf) -> GuessedFrf:
+    """The FRFs, conjugated where their phase rises through the highest peak."""
+    if not guessed.word or np.sum(guessed.frequency > 0) < 3:
+        return guessed
+    mobility = _mobility(guessed)
+    peak, _ = highest_peak(np.sqrt(np.mean(np.abs(mobility) ** 2, axis=1)))
+    if not phase_rises(mobility, peak):
+        return guessed
+    return replace(guessed, values=guessed.values.conj(), conjugate=True)
 
 
 def _pattern_of(names: Sequence[str]) -> str:

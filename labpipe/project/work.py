@@ -23,8 +23,8 @@ from labpipe.registry import nearest
 # What the sections of a pipeline work on.
 
 Tell = Callable[[str], None]
-# What names a failed comparison among failed tests.
-COMPARE_PREFIX = "compare."
+# What names a failed comparison, or a failed fit, among failed tests.
+COMPARE_PREFIX, FIT_PREFIX = "compare.", "identify."
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,12 @@ SINGULAR = (
 
 
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
-    """Every fit on every test that it names; fits already made test by test are reused."""
+    """Every fit on every test that it names; fits already made test by test are reused.
+
+    A fit that the measurement cannot support is named among the work's failures; FitError where none is left.
+    """
     fits: list[Fit] = []
+    faults: list[FitError] = []
     conditions = {test.name: test.conditions for test in work.tests}
     for fit in settings:
         if fit.name in work.test_fits:
@@ -84,10 +88,17 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
                 fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)]
             )
             said = {test.name: test.repeats for test in work.pipeline.tests}
-            made = fits_of(work.tests, _begun(fit, fits, work), work.pipeline.path, said)
+            try:
+                made = fits_of(work.tests, _begun(fit, fits, work), work.pipeline.path, said)
+            except FitError as error:
+                faults.append(error)
+                work.failed.append(Failed(FIT_PREFIX + fit.name, str(error)))
+                continue
         from labpipe.estimation.levels import with_level_findings
 
         fits.extend(with_level_findings(made, conditions))
+    if faults and not fits:
+        raise faults[0]
     return fits
 
 
@@ -101,6 +112,7 @@ def _begun(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
     if earlier and not any(earlier in (fit.name, fit.test) for fit in fits):
         named = next((fit for fit in work.pipeline.fits if fit.name == earlier), None)
         tests = {earlier} if named is None else {*named.test} or {failure.name for failure in work.failed}
+        tests = {*tests, FIT_PREFIX + earlier}
         for failure in work.failed:
             if failure.name in tests:
                 what = f"it begins with '{earlier}', which has no result: {failure.message}"

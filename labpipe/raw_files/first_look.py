@@ -90,7 +90,7 @@ def hit_starts(force: FloatArray) -> IntArray:
     None where the force (n_sample,) [N] is not near zero most of the time.
     """
     peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
-    if rms == 0 or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
+    if not 0 < rms < np.inf or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
         return np.empty(0, np.intp)
     above = np.flatnonzero(np.abs(force) > 0.1 * peak)
     return above[np.concatenate([[True], np.diff(above) > force.size // 1000 + 10])]

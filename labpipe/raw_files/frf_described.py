@@ -297,7 +297,7 @@ def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespon
             coherence = _cube(outputs, inputs, lambda pair: source.real(elements[pair].coherence))
     return FrequencyResponse(
         frequency,
-        matrix * scale,
+        (matrix.conj() if layout.conjugate else matrix) * scale,
         tuple(map(port_of, outputs)),
         tuple(map(port_of, inputs)),
         form=form,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import warnings
 import zlib
@@ -26,7 +27,8 @@ _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 _TYPES = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18))
 _CLASSES, _OPAQUE = range(1, 18), 17
-_NUMERIC, _COMPLEX = range(6, 16), 0x800
+# Cells and structures hold an element for each of their places.
+_BOXES, _TEXT, _NUMERIC, _COMPLEX = (1, 2), 4, range(6, 16), 0x800
 _FLAGS, _DIMENSIONS = 6, 5
 
 
@@ -83,11 +85,14 @@ def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None
         # An object of a class: names in place of a size, and its numbers elsewhere; nobody reads it.
         _check(content, following, end, order)
         return
-    kind, _, size, following = _element(content, following, end, order)
+    kind, start, size, following = _element(content, following, end, order)
     if kind != _DIMENSIONS or size < 8 or size % 4:
         raise ValueError("a variable has no size")
+    dimensions = struct.unpack(f"{order}{size // 4}i", content[start : start + size])
+    if flags & 0xFF in _BOXES and math.prod(dimensions) > end - following:
+        raise ValueError("a variable lacks its parts")
     parts = _check(content, following, end, order) - 1
-    if flags & 0xFF in _NUMERIC and parts != (2 if flags & _COMPLEX else 1):
+    if flags & 0xFF in (_TEXT, *_NUMERIC) and parts != (2 if flags & _COMPLEX else 1):
         raise ValueError("a variable lacks its numbers")
 
 

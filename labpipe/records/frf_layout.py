@@ -135,6 +135,9 @@ class FrfLayout(Settings):
     unit: str = setting("text", "unit of the numbers, for example g/N; default: SI", default="")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
     input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())
+    conjugate: bool = setting(
+        "flag", "the numbers are the complex conjugate of H: their phase rises through a mode", default=False
+    )
     window: str = setting(
         "choice",
         "window of the analyser's blocks, through which neighbouring lines share noise",
@@ -161,7 +164,9 @@ class FrfLayout(Settings):
             )
         stated = self.unit or self.form
         # The records of a universal file may leave open what they hold.
-        if self.table is None and (self.elements or self.axes or (stated and not self._are_universal)):
+        if self.table is None and (
+            self.elements or self.axes or self.conjugate or (stated and not self._are_universal)
+        ):
             raise ConfigError(
                 "neither 'columns' nor 'variables' say where the numbers stand",
                 hint="columns: {frequency: 1, re: 2, im: 3}",

@@ -291,7 +291,7 @@ class RuleOutcome:
 
 @dataclass(frozen=True)
 class Failed:
-    """A test or comparison that could not be evaluated, and why, while others were."""
+    """A test, fit or comparison that could not be evaluated, and why, while others were."""
 
     name: str
     message: str

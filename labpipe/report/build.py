@@ -67,10 +67,11 @@ def _failed(identification: Identification) -> tuple[Block, ...]:
     """Missing results with their reasons, before all results."""
     rows = tuple((failed.name, failed.message) for failed in identification.failed)
     lead = Paragraph(
-        f"INCOMPLETE: {len(rows)} test(s) or comparison(s) could not be evaluated. What follows is the rest.",
+        f"INCOMPLETE: {len(rows)} test(s), fit(s) or comparison(s) could not be evaluated. What follows is "
+        "the rest.",
         "failed",
     )
-    return (lead, Table(("test", "why"), rows, "What could not be evaluated"))
+    return (lead, Table(("name", "why"), rows, "What could not be evaluated"))
 
 
 def _judged(identification: Identification) -> tuple[Block, ...]:

@@ -123,7 +123,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     """Size, period and noise of the response; DataError where nothing stands out of the noise."""
     centred = samples - np.median(samples, axis=0)
     deviation = np.std(centred, axis=0)
-    moving = deviation > 0
+    moving = (deviation > 0) & np.isfinite(deviation)
     if not np.any(moving) or samples.shape[0] < 16:
         raise DataError(f"recording '{name}' does not move", hint="check the channels of the rig file")
     scaled = centred[:, moving] / deviation[moving]

@@ -29,14 +29,18 @@ from labpipe.project.catalogue import INDEX, Filter, open_index, values
 from labpipe.project.exports import write_csv, write_mat, write_uff, write_uff58b
 from labpipe.project.ready_response import load_response
 from labpipe.project.rig_file import load_rig
+from labpipe.project.scaffold import scaffold
 from labpipe.raw_files.geometry import read_geometry
 from labpipe.raw_files.screening import ChannelScreen
 from labpipe.raw_files.table import open_table
+from labpipe.raw_files.uff_shapes import read_shapes_uff
 from labpipe.records.response import Port
 from labpipe.records.spectra import FreeDecay, FreeDecays
 from tests.project.laboratory import PIPELINE, RIG, done, laboratory
+from tests.raw_files.test_uff_shapes import FIRST, POLE, THIRD, complex_mode, normal
 
 N_ROW = 60
+FOREIGN = Path(__file__).parents[2] / "sample_data/foreign"
 # What was read: numbers by name, and the codes of findings.
 Content = tuple[dict[str, Any], tuple[str, ...]]
 Read = Callable[[Path], Content]
@@ -56,6 +60,23 @@ def table_content(path: Path) -> Content:
     return {**columns, "rate": table.sample_rate, "units": dict(table.units)}, tuple(
         finding.code for finding in screen.findings()
     )
+
+
+def rates_content(path: Path) -> Content:
+    """The columns of a table, and of those at its other rates."""
+    content, codes = table_content(path)
+    others = getattr(open_table(path), "others", ())
+    chunks = [chunk.tobytes() for table in others for chunk in table.chunks(table.columns)]
+    return {**content, "others": chunks}, codes
+
+
+def first_look_content(path: Path) -> Content:
+    """The files that `init` writes."""
+    project = scaffold((path,), path.parent)
+    return {
+        "rig": project.rig.replace(path.name, ""),
+        "pipeline": project.pipeline.replace(path.name, ""),
+    }, ()
 
 
 def response_content(path: Path) -> Content:
@@ -132,8 +153,16 @@ OTHERS: dict[str, Read] = {
     "geometry.uff": whole(read_geometry),
     "calibration.csv": calibration_content,
     "sensor.csv": sensor_content,
+    "shapes.uff": whole(read_shapes_uff),
+    "structures.mat": table_content,
+    "rates.lvm": rates_content,
+    "rates.mf4": rates_content,
 }
-READS: dict[str, Read] = {**TABLES, **RESPONSES, **OTHERS, **ARTEFACTS}
+# What `init` looks at: recordings and FRFs of other programs.
+LOOKS: dict[str, Read] = dict.fromkeys(
+    ("look.csv", "look.tdms", "look.lvm", "open.uff", "variables.mat", "no-header.txt"), first_look_content
+)
+READS: dict[str, Read] = {**TABLES, **RESPONSES, **OTHERS, **LOOKS, **ARTEFACTS}
 
 LVM = """LabVIEW Measurement
 Writer_Version\t2
@@ -215,7 +244,32 @@ def write_seeds(folder: Path) -> None:
     t, force, y = np.arange(N_ROW) / 100, rng.normal(size=N_ROW), rng.normal(size=N_ROW)
     _write_texts(folder, np.column_stack([t, force, y]))
     _write_binaries(folder, t, force, y)
+    _write_looks(folder, t, force, y)
     _write_artefacts(folder)
+
+
+def _write_looks(folder: Path, t: np.ndarray, force: np.ndarray, y: np.ndarray) -> None:
+    """Shapes, channels at two rates and in structures, and what `init` makes something of."""
+    (folder / "shapes.uff").write_text(normal(30.0, 0.01, FIRST) + complex_mode(POLE, THIRD))
+    fields = [("Name", object), ("Unit", object), ("Data", object)]
+    x = np.array([[("Time", "s", t)]], fields)
+    channels = np.array([[("Model/force", "N", force), ("Model/x", "um", y)]], fields)
+    savemat(folder / "structures.mat", {"meas": {"X": x, "Y": channels}})
+    slower = LVM.replace("Samples\t60\t60", "Samples\t60\t30").replace(
+        "Delta_X\t0.01\t0.01", "Delta_X\t0.01\t0.02"
+    )
+    rows = [f"{t[n]:.6f}\t{force[n]:.6f}\t" + (f"{y[n]:.6f}\t\n" if n < 30 else "\t\n") for n in range(60)]
+    (folder / "rates.lvm").write_text(slower + "".join(rows))
+    _write_mdf(folder / "rates.mf4", t, force, y, half=True)
+    for suffix in (".csv", ".tdms", ".lvm"):
+        (folder / f"look{suffix}").write_bytes((folder / f"a{suffix}").read_bytes())
+    (folder / "open.uff").write_bytes((FOREIGN / "5.uff").read_bytes())
+    frequency = np.arange(1.0, 61.0)
+    h = 1 / (900 - frequency**2 + 0.6j * frequency)
+    savemat(
+        folder / "variables.mat", {"Freq_domain": frequency, "Hf_chan_2": h, "Hf_coh_chan_2": np.ones(60)}
+    )
+    np.savetxt(folder / "no-header.txt", np.column_stack([frequency, h.real, h.imag]))
 
 
 def _write_texts(folder: Path, rows: np.ndarray) -> None:
@@ -264,11 +318,16 @@ def _write_tdms(path: Path, force: np.ndarray, y: np.ndarray) -> None:
         )
 
 
-def _write_mdf(path: Path, t: np.ndarray, force: np.ndarray, y: np.ndarray) -> None:
+def _write_mdf(path: Path, t: np.ndarray, force: np.ndarray, y: np.ndarray, *, half: bool = False) -> None:
+    """Both channels in one group, or *y* at half the rate in another."""
     from asammdf import MDF, Signal
 
+    signals = [Signal(force, t, name="force", unit="N"), Signal(y, t, name="y", unit="um")]
     with MDF(version="4.10") as file:
-        file.append([Signal(force, t, name="force", unit="N"), Signal(y, t, name="y", unit="um")])
+        if half:
+            file.append(signals[:1])
+            signals = [Signal(y[::2], t[::2], name="y", unit="um")]
+        file.append(signals)
         file.save(path)
 
 

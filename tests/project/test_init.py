@@ -409,6 +409,66 @@ def test_responses_that_die_away_without_a_force_are_a_ring_down(tmp_path: Path,
     assert zeta["value"] == pytest.approx(decay / omega, rel=0.02)
 
 
+def test_conjugate_frfs_and_responses_without_a_mode_are_seen(tmp_path: Path, labpipe) -> None:
+    """Accelerance of one mode at 30 Hz in closed form, stored as its conjugate, beside a channel of noise."""
+    f, rng = np.arange(1.0, 100.0, 0.1), np.random.default_rng(8)
+    h = -(f**2) / (30.0**2 - f**2 + 2j * 0.01 * 30.0 * f)
+    noise = 1e-3 * rng.normal(size=(f.size, 2)) @ [1, 1j]
+    contents = {"Freq_domain": f, "Hf_chan_2": h.conj() + noise, "Hf_chan_3": noise[::-1]}
+    savemat(tmp_path / "h.mat", contents)
+    assert labpipe("init", tmp_path / "p", tmp_path / "h.mat").code == 0
+    path = tmp_path / "p/pipeline.yaml"
+    text = path.read_text()
+    assert "  conjugate: true" in text and "# no peak of 3 looks like a mode" in text
+    path.write_text(re.sub(f"unit: {DECIDE}.*", "unit: m/(N.s^2)", text))
+    assert labpipe("run", path, "-o", tmp_path / "out").code == 0
+    f_n, zeta = first_fit(tmp_path / "out")["parameters"][:2]
+    assert f_n["value"] == pytest.approx(30.0, rel=1e-4) and zeta["value"] == pytest.approx(0.01, rel=0.01)
+
+
+def test_channels_of_one_quantity_are_one_decision(tmp_path: Path, labpipe) -> None:
+    """Two accelerometers on a mass that is released, without a unit: one marked line."""
+    t, omega, decay = np.arange(4000) / RATE, np.sqrt(K / MASS), C / 2 / MASS
+    a = np.exp(-decay * t) * np.cos(np.sqrt(omega**2 - decay**2) * t)
+    a = a + 1e-4 * np.random.default_rng(5).normal(size=a.size)
+    savemat(tmp_path / "r.mat", {"fs": RATE, "acc_1": a, "acc_2": 0.7 * a + 0.1 * a[::-1]})
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "r.mat")
+    assert "to be decided" in ended.out and ended.out.count("rig.yaml:") == 1
+    path = tmp_path / "rig/rig.yaml"
+    path.write_text(path.read_text().replace(DECIDE, "m/s^2"))
+    channels = load_pipeline(tmp_path / "rig/pipeline.yaml").tests[0].recordings[0].rig.channels
+    assert [channel.unit for channel in channels] == 2 * ["m/s^2"]
+
+
+def test_blocks_of_random_excitation_are_long_enough_for_the_peak(tmp_path: Path, labpipe) -> None:
+    """1024 samples at 10 Hz of a mode 0.08 Hz wide: sixteenths of the record have 0.2 Hz between lines.
+
+    The response by the exact step of the mode under a force that is held, 1 / (0.04 s^2 + 0.02 s + 1).
+    """
+    from scipy.signal import cont2discrete, lfilter
+
+    rng = np.random.default_rng(3)
+    force = rng.normal(size=1024)
+    b, a, _ = cont2discrete(([1.0], [0.04, 0.02, 1.0]), 0.1)
+    y = lfilter(np.ravel(b), a, np.concatenate([rng.normal(size=500), force]))[500:]
+    savemat(tmp_path / "r.mat", {"x": y, "f": force, "dt": 0.1})
+    assert labpipe("init", tmp_path / "rig", tmp_path / "r.mat").code == 0
+    assert "block: 20 s" in (tmp_path / "rig/pipeline.yaml").read_text()
+
+
+def test_a_drift_below_short_decays_hides_no_mode(tmp_path: Path, labpipe) -> None:
+    """Ten taps of a mode at 20 Hz and 5 %, on a drift that is larger: the band is around the mode."""
+    t, omega = np.arange(1500) / RATE, 2 * np.pi * 20.0
+    tap = np.exp(-0.05 * omega * t) * np.cos(omega * np.sqrt(1 - 0.05**2) * t)
+    drift = np.cumsum(np.random.default_rng(2).normal(size=10 * t.size)) / 50
+    y = np.tile(tap, 10) + drift + 1e-4 * np.random.default_rng(5).normal(size=10 * t.size)
+    table = np.column_stack([np.arange(y.size) / RATE, y])
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t [s],probe [mm]", comments="")
+    assert "to be decided" not in labpipe("init", tmp_path / "rig", tmp_path / "r.csv").out
+    band = re.search(r"band: ([\d.]+)-([\d.]+) Hz", (tmp_path / "rig/pipeline.yaml").read_text())
+    assert band is not None and float(band[1]) < 20 < float(band[2]) < 40
+
+
 def test_what_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path, labpipe) -> None:
     (tmp_path / "notes.txt").write_text("no numbers here\n")
     for path, what in (

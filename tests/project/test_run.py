@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.artefacts.writing import output_folder
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.project.executors import Work, in_processes, on_cluster, serially
 from labpipe.project.one_test import Done, Job, silent, work
 from labpipe.project.pipeline_file import load_pipeline
@@ -176,6 +176,28 @@ def test_where_no_test_can_be_evaluated_nothing_is_written(lab: Path) -> None:
     with pytest.raises(DataError, match=r"soft\.csv.*none of the other 1 tests could be evaluated"):
         done(lab / "pipeline.yaml", lab / "out")
     assert not [path for path in lab.iterdir() if path.name.startswith(".labpipe-")]
+
+
+def test_a_fit_without_a_mode_costs_the_others_nothing(tmp_path: Path, labpipe) -> None:
+    """One of two fits has 4 lines: the other stands in the report, a rule on the first fails, the code is 2.
+
+    Run again, nothing is made anew and the same is said.
+    """
+    few = "  modes: {model: modal, input: f, output: y, band: 20-23 Hz}\n"
+    text = ALONE.split("  plain:")[0] + few + "accept: {modes.f_n_1: '> 0 Hz'}\nreport: {formats: [md]}\n"
+    pipeline, out = laboratory(tmp_path, text), tmp_path / "out"
+    for _ in range(2):
+        ended = labpipe("run", pipeline, "-o", out)
+        assert ended.code == 2 and "too few for a stabilisation diagram" in ended.err
+        before = contents(out)
+    report = (out / "report.md").read_text()
+    assert "INCOMPLETE: 1 test(s), fit(s)" in report and "identify.modes" in report and "| k " in report
+    found = done(pipeline, out)
+    assert [fit.name for fit in found.fits] == ["direct"] and not found.accepted
+    assert contents(out) == before
+    alone = laboratory(tmp_path, ALONE.split("  direct:")[0] + few + "report: {formats: []}\n")
+    with pytest.raises(FitError, match="too few for a stabilisation diagram"):
+        done(alone, tmp_path / "none")
 
 
 def test_a_single_test_that_fails_is_an_error(tmp_path: Path) -> None:

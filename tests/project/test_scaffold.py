@@ -28,8 +28,8 @@ def test_rate_period_and_band_are_those_of_the_recording(tmp_path: Path) -> None
     assert pipeline["frf"] == {"excitation": "periodic", "period": "1 s", "skip": 1, "band": "1-45 Hz"}
     (fit,) = pipeline["identify"].values()
     low, high = (float(edge) for edge in fit["band"].removesuffix(" Hz").split("-"))
-    # Twelve lines of 1 Hz, which are more than a tenth of the frequency.
-    assert (low, high) == (18.0, 30.0)
+    # Two and a half half-power widths of 4 Hz, c / (2 pi m), to either side of the line at 24 Hz.
+    assert (low, high) == (14.0, 34.0)
 
 
 def test_a_file_of_two_rows_is_the_shortest(tmp_path: Path) -> None:

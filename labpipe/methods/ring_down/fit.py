@@ -32,6 +32,7 @@ from labpipe.methods.ring_down.likelihood import (
     Piece,
     energies,
     judged,
+    long_enough,
     most_likely,
     pieces_of,
 )
@@ -305,14 +306,12 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     short.
     """
     decay_settings: DecaySettings = settings.model_settings
-    _check(settings)
     columns = chosen_ports(decays.outputs, settings.output, "response")
+    decays, short = long_enough(decays, settings.band)
     pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
     repeated = None
     each = len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats)
-    if settings.repeat_groups and not each:
-        what = "'repeat_groups' needs several decays, of which each is fitted alone"
-        raise ConfigError(what, hint="leave it out", field="repeat_groups")
+    _check(settings, each)
     if each:
         repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
     if repeated is None:
@@ -355,6 +354,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         findings=(
             *(() if jump is None else (jump.finding,)),
             *findings,
+            *short,
             *(() if repeated is None else (*repeated.failed, *drift_findings(repeated))),
             *decays.findings,
         ),
@@ -366,9 +366,12 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     )
 
 
-def _check(settings: FitSettings) -> None:
+def _check(settings: FitSettings, each: bool) -> None:
     if not isinstance(settings.mass, (float, str)):
         raise ConfigError("a decay takes one mass", hint="for example mass: 0.92 kg", field="mass")
+    if settings.repeat_groups and not each:
+        what = "'repeat_groups' needs several decays, of which each is fitted alone"
+        raise ConfigError(what, hint="leave it out", field="repeat_groups")
 
 
 def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:

@@ -5,7 +5,7 @@ start values, and whether what is left is white noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -14,11 +14,14 @@ from scipy.linalg import solve_triangular
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
-from labpipe.records.spectra import FreeDecay
+from labpipe.records.finding import Finding, note
+from labpipe.records.spectra import FreeDecay, FreeDecays
 from labpipe.spectra.bands import lines_in
 
 # Smooth terms along the lines of a band, which carry what modes outside it add.
 SMOOTH_TERMS = 3
+# Fewest lines of a decay in a band.
+LEAST_LINES = 4 * SMOOTH_TERMS
 
 
 @dataclass(frozen=True)
@@ -69,16 +72,39 @@ def pieces_of(
     return tuple(_piece(decay.samples[:, list(columns)], rate, band) for decay in decays)
 
 
+def _lines_of(n: int, rate: float, band: tuple[float, float]) -> IntArray:
+    """The lines (n_line,) [1] of *n* samples at *rate* [Hz] in a *band* [Hz]."""
+    frequency = fft.rfftfreq(n, 1 / rate)
+    return np.flatnonzero(lines_in(frequency, band) & (frequency > 0) & (frequency < rate / 2))
+
+
+def long_enough(
+    decays: FreeDecays, band: tuple[float, float] | None
+) -> tuple[FreeDecays, tuple[Finding, ...]]:
+    """The decays with the lines that a fit in the *band* [Hz] asks for, and a note of the others; all of them
+    where none has them.
+    """
+    if band is None:
+        return decays, ()
+    lines = [_lines_of(decay.samples.shape[0], decays.sample_rate, band).size for decay in decays.decays]
+    kept = [decay for decay, n in zip(decays.decays, lines, strict=True) if n >= LEAST_LINES]
+    short = [decay for decay, n in zip(decays.decays, lines, strict=True) if n < LEAST_LINES]
+    if not kept or not short:
+        return decays, ()
+    places = ", ".join(f"{decay.start:.3f} s" for decay in short)
+    what = f"of {len(decays.decays)} decays those at {places} are too short for the band and are left out"
+    return replace(decays, decays=tuple(kept)), (note("repeat-left-out", what),)
+
+
 def _piece(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> Piece:
     n = samples.shape[0]
     time = np.arange(n) / rate
     if band is None:
         return Piece(time, samples, None, np.ones((n, 1)))
-    frequency = fft.rfftfreq(n, 1 / rate)
-    lines = np.flatnonzero(lines_in(frequency, band) & (frequency > 0) & (frequency < rate / 2))
-    if lines.size < 4 * SMOOTH_TERMS:
+    lines = _lines_of(n, rate, band)
+    if lines.size < LEAST_LINES:
         what = f"{lines.size} lines of a decay of {n / rate:g} s lie in the band {band[0]:g}-{band[1]:g} Hz"
-        raise FitError(what, hint=f"widen the band to {4 * SMOOTH_TERMS} lines or more")
+        raise FitError(what, hint=f"widen the band to {LEAST_LINES} lines or more")
     powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, lines.size), SMOOTH_TERMS - 1)
     empty = np.zeros_like(powers)
     return Piece(time, _rows(samples, lines), lines, np.block([[powers, empty], [empty, powers]]))

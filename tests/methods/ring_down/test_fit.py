@@ -143,6 +143,17 @@ def test_a_band_is_fitted_alone() -> None:
     )
 
 
+def test_a_decay_too_short_for_the_band_is_left_out() -> None:
+    """One of 0.1 s has 2 of 12 lines: the numbers are those of the other alone, and a note says so."""
+    (long,) = noisy([motion(ONE, times())], 1)
+    alone, both = (fitted(record(each), band=(30.0, 50.0)) for each in ([long], [long, long[:100]]))
+    assert [p.value for p in both.parameters] == [p.value for p in alone.parameters]
+    said = next(finding for finding in both.findings if finding.code == "repeat-left-out")
+    assert "of 2 decays those at 0.000 s are too short" in said.message
+    with pytest.raises(FitError, match="widen the band"):
+        fitted(record([long[:100], long[:90]]), band=(30.0, 50.0))
+
+
 def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
     fit = fitted(record(noisy([motion(((40.0, 1e-7, 0.3, 0.3),), times())], 5)))
     assert {f.code for f in fit.findings} & {"insignificant", "unphysical"} and fit.parameter(
