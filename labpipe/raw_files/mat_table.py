@@ -133,9 +133,19 @@ def load_variables(path: Path) -> dict[str, Any]:
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """(name, array) of a variable and of the fields of a structure ("run.x"), or of each structure of an
-    array ("meas.Y(2).Data", as MATLAB writes it).
+    array or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as MATLAB writes it).
     """
     names = getattr(getattr(value, "dtype", None), "names", None)
+    if (
+        getattr(getattr(value, "dtype", None), "kind", "") == "O"
+        and not names
+        and not isinstance(value, MatlabOpaque)
+    ):
+        boxed = [(number, one) for number, one in enumerate(value.flat, 1) if hasattr(one, "dtype")]
+        if any(one.dtype.names or one.dtype.kind == "O" for _, one in boxed):
+            for number, one in boxed:
+                yield from _fields(f"{name}{{{number}}}", one)
+            return
     if not names or isinstance(value, MatlabOpaque):
         yield name, value
         return
