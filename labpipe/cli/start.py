@@ -16,7 +16,6 @@ from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 from labpipe.project.examples import copy_example, examples
-from labpipe.project.exports import write_signal
 from labpipe.project.inspect import inspect as content_of
 from labpipe.project.inspect import write_card
 from labpipe.project.report import format_of
@@ -293,6 +292,9 @@ def excite(
     quiet: bool,
 ) -> None:
     """Design a test signal, a multisine or sweeps, and print the crest factor (peak over rms) or the rate."""
+    # Loads pandas, which no other command here needs.
+    from labpipe.project.exports import write_signal
+
     limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
