@@ -57,3 +57,14 @@ def handed_over(values: NDArray[Any]) -> NDArray[Any]:
         owner.flags.writeable = False
         owner = owner.base
     return values
+
+
+def similarity(a: ComplexArray, b: ComplexArray) -> FloatArray:
+    """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1]
+    (0 where one vanishes; Allemang and Brown 1982).
+
+    Equation (modal-mac).
+    """
+    product = np.abs(a.conj() @ b.T) ** 2
+    size = np.sum(np.abs(a) ** 2, axis=1)[:, None] * np.sum(np.abs(b) ** 2, axis=1)
+    return np.asarray(np.divide(product, size, out=np.zeros_like(product), where=size > 0))

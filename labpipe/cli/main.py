@@ -187,6 +187,9 @@ def _own_fault(error: Exception) -> int:
     from tempfile import NamedTemporaryFile
     from traceback import format_exception
 
+    package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if package not in ("", "labpipe"):
+        return _fail(f"the package {package} is not installed; `labpipe doctor` lists what is missing")
     text = "".join(format_exception(error))
     place = "the traceback above"
     if DEBUG not in sys.argv:

@@ -16,7 +16,6 @@ from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 from labpipe.project.examples import copy_example, examples
-from labpipe.project.exports import write_signal
 from labpipe.project.inspect import inspect as content_of
 from labpipe.project.inspect import write_card
 from labpipe.project.report import format_of
@@ -177,7 +176,8 @@ def _echo_shapes(shapes: FileShapes, file: str) -> None:
     n_mode = shapes.frequency.size
     more = f"; {shapes.others} further record(s) of another kind or other nodes" if shapes.others else ""
     echo(f"{file}: {n_mode} mode shape(s) at {len(shapes.points)} points and directions{more}")
-    mac = shapes.mac - np.eye(n_mode)
+    # A shape is not held against itself.
+    mac = shapes.mac - 2 * np.eye(n_mode)
     for n in range(n_mode):
         largest = shapes.points[int(np.argmax(np.abs(shapes.shapes[:, n])))]
         alike = f", MAC {mac[n].max():.2f} with mode {int(np.argmax(mac[n])) + 1}" if n_mode > 1 else ""
@@ -292,6 +292,9 @@ def excite(
     quiet: bool,
 ) -> None:
     """Design a test signal, a multisine or sweeps, and print the crest factor (peak over rms) or the rate."""
+    # Loads pandas, which no other command here needs.
+    from labpipe.project.exports import write_signal
+
     limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))

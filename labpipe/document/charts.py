@@ -248,6 +248,10 @@ def _columns(entries: dict[tuple[str, int], list[Series]], side_by_side: int) ->
     return max(1, min(len(entries), MOST_COLUMNS, int(LEGEND_LETTERS / side_by_side / longest)))
 
 
+# Width of a figure [in] up to which long numbers below an axis would run into each other, and the ticks then.
+NARROW, FEW_TICKS = 4.0, 4
+
+
 def _numbered(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
     """Names of places, or round numbers, along an axis."""
     drawn.set_minor_locator(NullLocator())
@@ -255,11 +259,12 @@ def _numbered(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
         drawn.set_ticks([place for place, _ in axis.ticks], [name for _, name in axis.ticks])
         return
     decades = math.log10(max(limits) / min(limits)) if axis.logarithmic else 0.0
+    most: Any = "auto" if drawn.get_figure().get_size_inches()[0] > NARROW else FEW_TICKS
     if decades >= LEAST_DECADES:
         drawn.set_major_locator(LogLocator(subs=WITHIN if decades < FEW_DECADES else (1.0,)))
     else:
         drawn.set_major_locator(
-            Degrees() if axis.unit == "deg" else MaxNLocator("auto", steps=STEPS, min_n_ticks=3)
+            Degrees() if axis.unit == "deg" else MaxNLocator(most, steps=STEPS, min_n_ticks=3)
         )
     drawn.set_major_formatter(NumberTexts(even=decades < LEAST_DECADES))
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, TypeGuard
 
 import matplotlib as mpl
 from fpdf import FPDF
@@ -37,6 +39,12 @@ TONES = {"passed": (11, 110, 79), "failed": (168, 50, 30), "warning": (138, 90, 
 EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 LINE = (190, 196, 203)
 WIDEST_FIGURE = 165.0
+# Figures of a document beyond which two share a row, and their width and largest height then [in].
+MANY_FIGURES, HALF, HALF_HEIGHT = 12, 3.25, 3.0
+# What a table needs on the page on which it begins: caption, head and a row [mm].
+TABLE_HEAD = 24.0
+# Most that is kept together with a heading [mm].
+HIGHEST = 150.0
 # Points of a drawing beyond which a picture of dots opens faster.
 MOST_POINTS = 30_000
 # Text of drawings stays text, in fonts of outlines.
@@ -107,17 +115,36 @@ def render_pdf(document: Document) -> bytes:
             pages.add_page()
     else:
         _title(pages, document)
+    count = sum(isinstance(block, Figure) for section in document.sections for block in section.blocks)
+    many = count > MANY_FIGURES
     for section in document.sections[1 if document.to_sign else 0 :]:
         pages.ln(3)
-        if pages.will_page_break(30 + _height_of(section)):
+        if pages.will_page_break(_height_of(pages, section)):
             pages.add_page()
         pages.start_section(section.heading)
         _text(pages, section.heading, 12, bold=True)
         pages.line(20, pages.get_y(), 190, pages.get_y())
         pages.ln(2)
-        for block in section.blocks:
+        for block in _in_pairs(section.blocks) if many else section.blocks:
             _put(pages, block)
     return _with_drawings(pages)
+
+
+def _in_pairs(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]]:
+    """The blocks, two charts that follow each other as a pair."""
+    left = list(blocks)
+    while left:
+        first, second = left[0], left[1] if len(left) > 1 else None
+        if _is_chart(first) and _is_chart(second):
+            yield first, second
+        else:
+            yield first
+        del left[: 2 if _is_chart(first) and _is_chart(second) else 1]
+
+
+def _is_chart(block: Block | None) -> TypeGuard[Figure]:
+    """Whether a block is a figure that can be drawn again in half the width."""
+    return isinstance(block, Figure) and isinstance(block.graphic, Chart) and block.graphic.columns == 1
 
 
 def _with_drawings(pages: _Pages) -> bytes:
@@ -167,12 +194,19 @@ def _in(writer: PdfWriter, stream: StreamObject) -> IndirectObject:
     return reference
 
 
-def _height_of(section: Section) -> float:
-    """The height [mm] of a figure that a section begins with: a heading needs room for it on the same
-    page.
+def _height_of(pages: _Pages, section: Section) -> float:
+    """The height [mm] of a heading with what may not be apart from it: the figure, the paragraph or the head
+    of the table that follows.
     """
-    first = section.blocks[0] if section.blocks else None
-    return _size(first)[1] if isinstance(first, Figure) else 0.0
+    first, second = (*section.blocks[:2], None, None)[:2]
+    if isinstance(first, Figure):
+        return 30 + _size(first)[1]
+    if not isinstance(first, Paragraph):
+        return 30
+    pages.set_font(FONT, "", 9)
+    text: Any = pages.multi_cell(0, 4.5, as_printed(first.text), dry_run=True, output="HEIGHT")
+    after = _size(second)[1] if isinstance(second, Figure) else TABLE_HEAD if isinstance(second, Table) else 0
+    return min(18 + text + after, HIGHEST)
 
 
 def _size(figure: Figure) -> tuple[float, float]:
@@ -241,8 +275,10 @@ def _text(
     pages.multi_cell(0, size * 0.5, text, new_x="LMARGIN", new_y="NEXT", align="L")
 
 
-def _put(pages: _Pages, block: Block) -> None:
-    if isinstance(block, Paragraph):
+def _put(pages: _Pages, block: Block | tuple[Figure, Figure]) -> None:
+    if isinstance(block, tuple):
+        _pair(pages, block)
+    elif isinstance(block, Paragraph):
         text, bold = as_printed(block.text), block.kind in ("passed", "failed")
         _text(pages, text, 9, bold=bold, colour=TONES.get(block.kind, INK))
         pages.ln(1.5)
@@ -256,23 +292,52 @@ def _put(pages: _Pages, block: Block) -> None:
 
 def _figure(pages: _Pages, figure: Figure) -> None:
     """A drawing in its natural size, at most as wide as the text; caption below it on the same page."""
-    width, height = _size(figure)
+    height = _size(figure)[1]
     if pages.will_page_break(height + 10):
         pages.add_page()
-    canvas = canvas_of(figure.graphic)
-    if _as_dots(figure):
-        pages.image(io.BytesIO(png_bytes(canvas)), w=width, alt_text=figure.alternative)
-    else:
-        low = pages.h - pages.get_y() - height
-        scale = width / (25.4 * figure.graphic.size[0])
-        pages.places.append(_Place(pages.page - 1, POINT * pages.l_margin, POINT * low, scale))
-        with mpl.rc_context(VECTOR):
-            laid_out(canvas).savefig(pages.file, format="pdf")  # type: ignore[arg-type]
-        room = io.BytesIO(ROOM.format(*figure.graphic.size).encode())
-        pages.image(room, w=width, alt_text=figure.alternative)
+    _drawing(pages, figure, pages.l_margin)
     pages.figures += 1
     _text(pages, as_printed(f"Figure {pages.figures}. {figure.caption}"), 8, colour=GREY)
     pages.ln(2)
+
+
+def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
+    """Two charts beside each other, drawn anew in half the width, each with its caption below."""
+    tall = min(max(figure.graphic.size[1] for figure in pair), HALF_HEIGHT)
+    charts = [figure.graphic for figure in pair if isinstance(figure.graphic, Chart)]
+    small = [replace(chart, size=(HALF, tall), legend="above") for chart in charts]
+    halves = [replace(figure, graphic=chart) for figure, chart in zip(pair, small, strict=True)]
+    if pages.will_page_break(25.4 * tall + 25):
+        pages.add_page()
+    top, ends = pages.get_y(), []
+    for figure, x in zip(halves, (pages.l_margin, 210 - pages.r_margin - 25.4 * HALF), strict=True):
+        pages.set_y(top)
+        _drawing(pages, figure, x)
+        pages.figures += 1
+        pages.set_xy(x, top + 25.4 * tall)
+        pages.set_font(FONT, "", 7)
+        pages.set_text_color(*GREY)
+        caption = as_printed(f"Figure {pages.figures}. {figure.caption}")
+        pages.multi_cell(25.4 * HALF, 3.2, caption, new_x="LMARGIN", new_y="NEXT", align="L")
+        ends.append(pages.get_y())
+    pages.set_y(max(ends))
+    pages.ln(2)
+
+
+def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
+    """A drawing in its natural size, at most as wide as the text, with its left side at *x* [mm]."""
+    width, height = _size(figure)
+    canvas = canvas_of(figure.graphic)
+    if _as_dots(figure):
+        pages.image(io.BytesIO(png_bytes(canvas)), x=x, w=width, alt_text=figure.alternative)
+        return
+    low = pages.h - pages.get_y() - height
+    scale = width / (25.4 * figure.graphic.size[0])
+    pages.places.append(_Place(pages.page - 1, POINT * x, POINT * low, scale))
+    with mpl.rc_context(VECTOR):
+        laid_out(canvas).savefig(pages.file, format="pdf")  # type: ignore[arg-type]
+    room = io.BytesIO(ROOM.format(*figure.graphic.size).encode())
+    pages.image(room, x=x, w=width, alt_text=figure.alternative)
 
 
 def _as_dots(figure: Figure) -> bool:
@@ -288,6 +353,8 @@ def _as_dots(figure: Figure) -> bool:
 def _table(pages: _Pages, table: Table) -> None:
     """A table whose columns share the width by their longest text; its head comes again on each page."""
     if table.caption:
+        if pages.will_page_break(TABLE_HEAD):
+            pages.add_page()
         _text(pages, as_printed(table.caption), 8.5, bold=True)
     pages.set_font(FONT, "", 7)
     pages.set_text_color(*INK)

@@ -356,13 +356,26 @@ def highest_peak(mobility: Numbers, coherence: FloatArray | None = None) -> tupl
 
 
 def peaks_of(mobility: FloatArray) -> IntArray:
-    """The places of lines of a *mobility* (n_line,) [1] that stand out of their surroundings."""
-    logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
-    # Loaded where peaks are looked for: a first look at channels needs no filters.
-    from scipy.signal import find_peaks
+    """The places of lines of a *mobility* (n_line,) [1] that stand out of their surroundings, as scipy's
+    find_peaks has them, whose package takes longer to load than all else here.
+    """
+    y = np.log(np.maximum(mobility, np.finfo(float).tiny))
+    places = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] >= y[2:])) + 1
+    apart, kept = max(y.size // 400, 1), np.ones(places.size, bool)
+    for n in np.argsort(y[places])[::-1]:
+        near = np.abs(places - places[n]) < apart
+        near[n] = False
+        if kept[n]:
+            kept[near] = False
+    return np.array([k for k in places[kept] if _prominence(y, int(k)) >= STANDS_OUT], np.intp)
 
-    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=max(mobility.size // 400, 1))
-    return np.asarray(found)
+
+def _prominence(y: FloatArray, peak: int) -> float:
+    """How far a *peak* lies above the higher of the two valleys between it and what is higher."""
+    left, right = np.flatnonzero(y[:peak] > y[peak]), np.flatnonzero(y[peak:] > y[peak])
+    before = y[left[-1] if left.size else 0 : peak + 1].min()
+    after = y[peak : (peak + right[0] if right.size else y.size)].min()
+    return float(y[peak] - max(before, after))
 
 
 def band_of(

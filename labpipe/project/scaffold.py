@@ -298,7 +298,8 @@ def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator
     if proposal.band is not None:
         low, high = proposal.band
         lines.append(f"    band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# around the highest peak")
-    return lines + last.get(proposal.model, [])
+    # Between lines of noise a mode needs more orders to return.
+    return lines + last.get(proposal.model if proposal.is_mode else "", [])
 
 
 def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:

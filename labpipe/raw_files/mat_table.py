@@ -28,7 +28,9 @@ _MATRIX, _COMPRESSED = 14, 15
 _TYPES = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18))
 _CLASSES, _OPAQUE = range(1, 18), 17
 # Cells and structures hold an element for each of their places.
-_BOXES, _TEXT, _NUMERIC, _COMPLEX = (1, 2), 4, range(6, 16), 0x800
+_BOXES, _COMPLEX = (1, 2), 0x800
+# Elements with numbers by class: text and numbers 1, of a sparse matrix also the places.
+_PARTS = {4: 1, 5: 3, **dict.fromkeys(range(6, 16), 1)}
 _FLAGS, _DIMENSIONS = 6, 5
 
 
@@ -92,7 +94,8 @@ def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None
     if flags & 0xFF in _BOXES and math.prod(dimensions) > end - following:
         raise ValueError("a variable lacks its parts")
     parts = _check(content, following, end, order) - 1
-    if flags & 0xFF in (_TEXT, *_NUMERIC) and parts != (2 if flags & _COMPLEX else 1):
+    wanted = _PARTS.get(flags & 0xFF)
+    if wanted is not None and parts != wanted + bool(flags & _COMPLEX):
         raise ValueError("a variable lacks its numbers")
 
 
@@ -130,9 +133,19 @@ def load_variables(path: Path) -> dict[str, Any]:
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """(name, array) of a variable and of the fields of a structure ("run.x"), or of each structure of an
-    array ("meas.Y(2).Data", as MATLAB writes it).
+    array or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as MATLAB writes it).
     """
     names = getattr(getattr(value, "dtype", None), "names", None)
+    if (
+        getattr(getattr(value, "dtype", None), "kind", "") == "O"
+        and not names
+        and not isinstance(value, MatlabOpaque)
+    ):
+        boxed = [(number, one) for number, one in enumerate(value.flat, 1) if hasattr(one, "dtype")]
+        if any(one.dtype.names or one.dtype.kind == "O" for _, one in boxed):
+            for number, one in boxed:
+                yield from _fields(f"{name}{{{number}}}", one)
+            return
     if not names or isinstance(value, MatlabOpaque):
         yield name, value
         return

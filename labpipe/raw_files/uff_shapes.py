@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, handed_over
+from labpipe.arrays import ComplexArray, FloatArray, handed_over, similarity
 from labpipe.errors import DataError
 from labpipe.raw_files.uff import records_55
 
@@ -34,9 +34,7 @@ class FileShapes:
     @property
     def mac(self) -> FloatArray:
         """Modal assurance criterion (n_mode, n_mode) [1], |a^H b|^2 / (a^H a b^H b)."""
-        size = np.linalg.norm(self.shapes, axis=0)
-        unit = np.divide(self.shapes, size, out=np.zeros_like(self.shapes), where=size > 0)
-        return np.asarray(np.abs(unit.conj().T @ unit) ** 2)
+        return similarity(self.shapes.T, self.shapes.T)
 
 
 def read_shapes_uff(path: Path) -> FileShapes | None:

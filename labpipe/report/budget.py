@@ -47,6 +47,8 @@ EXPLAINED = (
 EXPLAINED_COMPARISON = f"{COMBINED}. Intervals hold all of it."
 # Share of the variance from which one source with sharp limits shapes the distribution.
 RECTANGULAR = 0.5
+# The head of the table of what nobody stated.
+NOT_STATED = ("source", "uncertainty", "what it changes")
 
 
 def budget_blocks(fit: Fit) -> tuple[Block, ...]:
@@ -63,7 +65,7 @@ def _not_stated(fit: Fit) -> tuple[Block, ...]:
         return ()
     rows = tuple((entry.source, "0 (not stated)", entry.effect) for entry in fit.not_stated)
     caption = "What no residual shows, and counts as zero in the intervals"
-    return (Table(("source", "uncertainty", "what it changes"), rows, caption),)
+    return (Table(NOT_STATED, rows, caption),)
 
 
 def comparison_budget_blocks(comparison: Comparison) -> list[Block]:

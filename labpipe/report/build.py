@@ -293,8 +293,13 @@ def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...
         entries = [(f"{key}.{name}" if key else str(name), entry) for name, entry in kept.items()]
         return tuple(row for path, entry in entries for row in _stated_settings(entry, path))
     if isinstance(settings, list) and settings and isinstance(settings[0], Mapping):
+        # What all of several fits share stands once.
+        shared = {k: v for k, v in settings[0].items() if all(one.get(k) == v for one in settings)}
+        shared = shared if len(settings) > 1 else {}
         named = [(entry.get("name", number), entry) for number, entry in enumerate(settings, 1)]
-        paths = [(f"{key}.{name}", {**entry, "name": None}) for name, entry in named]
+        own = [(name, {k: v for k, v in entry.items() if k not in shared}) for name, entry in named]
+        paths = [(f"{key}.{name}", {**entry, "name": None}) for name, entry in own]
+        paths = [*([(f"{key}.*", shared)] if shared else []), *paths]
         return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
     if settings in (None, False, "", []):
         return ()

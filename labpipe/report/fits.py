@@ -14,7 +14,7 @@ from labpipe.records.finding import WARNING, of_level
 from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import Fit, Identification, of_points
 from labpipe.report import figures
-from labpipe.report.budget import budget_blocks
+from labpipe.report.budget import NOT_STATED, budget_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import MOST_TOGETHER, matrix_figures
 from labpipe.report.wording import (
@@ -110,12 +110,12 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
     What holds of several fits in the same words stands with the first of them.
     """
     sections: list[Section] = []
-    said: list[Block] = []
+    said: list[object] = []
     for fits in _groups(identification.fits):
         blocks = _result(fits)
         general = [block for block in blocks if _is_general(block)]
-        again = [block for block in general if block in said]
-        said += general
+        again = [block for block in general if _said(block) in said]
+        said += map(_said, general)
         pointer = (SAID_BEFORE,) if any(block != _EXPLANATION for block in again) else ()
         fresh = tuple(block for block in blocks if not (_is_general(block) and block in again))
         sections.append(Section(f"Result: {_title(fits)}", (*fresh[:2], *pointer, *fresh[2:])))
@@ -129,6 +129,13 @@ def _is_general(block: Block) -> bool:
         or block == _EXPLANATION
         or (isinstance(block, Paragraph) and block.kind == "note")
     )
+
+
+def _said(block: Block) -> object:
+    """What a block says: sources that are not stated say the same of every channel."""
+    if isinstance(block, Table) and block.header == NOT_STATED:
+        return block.caption, tuple(row[1:] for row in block.rows)
+    return block
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
@@ -282,12 +289,8 @@ def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
         for fit in fits
         for parameter in fit.parameters
     )
-    table = Table(
-        ("line", *PARAMETER_HEADER[:-1]),
-        rows,
-        f"Straight lines of {fits[0].name}",
-        tuple(n + 1 for n in NUMERIC[:-1]),
-    )
+    header, numeric = ("line", *PARAMETER_HEADER[:-1]), tuple(n + 1 for n in NUMERIC[:-1])
+    table = Table(header, rows, f"Straight lines of {fits[0].name}", numeric)
     goodness = tuple(
         (fit.test or fit.name, f"{fit.gof.r2:.5f}", str(fit.lines), "; ".join(fit.notes)) for fit in fits
     )

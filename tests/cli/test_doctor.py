@@ -42,6 +42,20 @@ def test_a_missing_package_is_named_and_is_a_fault(labpipe, monkeypatch: pytest.
     assert doctor.callback() == 0
 
 
+def test_a_command_that_misses_a_package_names_it(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """As an uninstalled pypdf where a report is drawn: no fault of labpipe, exit code 2."""
+    from labpipe.cli import main
+
+    def missing(*_: object, **__: object) -> None:
+        raise ModuleNotFoundError("No module named 'pypdf.generic'", name="pypdf.generic")
+
+    monkeypatch.setattr(main.group, "main", missing)
+    with pytest.raises(SystemExit) as ended:
+        main.main()
+    assert ended.value.code == 2
+    assert "error: the package pypdf is not installed" in capsys.readouterr().err
+
+
 def test_an_optional_package_says_what_is_missing_without_it(
     labpipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 from scipy import integrate, special, stats
 from scipy.optimize import fsolve
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import FloatArray, similarity
 from labpipe.distributions import coverage_factor
 from labpipe.methods.journal_bearing.bearing import (
     JournalBearing,
@@ -24,7 +24,6 @@ from labpipe.methods.magnetic_bearing.fit import scatter_radius
 from labpipe.methods.magnetic_bearing.sampled_loop import tustin
 from labpipe.methods.magnetic_bearing.stability import pade
 from labpipe.methods.modal.model_error import phase_collinearity
-from labpipe.methods.modal.poles import similarity
 from labpipe.methods.planning.campaigns import schroeder_phases_of
 from labpipe.methods.planning.designs import certificate, variances
 from labpipe.methods.ring_down.virtual_rig import KIND, DecayRig, motion

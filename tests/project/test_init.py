@@ -15,7 +15,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from labpipe.project.examples import examples
-from labpipe.project.first_guess import guess_channels, time_columns
+from labpipe.project.first_guess import STANDS_OUT, guess_channels, peaks_of, time_columns
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.scaffold import MARK
 from labpipe.project.settings_reader import DECIDE
@@ -233,6 +233,18 @@ def test_a_spike_of_noise_is_no_peak(tmp_path: Path, labpipe) -> None:
     assert labpipe("init", tmp_path / "p", tmp_path / "h.csv").code == 0
     low, high = re.search(r"band: ([\d.]+)-([\d.]+) Hz", (tmp_path / "p/pipeline.yaml").read_text()).groups()
     assert 24 < float(low) < 30 < float(high) < 36
+
+
+@pytest.mark.parametrize("n", [50, 900, 5000])
+def test_peaks_are_those_of_scipy(n: int) -> None:
+    """Of noise, smoothed and not, seeds pinned: by find_peaks with the same prominence and distance."""
+    from scipy.signal import find_peaks
+
+    rng = np.random.default_rng(n)
+    for smooth in (1, 3, 9):
+        mobility = np.convolve(np.exp(2 * rng.normal(size=n)), np.ones(smooth), "same")
+        expected, _ = find_peaks(np.log(mobility), prominence=STANDS_OUT, distance=max(n // 400, 1))
+        np.testing.assert_array_equal(peaks_of(mobility), expected)
 
 
 def test_universal_records_of_open_form_take_it_from_their_title(tmp_path: Path, labpipe) -> None:

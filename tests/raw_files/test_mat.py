@@ -64,6 +64,19 @@ def test_a_structure_array_with_a_name_and_a_unit_for_each_channel(tmp_path: Pat
     assert open_table(tmp_path / "s.mat").columns == ("meas.Y(1).Data", "meas.Y(2).Data")
 
 
+def test_structures_in_cells(tmp_path: Path) -> None:
+    """As an impedance analyser writes a sweep: a structure in a cell in a cell."""
+    frequency, real = 100.0 + np.arange(9.0), np.arange(9.0) ** 2
+    sample, cell = np.empty(1, object), np.empty(1, object)
+    sample[0] = {"frequency": frequency, "realz": real, "header": {"name": "sweep"}}
+    cell[0] = sample
+    savemat(tmp_path / "r.mat", {"device": {"imps": {"sample": cell}}})
+    table = open_table(tmp_path / "r.mat")
+    place = "device.imps.sample{1}{1}"
+    assert table.columns == (f"{place}.frequency", f"{place}.realz")
+    np.testing.assert_array_equal(whole(table), np.column_stack([frequency, real]))
+
+
 @pytest.mark.parametrize("version", ["4", "5"])
 def test_vectors_matrices_and_rates(tmp_path: Path, rng, version: str) -> None:
     x, matrix = rng.normal(size=(70, 1)), rng.normal(size=(70, 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import json
 import re
 import subprocess
@@ -12,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pypdf import PdfReader
 
 import labpipe
 from labpipe.document import html_page, pdf
@@ -178,3 +180,27 @@ def test_reports_at_the_root_are_those_of_the_table() -> None:
     assert labpipe.html_report(RESULT) == RENDERERS.load("html")(RESULT) and labpipe.markdown_report(
         RESULT
     ) == RENDERERS.load("md")(RESULT)
+
+
+def test_many_figures_share_rows_and_no_heading_stands_alone(every_kind: Chart) -> None:
+    """Ten sections of 40 mm of words and two charts of 3.2 in: 212 mm and a page each one above the other,
+    126 mm side by side, two a page but for the first.
+
+    The last words of a page are its foot; before them stands no heading and no caption of a table.
+    """
+    chart = Chart(every_kind.panels[:1])
+    table = Table(("name", "value"), (("a", "1"), ("b", "2")), "Values", (1,))
+    blocks = (
+        Paragraph("Model and band. " * 20),
+        table,
+        Figure(chart, "First", "First"),
+        Figure(chart, "Second", "Second"),
+    )
+    sections = tuple(Section(f"Result {n}", blocks) for n in range(10))
+    pages = PdfReader(io.BytesIO(pdf.render_pdf(Document("Title", "Subtitle", sections, ())))).pages
+    assert len(pages) <= 7
+    few = PdfReader(io.BytesIO(pdf.render_pdf(Document("Title", "Subtitle", sections[:5], ())))).pages
+    assert len(few) >= 4
+    for page in (*pages, *few):
+        before = page.extract_text().split("Title   page")[0].rstrip().splitlines()[-1]
+        assert not before.startswith(("Result", "Values", "name"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, similarity
 from labpipe.errors import FitError
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settled
@@ -17,7 +17,7 @@ from labpipe.estimation.model_error import ModelError, StatedRow, thinned
 from labpipe.estimation.statistics import correlation, derived, widened
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
 from labpipe.methods.modal.moved import MovedMode, apart, unloaded
-from labpipe.methods.modal.poles import damping_ratio, similarity
+from labpipe.methods.modal.poles import damping_ratio
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, similarity
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
@@ -239,16 +239,6 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
 def damping_ratio(poles: ComplexArray) -> FloatArray:
     """-Re / |pole| [1] of *poles* (n,)."""
     return -poles.real / np.abs(poles)
-
-
-def similarity(a: ComplexArray, b: ComplexArray) -> FloatArray:
-    """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1]
-    (Allemang and Brown 1982).
-
-    Equation (modal-mac).
-    """
-    product = np.abs(a.conj() @ b.T) ** 2
-    return np.asarray(product / (np.sum(np.abs(a) ** 2, axis=1)[:, None] * np.sum(np.abs(b) ** 2, axis=1)))
 
 
 def _inside(poles: Poles, band: tuple[float, float]) -> Poles:

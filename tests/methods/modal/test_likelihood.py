@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from labpipe.arrays import similarity
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, refine
 from labpipe.methods.modal.model_error import modal_parameters
-from labpipe.methods.modal.poles import normal_equations, refine_with_terms, similarity, stabilisation
+from labpipe.methods.modal.poles import normal_equations, refine_with_terms, stabilisation
 from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.modal.poles import normal_equations, similarity, stabilisation
+from labpipe.arrays import similarity
+from labpipe.methods.modal.poles import normal_equations, stabilisation
 from tests.methods.modal.structures import chain, chain_response, nine_modes
 
 
