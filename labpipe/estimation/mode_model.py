@@ -349,18 +349,17 @@ def is_extension(base: Fitted, model: ModeModel, theta: FloatArray) -> bool:
     second mode in the band and of like damping beside one that moved by less than its width, a motion that is
     neither longer than the resonance is wide nor too short to be seen.
     """
-    n, frequency = model.n_interest, model.curve.frequency
-    f_n, zeta = base.model.frequency_and_damping(base.theta)
-    if model.law and not 0.05 < np.exp(theta[n]) / zeta < 3:
+    # In logarithms: what runs away is no number else.
+    n, band = model.n_interest, np.log(model.curve.frequency[[0, -1]])
+    f_n, zeta = np.log(base.model.frequency_and_damping(base.theta))
+    if model.law and not np.log(0.05) < theta[n] - zeta < np.log(3):
         return False
     if not model.has_second:
         return True
-    (own, damping), (f_2, zeta_2) = (
-        model.frequency_and_damping(theta),
-        np.exp(theta[model.n_shape - 2 : model.n_shape]),
-    )
-    like = 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING
-    return bool(frequency[0] <= f_2 <= frequency[-1] and like and abs(np.log(own / f_n)) < 2 * zeta)
+    own, damping = model.to_resonance @ theta[:n] + model.offset
+    f_2, zeta_2 = theta[model.n_shape - 2 : model.n_shape]
+    like = abs(zeta_2 - damping) < np.log(LIKE_DAMPING)
+    return bool(band[0] <= f_2 <= band[1] and like and abs(own - f_n) < 2 * np.exp(zeta))
 
 
 def half_width(model: ModeModel, q: FloatArray) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from labpipe.records.response import FrequencyResponse, uncorrelated
 from tests.estimation.test_repeated import F_N, FREQUENCY, NOISE, ZETA, fitted, mode, repeated
 
-DRAWS, NUMBERS = 5, (3, 5, 10)
+DRAWS, FIRST, NUMBERS = 10, 9000, (3, 5, 10)
 # ln f over zeta and ln zeta of every recording (n,), and the forces where they are known.
 Moves = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
@@ -89,7 +89,7 @@ def counted(kind: str, hidden: float) -> tuple[str, str]:
     shares, width = [], []
     for n in NUMBERS:
         held = []
-        for seed in range(DRAWS):
+        for seed in range(FIRST, FIRST + DRAWS):
             fit = fitted(drawn(kind, n, seed, hidden))
             for name, truth in (("f_n", F_N), ("zeta", ZETA)):
                 p = fit.parameter(name)

@@ -74,7 +74,8 @@ NARROW = (
 )
 CHANCE = (
     "the reference lies up to 0.2 half-widths beyond the end; the quarters of the record scatter by 1.3 of "
-    "their standard errors, so that no drift shows"
+    "their standard errors, so that no drift shows, and of 300 simulated records of this length, block and "
+    "noise the intervals of f_n hold in 99 and 97 %, those of zeta in 93 and 93 % (modes 2 and 3)"
 )
 SWEPT = "the five records differ in this mode by 3 %, and not every one of them shows it"
 EXCITED = (
