@@ -716,7 +716,8 @@ def killed_and_taken_up(folder: Path, rows: np.ndarray, after: float) -> tuple[l
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "labpipe", "live", str(folder / "pipeline.yaml"), "-", "--json"]
     command += ["-o", str(out), "--set", "report.formats=[md]"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+    # Without a buffer nothing waits to be written once the process is killed.
+    with subprocess.Popen(command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         assert child.stdin is not None and child.stdout is not None
         killer = threading.Timer(after, child.kill)
         killer.start()
