@@ -52,7 +52,7 @@ def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
 
 
 @functools.cache
-def _added(kind: str) -> Mapping[str, EntryPoint]:
+def _of_others(kind: str) -> Mapping[str, EntryPoint]:
     """Entries of other packages.
 
     Cached, since it reads the metadata of every installed package.
@@ -88,7 +88,7 @@ class Registry:
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first, in the order of their file."""
         shipped = self._shipped
-        return (*shipped, *(name for name in _added(self.kind) if name not in shipped))
+        return (*shipped, *(name for name in _of_others(self.kind) if name not in shipped))
 
     def load(self, name: str) -> Any:
         """The object of that name; ConfigError with the nearest known name for an unknown one."""
@@ -97,7 +97,7 @@ class Registry:
         if name in self._shipped:
             # Asked for thousands of times in a study; entries of others may be installed anew.
             return self._loaded.setdefault(name, self._shipped[name].load())
-        entry = _added(self.kind).get(name)
+        entry = _of_others(self.kind).get(name)
         if entry is None:
             raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))
         return entry.load()

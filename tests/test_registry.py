@@ -21,9 +21,9 @@ def table(monkeypatch: pytest.MonkeyPatch) -> Registry:
         EntryPoint("own", "math:e", "labpipe.some_kind"),
     )
     monkeypatch.setattr(registry, "entry_points", lambda group: added if group == "labpipe.some_kind" else ())
-    registry._added.cache_clear()
+    registry._of_others.cache_clear()
     yield Registry("some kind", TABLE)
-    registry._added.cache_clear()
+    registry._of_others.cache_clear()
 
 
 def test_what_packages_add_stands_behind_and_never_in_place_of_what_is_there(table: Registry) -> None:
@@ -59,10 +59,10 @@ def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_besi
         EntryPoint(name, "elsewhere:x", "labpipe.fit_detail") for name in ("theirs", *reversed(shipped))
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: others)
-    registry._added.cache_clear()
+    registry._of_others.cache_clear()
     try:
         table = Registry("fit detail")
         assert table.names() == (*shipped, "theirs")
         assert table.load(shipped[0]) is registry._shipped()["labpipe.fit_detail"][shipped[0]].load()
     finally:
-        registry._added.cache_clear()
+        registry._of_others.cache_clear()

@@ -37,7 +37,7 @@ from labpipe.artefacts.parquet import (
     read_columns,
     read_header,
 )
-from labpipe.artefacts.writing import OutputFolder, finished
+from labpipe.artefacts.writing import OutputFolder, without_staging
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.dataset import (
@@ -164,7 +164,7 @@ def amount_of(text: str) -> tuple[float | None, str]:
 
 def parts(folder: Path) -> list[Part]:
     """The parts of the dataset in a folder of results, by rig, date and name."""
-    written = finished((folder / FOLDER).glob(f"rig=*/date=*/*{SUFFIX}"))
+    written = without_staging((folder / FOLDER).glob(f"rig=*/date=*/*{SUFFIX}"))
     return [
         Part(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date="))
         for path in written
@@ -228,8 +228,8 @@ def read_many_tests(folder: Path) -> ManyTests:
     valid = table.filter(pc.is_valid(table["parameter"]))
     return ManyTests(
         tuple(_columns(valid)),
-        failed=tuple(_named(table.filter(pc.is_valid(table["failed"])), "failed")),
-        not_accepted=tuple(_named(table.filter(pc.equal(table["accepted"], False)), "warnings")),
+        failed=tuple(_name(table.filter(pc.is_valid(table["failed"])), "failed")),
+        not_accepted=tuple(_name(table.filter(pc.equal(table["accepted"], False)), "warnings")),
     )
 
 
@@ -279,7 +279,7 @@ def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
                 yield name, (units.pop(), _numbers(table, column))
 
 
-def _named(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:
+def _name(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:
     """The first tests of some rows with their conditions, each once."""
     conditions = [name for name in table.column_names if name.startswith(CONDITION)]
     seen: set[str] = set()

@@ -18,7 +18,7 @@ from labpipe import __version__
 from labpipe.artefacts.digest import AGAIN, DamagedError, file_sha256
 from labpipe.artefacts.json_file import json_value
 from labpipe.artefacts.places import origin
-from labpipe.artefacts.writing import shown
+from labpipe.artefacts.writing import show
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 
@@ -184,5 +184,5 @@ def source_ref(path: Path, folder: Path, sha256: str = "") -> SourceRef:
     Of a fetched recording it is the URL.
     """
     url = origin(path)
-    named = Path(os.path.relpath(path, folder)).as_posix() if url is None else shown(url)
+    named = Path(os.path.relpath(path, folder)).as_posix() if url is None else show(url)
     return SourceRef(named, sha256 or file_sha256(path))

@@ -200,7 +200,7 @@ def read_identification(path: Path) -> Identification:
     if entries.get("schema") not in READ_SCHEMAS:
         raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", where=str(path))
     try:
-        return _identification(_upgraded(entries))
+        return _identification(_upgrade(entries))
     except RECORD_FAULTS as error:
         # Same schema, other entries: written by another version, or edited by hand.
         version = cut(str(entries.get("labpipe", "?")))
@@ -208,7 +208,7 @@ def read_identification(path: Path) -> Identification:
         raise DataError(written, where=str(path), hint="run `labpipe identify` again") from None
 
 
-def _upgraded(entries: dict[str, Any]) -> dict[str, Any]:
+def _upgrade(entries: dict[str, Any]) -> dict[str, Any]:
     """Schema 1 called the frequency of a fitted curve frequency_hz, and had empty lists for sections that a
     pipeline did not have.
     """

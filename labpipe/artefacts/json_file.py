@@ -208,8 +208,8 @@ def write_json(path: Path, entries: dict[str, Any]) -> None:
 def write_digested(path: Path, entries: dict[str, Any]) -> None:
     """Write the entries with the digest of the file without it as the second one."""
     texts = _texts(entries)
-    digest = hashlib.sha256(_joined(texts)).hexdigest()
-    path.write_bytes(_joined([texts[0], *_texts({DIGEST: digest}), *texts[1:]]))
+    digest = hashlib.sha256(_join(texts)).hexdigest()
+    path.write_bytes(_join([texts[0], *_texts({DIGEST: digest}), *texts[1:]]))
 
 
 def read_digested(path: Path, what: str) -> dict[str, Any]:
@@ -219,7 +219,7 @@ def read_digested(path: Path, what: str) -> dict[str, Any]:
     A file that another program wrote again with the same entries in the same order matches as well.
     """
     content = read_bytes(path)
-    entries = parsed(content, path, what)
+    entries = parse(content, path, what)
     stated = entries.get(DIGEST)
     # A long text in its place under another name is a digest whose name was damaged.
     second = next(islice(entries.values(), 1, None), "")
@@ -247,7 +247,7 @@ def read_bytes(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
+def parse(content: bytes, path: Path, what: str) -> dict[str, Any]:
     """The entries of a JSON object; DamagedError for anything else."""
     try:
         entries = json_value(content.decode("utf-8"))
@@ -282,14 +282,14 @@ def _under_new_names(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def _content(entries: dict[str, Any]) -> bytes:
-    return _joined(_texts(entries))
+    return _join(_texts(entries))
 
 
 def _texts(entries: dict[str, Any]) -> list[str]:
     return [f"{json.dumps(key, ensure_ascii=False)}: {_lines(entry)}" for key, entry in entries.items()]
 
 
-def _joined(texts: list[str]) -> bytes:
+def _join(texts: list[str]) -> bytes:
     return ("{\n" + ",\n".join(texts) + "\n}\n").encode()
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from labpipe.artefacts.dataset_file import FOLDER, SUFFIX
 from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.places import Found, StorageError, below, get, naming, put, remove, status
-from labpipe.artefacts.writing import STAGING, is_remote, shown
+from labpipe.artefacts.writing import STAGING, is_remote, show
 from labpipe.errors import DataError, LabpipeError
 
 Wanted = Callable[[str], bool]
@@ -51,7 +51,7 @@ def results_read(place: Path, wanted: Wanted = summary) -> Iterator[Path]:
         if not mirror.bring(wanted, named_only=True):
             raise DataError(
                 "there are no results",
-                where=shown(place),
+                where=show(place),
                 hint="results appear with `labpipe run PIPELINE -o PLACE`",
             )
         yield mirror.folder / place.name if file else mirror.folder
@@ -100,7 +100,7 @@ def _local(place: Path) -> Iterator[Mirror]:
     with tempfile.TemporaryDirectory(prefix="labpipe-results-", ignore_cleanup_errors=True) as name:
         folder = Path(name) / place.name
         folder.mkdir()
-        with naming({str(folder): shown(place), str(folder.resolve()): shown(place)}):
+        with naming({str(folder): show(place), str(folder.resolve()): show(place)}):
             yield Mirror(place, folder)
 
 
@@ -168,7 +168,7 @@ class Mirror:
         if lacking := named.difference(names) if named else set():
             raise DataError(
                 f"lacks the part '{min(lacking)}'",
-                where=shown(self.place),
+                where=show(self.place),
                 hint="it may be changing now; try again",
             )
         yield from (

@@ -29,7 +29,7 @@ from urllib.parse import urlsplit
 
 import pyarrow as pa
 
-from labpipe.artefacts.writing import SCHEMES, is_remote, shown
+from labpipe.artefacts.writing import SCHEMES, is_remote, show
 from labpipe.errors import DataError, LabpipeError
 
 # An object storage by pyarrow's file systems: what is there, objects brought here and put there, each whole
@@ -103,21 +103,21 @@ class Found:
 
 def status(path: Path) -> Found | None:
     """The object of a URL; None where there is none. StorageError for no bucket, no access or no answer."""
-    with _said(path):
+    with _with_place(path):
         info = _system(path).get_file_info(_inside(path))
         if info.is_file:
-            return _found(path, info)
+            return _entry(path, info)
         # Whether it is the object or the bucket that is missing, only a list tells.
-        _listed(path, recursive=False)
+        _listing(path, recursive=False)
     return None
 
 
 def below(path: Path) -> list[Found]:
     """All objects whose names begin with that of a folder, sorted by name; none where there is nothing."""
-    with _said(path):
-        infos = _listed(path, recursive=True)
+    with _with_place(path):
+        infos = _listing(path, recursive=True)
     objects = [
-        _found(Path(path.parts[0]) / info.path, info)
+        _entry(Path(path.parts[0]) / info.path, info)
         for info in infos
         if info.is_file and _is_plain(info.path)
     ]
@@ -131,10 +131,10 @@ def get(path: Path, target: Path) -> None:
     before = status(path)
     if before is None:
         raise DataError(
-            "no such object", where=shown(path), hint="it may have been removed since it was listed"
+            "no such object", where=show(path), hint="it may have been removed since it was listed"
         )
     target.parent.mkdir(parents=True, exist_ok=True)
-    with _said(path):
+    with _with_place(path):
         copy_files(
             _inside(path),
             str(target),
@@ -143,7 +143,7 @@ def get(path: Path, target: Path) -> None:
             chunk_size=CHUNK,
         )
     if status(path) != before or target.stat().st_size != before.size:
-        raise DataError("changed while it was read", where=shown(path), hint="run again when it is complete")
+        raise DataError("changed while it was read", where=show(path), hint="run again when it is complete")
     os.utime(target, (before.changed, before.changed))
 
 
@@ -152,7 +152,7 @@ def put(source: Path, path: Path) -> None:
     from pyarrow.fs import LocalFileSystem, copy_files
 
     # All of it in one call: a stream of Python's own that an interrupt closes would leave half an object.
-    with _said(path):
+    with _with_place(path):
         copy_files(
             str(source),
             _inside(path),
@@ -164,7 +164,7 @@ def put(source: Path, path: Path) -> None:
 
 def remove(path: Path) -> None:
     """Remove an object, which may have gone already."""
-    with _said(path):
+    with _with_place(path):
         try:
             _system(path).delete_file(_inside(path))
         except FileNotFoundError:
@@ -176,12 +176,12 @@ def _is_plain(name: str) -> bool:
     return not {"", ".", ".."}.intersection(name.split("/"))
 
 
-def _found(path: Path, info: Any) -> Found:
+def _entry(path: Path, info: Any) -> Found:
     changed = info.mtime or datetime.datetime.fromtimestamp(0, datetime.UTC)
     return Found(path, info.size, changed.timestamp())
 
 
-def _listed(path: Path, *, recursive: bool) -> Any:
+def _listing(path: Path, *, recursive: bool) -> Any:
     from pyarrow.fs import FileSelector
 
     # Asked to allow for nothing being there, pyarrow would pass over a missing bucket as well.
@@ -198,11 +198,11 @@ def _inside(path: Path) -> str:
 
 def _system(path: Path) -> Any:
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
-    return _opened(path.parts[0], path.parts[1], endpoint)
+    return _open(path.parts[0], path.parts[1], endpoint)
 
 
 @lru_cache(maxsize=8)
-def _opened(scheme: str, bucket: str, s3_endpoint: str) -> Any:
+def _open(scheme: str, bucket: str, s3_endpoint: str) -> Any:
     """The file system of a storage; one for each scheme and bucket."""
     from pyarrow import fs
 
@@ -220,7 +220,7 @@ def _opened(scheme: str, bucket: str, s3_endpoint: str) -> Any:
 
 
 @contextmanager
-def _said(path: Path) -> Iterator[None]:
+def _with_place(path: Path) -> Iterator[None]:
     """Faults of a storage as one message that names the place."""
     try:
         yield
@@ -235,9 +235,9 @@ def _said(path: Path) -> Iterator[None]:
         text = str(error)
         for word, what, hint in _REASONS:
             if word in text:
-                raise StorageError(what, where=shown(path), hint=hint) from None
+                raise StorageError(what, where=show(path), hint=hint) from None
         reason = (text.splitlines() or [type(error).__name__])[0]
-        raise StorageError(f"cannot be reached ({reason[:200]})", where=shown(path)) from None
+        raise StorageError(f"cannot be reached ({reason[:200]})", where=show(path)) from None
 
 
 # Recordings of an object storage on this machine, as long as they are worked on.
@@ -246,7 +246,7 @@ SPOOL = "labpipe-fetched-"
 
 
 @contextmanager
-def fetched(paths: Sequence[Path], home: Path) -> Iterator[dict[Path, Path]]:
+def fetch(paths: Sequence[Path], home: Path) -> Iterator[dict[Path, Path]]:
     """Where those of some paths that are URLs lie here, in a folder in *home* that goes at the end. Messages
     of the block name the URLs.
 
@@ -260,7 +260,7 @@ def fetched(paths: Sequence[Path], home: Path) -> Iterator[dict[Path, Path]]:
         here = {path: Path(name) / path for path in remote}
         for path, local in here.items():
             get(path, local)
-        with naming({str(local): shown(path) for path, local in here.items()}):
+        with naming({str(local): show(path) for path, local in here.items()}):
             yield here
 
 

@@ -77,14 +77,14 @@ class RecordingWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._header is not None:
-            writer = self._opened(np.empty((0, len(self._schema))))
+            writer = self._open(np.empty((0, len(self._schema))))
             writer.add_key_value_metadata(metadata_of(self._header))
         if self._writer is not None:
             self._writer.close()
         if self._header is not None:
             self._digests = stamp_parquet(self._path)
 
-    def _opened(self, block: FloatArray) -> pq.ParquetWriter:
+    def _open(self, block: FloatArray) -> pq.ParquetWriter:
         """The writer, each column encoded as the first *block* (n, n_channel) [SI] lets expect."""
         if self._writer is None:
             first = block[:LOOKED_AT]
@@ -107,7 +107,7 @@ class RecordingWriter:
     def write(self, block: FloatArray) -> None:
         """Append a block (n, n_channel) [SI]."""
         arrays = [arrow_array(column) for column in np.ascontiguousarray(block.T)]
-        self._opened(block).write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+        self._open(block).write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def finish(self, header: Header) -> None:
         """Put the header; the digest follows when the file is closed."""

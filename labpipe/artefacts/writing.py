@@ -26,7 +26,7 @@ STAGING = ".labpipe-"
 LOCK = ".lock"
 
 
-def finished(paths: Iterable[Path]) -> list[Path]:
+def without_staging(paths: Iterable[Path]) -> list[Path]:
     """The paths in order, without those in folders of what is being made."""
     return sorted(path for path in paths if not any(part.startswith(STAGING) for part in path.parts[:-1]))
 
@@ -106,7 +106,7 @@ def staging_folder(home: Path) -> Iterator[Path]:
     try:
         staging.mkdir(mode=0o700)
         with (staging / LOCK).open("w") as lock:
-            _locked(lock)
+            _take_lock(lock)
             yield staging
     finally:
         shutil.rmtree(staging, ignore_errors=True)
@@ -117,7 +117,7 @@ def _remove_abandoned(home: Path) -> None:
     for staging in home.glob(f"{STAGING}{socket.gethostname()}-*"):
         try:
             with (staging / LOCK).open("r+") as lock:
-                abandoned = _locked(lock)
+                abandoned = _take_lock(lock)
         except FileNotFoundError:
             # Just made, and not yet locked; unless its process ended there.
             abandoned = fcntl is not None and not _runs(staging.name)
@@ -147,12 +147,12 @@ def only_one(path: Path) -> Iterator[None]:
     It goes with the process, however that ends.
     """
     with path.open("w") as lock:
-        if fcntl is not None and not _locked(lock):
+        if fcntl is not None and not _take_lock(lock):
             raise DataError("another process works on this folder", where=str(path.parent))
         yield
 
 
-def _locked(lock: IO[str]) -> bool:
+def _take_lock(lock: IO[str]) -> bool:
     """Take the lock of a staging folder, which goes with the process that holds it.
 
     False where another one does.
@@ -246,6 +246,6 @@ def is_remote(path: Path) -> bool:
     return bool(path.parts) and path.parts[0] in SCHEMES
 
 
-def shown(path: Path) -> str:
+def show(path: Path) -> str:
     """The path as people write it."""
     return f"{path.parts[0]}//{'/'.join(path.parts[1:])}" if is_remote(path) else str(path)

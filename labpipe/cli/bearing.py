@@ -18,7 +18,7 @@ from labpipe.project.bearing import (
     Evaluated,
     bearing_entry,
     bearing_json,
-    evaluated,
+    evaluate,
     swept,
     write_bearing,
     write_sweep,
@@ -221,7 +221,7 @@ def bearing(
         return
     file = open_bearing(bearing_path, overrides)
     name = file.settings().name or bearing_path.stem
-    whole = evaluated(file)
+    whole = evaluate(file)
     text = bearing_json(bearing_entry(file, name, whole))
     if str(json_path) == "-":
         echo(text, nl=False)

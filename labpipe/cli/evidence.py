@@ -15,7 +15,7 @@ from labpipe import __version__
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import everything, results_read
-from labpipe.artefacts.writing import is_remote, output_folder, shown
+from labpipe.artefacts.writing import is_remote, output_folder, show
 from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
@@ -26,7 +26,7 @@ from labpipe.project.archive import (
     check_output,
     contents,
     is_archive,
-    unpacked,
+    unpack,
     write_archive,
 )
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
@@ -239,7 +239,7 @@ def verify(
     if is_archive(folder) and is_remote(folder):
         raise DataError(
             "is an archive elsewhere, and is read from this machine only",
-            where=shown(folder),
+            where=show(folder),
             hint="copy it here",
         )
     if is_archive(folder):
@@ -249,7 +249,7 @@ def verify(
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
         code = _verify_folder(
-            here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
+            here, show(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
         )
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code
@@ -332,7 +332,7 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
     again; the exit code.
     """
     with tempfile.TemporaryDirectory(prefix="labpipe-archive-", ignore_cleanup_errors=True) as scratch:
-        archive = unpacked(path, Path(scratch))
+        archive = unpack(path, Path(scratch))
         for name, fault in archive.faults:
             echo(message_line(f"FAILED {path}: {name}: {fault}"))
         if not how.quiet:

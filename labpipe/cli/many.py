@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from labpipe.artefacts.writing import is_remote, shown
+from labpipe.artefacts.writing import is_remote, show
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError
@@ -73,7 +73,7 @@ def check_shared(output: Path, cluster: str | None) -> None:
     """ConfigError for results that go elsewhere from a folder that the workers of a cluster do not share."""
     if is_remote(output) and cluster not in (None, LOCAL) and "TMPDIR" not in os.environ:
         what = "the workers do not see the folder of this machine in which the results are made"
-        raise ConfigError(what, where=shown(output), hint="set TMPDIR to a folder that all workers share")
+        raise ConfigError(what, where=show(output), hint="set TMPDIR to a folder that all workers share")
 
 
 def executor(jobs: int, cluster: str | None) -> Execute:

@@ -10,7 +10,7 @@ import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import results_read, summary
-from labpipe.artefacts.writing import finished, output_file
+from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import DataError
@@ -88,7 +88,7 @@ def result_files(results: Sequence[Path]) -> list[Path]:
     """The identification.json files: a file itself, that of a folder, or all below a folder without one."""
     files: list[Path] = []
     for path in results:
-        below = finished(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
+        below = without_staging(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
         if path.is_dir() and not below and not (path / NAME).exists():
             raise DataError(
                 f"holds no {NAME}, neither does a folder below it",

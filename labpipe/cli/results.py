@@ -10,7 +10,7 @@ import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import results_read
-from labpipe.artefacts.writing import shown as shown_path
+from labpipe.artefacts.writing import show as shown_path
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.mirrored import results_kept, results_made
-from labpipe.artefacts.writing import is_remote, only_one, shown
+from labpipe.artefacts.writing import is_remote, only_one, show
 from labpipe.cli import options
 from labpipe.cli.many import check_shared, echo_failed, executor, manner
 from labpipe.cli.output import echo
@@ -83,7 +83,7 @@ def run(
     echo_identification(identification, quiet)
     if not quiet:
         echo(
-            f"written: {shown(output)}/identification.json"
+            f"written: {show(output)}/identification.json"
             + "".join(f", report.{name}" for name in pipeline.report.formats)
         )
     echo_failed(identification.failed)
@@ -127,7 +127,7 @@ def check(
         raise ConfigError(f"{alike}: two pipelines of this name would share a folder of results")
     work = partial(outcomes_of, output=output, overrides=overrides, quiet=quiet, verbose=verbose)
     failed = 0
-    for path, outcomes in _checked(pipelines, overrides, jobs, work):
+    for path, outcomes in _check(pipelines, overrides, jobs, work):
         wrong = [outcome for outcome in outcomes if not outcome.passed]
         failed += len(wrong)
         if not quiet:
@@ -137,7 +137,7 @@ def check(
     return 1 if failed else 0
 
 
-def _checked(
+def _check(
     pipelines: Sequence[Path],
     overrides: tuple[str, ...],
     jobs: int,
@@ -304,7 +304,7 @@ def watch(
     if is_remote(log_folder):
         raise ConfigError(
             "--log: is needed where the results are elsewhere",
-            where=shown(output),
+            where=show(output),
             hint="name a folder of this machine",
         )
     log_folder.mkdir(parents=True, exist_ok=True)

@@ -186,13 +186,13 @@ def identify(
             if frfs
             else identify_many(pipeline, folder, Manner(progress=silent if quiet else Progress(verbose)))
         )
-        identification = many if many is not None else _identified(pipeline, frfs, folder)
+        identification = many if many is not None else _identify(pipeline, frfs, folder)
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
 
 
-def _identified(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
+def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
     """The result of all tests at once."""
     if frfs:
         tests, inputs = (

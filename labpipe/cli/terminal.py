@@ -44,7 +44,7 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
             echo(line)
         _echo_findings([tuple(finding for _, finding in section(name).findings(record))], name)
     for outcome in identification.outcomes:
-        mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
+        mark = _colour("passed", "green") if outcome.passed else _colour("FAILED", "red")
         echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")
 
 
@@ -58,9 +58,9 @@ def _echo_dataset(index: DatasetIndex) -> None:
         "dataset/"
     )
     for counted in index.of_level(WARNING):
-        echo(f"  {_coloured('warning', 'yellow')} {counted.message}")
+        echo(f"  {_colour('warning', 'yellow')} {counted.message}")
     for counted in index.of_level(NOTE)[:MAX_NOTES]:
-        echo(f"  {_coloured('note', 'cyan')} {counted.message}")
+        echo(f"  {_colour('note', 'cyan')} {counted.message}")
 
 
 def _echo_fit(fit: Fit) -> None:
@@ -99,16 +99,14 @@ def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
             by_code.setdefault(finding.code, {}).setdefault(number, finding.message)
     for code, messages in by_code.items():
         times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
-        echo(
-            f"  {_coloured('warning', 'yellow')} {code}{times}: {for_terminal(next(iter(messages.values())))}"
-        )
+        echo(f"  {_colour('warning', 'yellow')} {code}{times}: {for_terminal(next(iter(messages.values())))}")
     notes = list(dict.fromkeys(finding for findings in carriers for finding in of_level(NOTE, findings)))
     for finding in notes[:MAX_NOTES]:
-        echo(f"  {_coloured('note', 'cyan')} {finding.code}: {for_terminal(finding.message)}")
+        echo(f"  {_colour('note', 'cyan')} {finding.code}: {for_terminal(finding.message)}")
     if len(notes) > MAX_NOTES:
         echo(f"  ... {len(notes) - MAX_NOTES} more notes in the report ...")
 
 
-def _coloured(text: str, colour: str) -> str:
+def _colour(text: str, colour: str) -> str:
     plain = os.environ.get("NO_COLOR") or not sys.stdout.isatty()
     return text if plain else click.style(text, fg=colour)

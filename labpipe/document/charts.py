@@ -21,7 +21,7 @@ from labpipe.document.figure_numbers import figure_csv, short_name
 from labpipe.registry import Registry
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Panel, Series
 from labpipe.report.document import Document, Figure
-from labpipe.report.shapes import REACH, VIEWS, ShapeSketch, projected
+from labpipe.report.shapes import REACH, VIEWS, ShapeSketch, project
 
 # Okabe and Ito's colours, distinguishable for colour-blind readers and in grey print; amber and sky darker,
 # so that thin lines reach a contrast of 3:1 with white (WCAG 2.1, criterion 1.4.11).
@@ -66,7 +66,7 @@ LARGE, SMALLEST = 1e6, 1e-4
 DRAWINGS = Registry("drawing")
 
 
-def styled(grid: bool = True) -> Any:
+def style(grid: bool = True) -> Any:
     """The style of the house as a context."""
     return mpl.rc_context({**STYLE, "axes.grid": grid})
 
@@ -130,7 +130,7 @@ def figure_files(document: Document) -> dict[str, bytes]:
 
 def chart_canvas(chart: Chart) -> Canvas:
     """The chart on a canvas of its size."""
-    with styled(grid=not any(series.kind == "cells" for panel in chart.panels for series in panel.series)):
+    with style(grid=not any(series.kind == "cells" for panel in chart.panels for series in panel.series)):
         canvas = Canvas(figsize=chart.size, layout="constrained")
         grid = canvas.add_gridspec(chart.rows, chart.columns, height_ratios=chart.heights)
         drawn: list[Axes] = []
@@ -140,14 +140,14 @@ def chart_canvas(chart: Chart) -> Canvas:
             together = {f"share{which}": first for which in "xy" if which in chart.shared}
             axes = canvas.add_subplot(grid[divmod(number, chart.columns)], **together)
             drawn.append(axes)
-            handles |= _painted(axes, panel)
+            handles |= _paint(axes, panel)
             _scales(axes, chart, number)
         _titles(canvas, drawn, chart)
         _legends(canvas, drawn, chart, handles)
     return canvas
 
 
-def _painted(axes: Axes, panel: Panel) -> dict[int, Artist]:
+def _paint(axes: Axes, panel: Panel) -> dict[int, Artist]:
     """What the series of a panel look like; the drawn artists by the id of their series."""
     artists = {id(series): PAINTERS[series.kind](axes, series) for series in panel.series}
     return {key: artist for key, artist in artists.items() if artist is not None}
@@ -162,7 +162,7 @@ def _scales(axes: Axes, chart: Chart, number: int) -> None:
             axes.set(**{f"{which}scale": "log"})
         # Of two axes with one scale matplotlib may move an end outwards.
         (axes.set_xlim if which == "x" else axes.set_ylim)(*limits, auto=panel.equal)
-        _numbered(axes.xaxis if which == "x" else axes.yaxis, axis, limits)
+        _number(axes.xaxis if which == "x" else axes.yaxis, axis, limits)
     axes.tick_params(labelbottom=_is_lowest(chart, number), labelleft=_is_leftmost(chart, number))
     if panel.equal:
         axes.set_aspect("equal", adjustable="box" if chart.shared else "datalim")
@@ -252,7 +252,7 @@ def _columns(entries: dict[tuple[str, int], list[Series]], side_by_side: int) ->
 NARROW, FEW_TICKS = 4.0, 4
 
 
-def _numbered(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
+def _number(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
     """Names of places, or round numbers, along an axis."""
     drawn.set_minor_locator(NullLocator())
     if axis.ticks:
@@ -418,7 +418,7 @@ ROOM = 1.2 * REACH
 
 def shape_canvas(sketch: ShapeSketch, size: tuple[float, float]) -> Canvas:
     """One row of views for every mode on a canvas of *size* [in]."""
-    with styled(grid=False):
+    with style(grid=False):
         canvas = Canvas(figsize=size, layout="constrained")
         places = canvas.subplots(len(sketch.titles), len(VIEWS), squeeze=False)
         for mode, (row, title) in enumerate(zip(places, sketch.titles, strict=True)):
@@ -437,10 +437,8 @@ def _view(axes: Axes, sketch: ShapeSketch, mode: int, eye: tuple[float, float]) 
         (back, PALETTE[0], ":"),
         (there, PALETTE[0], "-"),
     ):
-        _draw(axes, sketch, projected(points, *eye), colour, style)
-    half = (
-        np.max([np.abs(projected(sketch.positions, *view)).max(axis=0) for _, *view in VIEWS], axis=0) + ROOM
-    )
+        _draw(axes, sketch, project(points, *eye), colour, style)
+    half = np.max([np.abs(project(sketch.positions, *view)).max(axis=0) for _, *view in VIEWS], axis=0) + ROOM
     axes.set_xlim(-half[0], half[0])
     axes.set_ylim(-half[1], half[1])
     axes.set_aspect("equal")

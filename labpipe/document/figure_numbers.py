@@ -46,7 +46,7 @@ class NumberList:
         """The place of *values* (n,) [unit of their axis] in the list, rounded to the *digits* that a screen
         can show.
         """
-        rounded = _rounded(np.ravel(values), digits)
+        rounded = _round(np.ravel(values), digits)
         key = rounded.tobytes()
         if key not in self._places:
             self._places[key] = len(self.lists)
@@ -66,7 +66,7 @@ def _read_digits(series: Series) -> int:
     return min(DIGITS, READ_DIGITS + max(0, round(math.log10(float(np.max(np.abs(values))) / span))))
 
 
-def _rounded(values: FloatArray, digits: int) -> FloatArray:
+def _round(values: FloatArray, digits: int) -> FloatArray:
     """The double nearest to each of *values* (n,) [any unit] with so many decimal digits; nan for none."""
     known = np.where(np.isfinite(values), values, np.nan)
     size = np.log10(np.abs(known), out=np.zeros(known.size), where=known != 0)
@@ -148,7 +148,7 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
         entry["entry"] = series.entry
     if series.kind == "cells":
         nothing = numbers.add(np.empty(0))
-        values = [_as_json(_rounded(row, CELL_DIGITS)) for row in series.y]
+        values = [_as_json(_round(row, CELL_DIGITS)) for row in series.y]
         return {
             **entry,
             "name": "",

@@ -150,7 +150,7 @@ def _block(block: Block, counter: _Figures) -> str:
 def _table(table: Table) -> str:
     """A table, a long one behind a summary."""
     whole = _whole(table)
-    return whole if len(table.rows) <= LONG_TABLE else _folded(table, escape(_name(table)), whole)
+    return whole if len(table.rows) <= LONG_TABLE else _fold(table, escape(_name(table)), whole)
 
 
 def _name(table: Table) -> str:
@@ -179,7 +179,7 @@ def _whole(table: Table) -> str:
     return f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
 
 
-def _folded(table: Table, name: str, whole: str) -> str:
+def _fold(table: Table, name: str, whole: str) -> str:
     """A long table behind a summary, with all of it as a CSV file to save."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([table.header, *table.rows])

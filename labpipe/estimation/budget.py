@@ -25,7 +25,7 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.derived import BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
 from labpipe.estimation.leakage import expected
-from labpipe.estimation.measured import SHARE, Measured, across_ports, turned
+from labpipe.estimation.measured import SHARE, Measured, across_ports, turn
 from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import equation_solution, instrument_step, regression, solve_scaled
@@ -154,11 +154,11 @@ def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
         if not known or left @ left < NEGLIGIBLE:
             break
         at = at + move
-        moved = _moved(case, sources, at, values - step - along + followed)
+        moved = _move(case, sources, at, values - step - along + followed)
     return likely
 
 
-def _moved(
+def _move(
     case: Case, sources: Sequence[tuple[Uncertainty, Change]], at: FloatArray, values: FloatArray
 ) -> Case:
     """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)
@@ -273,11 +273,11 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
     return (
         fit
         if fit.budget is None
-        else replace(fit, parameters=contributed(fit.parameters, fit.budget, coverage))
+        else replace(fit, parameters=contribute(fit.parameters, fit.budget, coverage))
     )
 
 
-def contributed(parameters: Sequence[Parameter], budget: Budget, coverage: float) -> tuple[Parameter, ...]:
+def contribute(parameters: Sequence[Parameter], budget: Budget, coverage: float) -> tuple[Parameter, ...]:
     """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all
     of them.
 
@@ -380,10 +380,10 @@ def _change_of_direction(number: int, sign: float) -> Change:
     def change(case: Case, error: float) -> tuple[Setup, Measured]:
         across = across_ports(case.measured.outputs) if sign > 0 else None
         if across is None or not np.any(across[number]):
-            return _turned(case.setup, number, sign, error), case.measured
+            return _turn(case.setup, number, sign, error), case.measured
         matrix = case.measured.matrix
         return case.setup, replace(
-            case.measured, matrix=matrix + error * turned(matrix, number, across, of_forces=False)
+            case.measured, matrix=matrix + error * turn(matrix, number, across, of_forces=False)
         )
 
     return change
@@ -399,7 +399,7 @@ def _change_by(matrix_error: MatrixError) -> Change:
     return change
 
 
-def _turned(setup: Setup, number: int, sign: float, error: float) -> Setup:
+def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
     """The setup with an output (*sign* 1) or a force in another direction.
 
     A port without a direction stays.
@@ -473,7 +473,7 @@ def _step_of(case: Case) -> Step:
 
 def _is_likeliest(case: Case) -> bool:
     """Whether the estimate is the minimum of the output error weighted by the noise."""
-    _, jacobian, residual = _linearised(case)
+    _, jacobian, residual = _linearise(case)
     away = solve_scaled(jacobian, residual)[0]
     return bool(np.all(np.abs(away) <= AT_MINIMUM * np.sqrt(np.diag(case.estimate.covariance))))
 
@@ -505,7 +505,7 @@ def likelihood_step(case: Case) -> Step:
     """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the
     estimate.
     """
-    weights, jacobian, residual = _linearised(case)
+    weights, jacobian, residual = _linearise(case)
     _, inverse = solve_scaled(jacobian, residual)
 
     def step(model: BandModel, changed: Measured) -> FloatArray:
@@ -515,7 +515,7 @@ def likelihood_step(case: Case) -> Step:
     return step
 
 
-def _linearised(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
+def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
     """The weights of the output error, its Jacobian (n_equation, n_parameter) and its residual (n_equation,)
     at the estimate.
     """

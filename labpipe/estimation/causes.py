@@ -30,7 +30,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import amount_text, change_text, difference_in, shown_unit
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
-from labpipe.estimation.derived import Estimated, corrected
+from labpipe.estimation.derived import Estimated, correct
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.measured import Measured
@@ -139,7 +139,7 @@ def mass_findings(
     changes with frequency: within a band that looks like another mass. What *stated* numbers change adds to
     the uncertainty of the free mass. Equation (est-mass).
     """
-    freed = _freed(model, setup)
+    freed = _free(model, setup)
     if freed is None or setup.settings.sliding is not None:
         return []
     fit = _free_fit(measured, freed.model, np.concatenate([values, freed.given]), stated)
@@ -149,7 +149,7 @@ def mass_findings(
     return [Finding("mass", _message(freed, fit, values, p_value, setup))] if p_value < CONTRADICTED_P else []
 
 
-def _freed(model: DynamicModel, setup: Setup) -> _Freed | None:
+def _free(model: DynamicModel, setup: Setup) -> _Freed | None:
     """The model with a term per mass: a single one for a mass that is one number, else one per dof.
 
     None without given mass or force.
@@ -238,8 +238,8 @@ def _p_value(fit: _FreeFit, given: FloatArray) -> float:
 
 def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup) -> str:
     n, model = len(freed.names), freed.model
-    free = corrected(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
-    before = corrected(
+    free = correct(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
+    before = correct(
         Estimated(model.names[:-n], model.units[:-n], values, np.zeros((values.size, values.size))),
         setup.settings,
     )

@@ -95,13 +95,13 @@ class CoefficientError:
         )
         wide, noise = pairs
         return tuple(
-            self._stated(parameter, wide[parameter.name], noise[parameter.name].std_error)
+            self._statement(parameter, wide[parameter.name], noise[parameter.name].std_error)
             if parameter.name in wide
             else parameter
             for parameter in parameters
         )
 
-    def _stated(self, parameter: Parameter, wide: Parameter, noise: float | None) -> Parameter:
+    def _statement(self, parameter: Parameter, wide: Parameter, noise: float | None) -> Parameter:
         # What has no uncertainty, such as a given coefficient, stays as it is.
         if not wide.std_error or not noise or wide.ci95 is None:
             return parameter
@@ -301,7 +301,7 @@ class _Scene:
         )
         noise = np.linalg.inv(plain.normal)
         unit = np.outer(self.scale, self.scale)
-        covariance = _calibrated(total, noise) / unit
+        covariance = _calibrate(total, noise) / unit
         shares: dict[str, float] = {}
         for label, share in zip(labels[keep], weight, strict=True):
             shares[str(label)] = shares.get(str(label), 0.0) + float(share)
@@ -354,13 +354,13 @@ def _patterns(model: ReceptanceModel, values: FloatArray, measured: Measured) ->
         stiff = np.sqrt(np.mean(np.abs(np.einsum("laa->la", np.linalg.inv(inverse))) ** 2, axis=0))
         laws = np.einsum("loa,lbi,a,b->loiab", inverse, h, np.sqrt(stiff), np.sqrt(stiff))
         patterns["z"] = laws.reshape(n_line, n_output, n_input, n * n)
-        patterns[MOVED[-2]] = _moved(inverse, stiffness, h)
+        patterns[MOVED[-2]] = _move(inverse, stiffness, h)
     elif n_output * n_input == 1:
         patterns["z"] = (h**2)[..., None]
     return patterns
 
 
-def _moved(inverse: ComplexArray, stiffness: FloatArray, h: ComplexArray) -> ComplexArray:
+def _move(inverse: ComplexArray, stiffness: FloatArray, h: ComplexArray) -> ComplexArray:
     """Z^-1 K Z^-1 K H, what is left of a stiffness that moves about its mean: of the whole and of each
     direct one, (n_line, n_output, n_input, n_pattern) [m/N].
     """
@@ -475,7 +475,7 @@ def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
     return np.asarray((left.conj().T @ right).real)
 
 
-def _calibrated(total: FloatArray, noise: FloatArray) -> FloatArray:
+def _calibrate(total: FloatArray, noise: FloatArray) -> FloatArray:
     """total + (1.5^2 - 1) of what it exceeds *noise* by, all (n, n) [1]."""
     root = np.linalg.cholesky(noise)
     inverse = np.linalg.inv(root)

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.damping import FactorModel, damped
+from labpipe.estimation.damping import FactorModel, damp
 from labpipe.estimation.descent import Linearisation, linearised, minimise, sum_of_squares
 from labpipe.estimation.likelihood import maximum_likelihood
 from labpipe.estimation.measured import Measured
@@ -81,7 +81,7 @@ class RationalFit:
 
     @property
     def size(self) -> float:
-        return float(np.linalg.norm(self._whitened(self.elements)))
+        return float(np.linalg.norm(self._whiten(self.elements)))
 
     def lowest_chi2(self) -> float | None:
         """Chi-square [1] at the minimum; None without convergence in MOST_STEPS."""
@@ -90,12 +90,12 @@ class RationalFit:
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """Whitened residual (n_equation,) [1] at *parameters* (n_parameter,)."""
-        return self._whitened(self.elements - self._fitted(parameters)[1])
+        return self._whiten(self.elements - self._fit(parameters)[1])
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter) [1]."""
-        denominator, fitted = self._fitted(parameters)
-        return -self._whitened(self._columns(fitted, 1 / denominator)).T
+        denominator, fitted = self._fit(parameters)
+        return -self._whiten(self._columns(fitted, 1 / denominator)).T
 
     def chi2(self, parameters: FloatArray) -> float:
         """Sum of squares [1] of the residual at *parameters* (n_parameter,).
@@ -110,7 +110,7 @@ class RationalFit:
 
         By QR where rounding leaves them not positive definite.
         """
-        denominator, fitted = self._fitted(parameters)
+        denominator, fitted = self._fit(parameters)
         residual = self.elements - fitted
         normal, right_side = self._normal_equations(fitted, 1 / denominator, residual)
         scale = np.sqrt(np.diag(normal))
@@ -149,7 +149,7 @@ class RationalFit:
         n = 2 * self.modes
         return self.basis[:, :n] @ parameters[:n] + self.basis[:, n]
 
-    def _fitted(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def _fit(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """A (n_line,) and B / A (n_line, n_element)."""
         n = 2 * self.modes
         denominator = self._denominator(parameters)
@@ -213,7 +213,7 @@ class RationalFit:
         products = self._products[:rows, :columns].reshape(rows * columns, -1)
         return (products.real @ values.real - products.imag @ values.imag).reshape(rows, columns, -1)
 
-    def _whitened(self, values: ComplexArray) -> FloatArray:
+    def _whiten(self, values: ComplexArray) -> FloatArray:
         """(..., n_line, n_element) -> (..., n_equation), back in the unit of the FRF."""
         return whitened(self.whitener, self.unit * values[..., None])
 
@@ -264,7 +264,7 @@ def candidates(
     inside = {
         variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants
     }
-    tested = [_tested(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
+    tested = [_test(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
     return tuple(sorted(tested, key=lambda candidate: candidate.aic)), tuple(
         name for name in results if name not in fitted
     )
@@ -321,7 +321,7 @@ def _variants(settings: FitSettings) -> list[_Variant]:
     """Plausible alternatives: with and without cross terms, mass, symmetry, proportional damping."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
     return [
-        _Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))),
+        _Variant(f"{THIS}: {_description(plain)}", plain, tuple(v.name for v in _richer(plain))),
         *_richer(plain),
         *_simpler(plain),
     ]
@@ -331,8 +331,8 @@ def _damping_variants(settings: FitSettings) -> list[_Variant]:
     plain = replace(settings, weight="none", sliding=None)
     viscous = replace(plain, damping=VISCOUS)
     return [
-        _Variant(f"{THIS}: {_described(plain)}", plain, (_described(viscous),)),
-        _Variant(_described(viscous), viscous),
+        _Variant(f"{THIS}: {_description(plain)}", plain, (_description(viscous),)),
+        _Variant(_description(viscous), viscous),
     ]
 
 
@@ -346,11 +346,11 @@ def _richer(settings: FitSettings) -> list[_Variant]:
         changes.append({"damping": VISCOUS})
     if kind.frees_mass and settings.mass != ESTIMATE:
         changes.append({"mass": ESTIMATE, "scale_mass": False})
-    return [_Variant(_described(other), other) for other in _changed(settings, changes)]
+    return [_Variant(_description(other), other) for other in _changes(settings, changes)]
 
 
 def _simpler(settings: FitSettings) -> list[_Variant]:
-    this = f"{THIS}: {_described(settings)}"
+    this = f"{THIS}: {_description(settings)}"
     kind, changes = settings.kind, list[dict[str, Any]]()
     if kind.simpler:
         changes.append({"model": kind.simpler})
@@ -360,17 +360,17 @@ def _simpler(settings: FitSettings) -> list[_Variant]:
         changes.append({"damping": "proportional"})
     if "lumped_mass" in kind.keys and settings.mass == ESTIMATE and not settings.lumped_mass:
         changes.append({"lumped_mass": True})
-    return [_Variant(_described(other), other, (this,)) for other in _changed(settings, changes)]
+    return [_Variant(_description(other), other, (this,)) for other in _changes(settings, changes)]
 
 
-def _changed(settings: FitSettings, changes: Sequence[dict[str, Any]]) -> Iterator[FitSettings]:
+def _changes(settings: FitSettings, changes: Sequence[dict[str, Any]]) -> Iterator[FitSettings]:
     """The settings with each of the changes, where another model or key takes all of the others."""
     for change in changes:
         with contextlib.suppress(ConfigError):
             yield replace(settings, **change)
 
 
-def _described(settings: FitSettings) -> str:
+def _description(settings: FitSettings) -> str:
     parts = [settings.model]
     if "symmetric" in settings.kind.keys:
         parts.append("symmetric" if settings.symmetric else "general")
@@ -384,7 +384,7 @@ def _described(settings: FitSettings) -> str:
 def _model(setup: Setup) -> DynamicModel | FactorModel | None:
     """The model of a variant; None where it does not suit these ports."""
     try:
-        return damped(setup.settings.kind.model(setup), setup.settings)
+        return damp(setup.settings.kind.model(setup), setup.settings)
     except ConfigError:
         return None
 
@@ -407,7 +407,7 @@ def _candidate(name: str, measured: Measured, estimate: Estimate) -> Candidate:
     return Candidate(name, n_parameter, chi2, estimate.dof, chi2 + 2 * n_parameter)
 
 
-def _tested(candidate: Candidate, richer: list[Candidate]) -> Candidate:
+def _test(candidate: Candidate, richer: list[Candidate]) -> Candidate:
     if not richer:
         return candidate
     richest = max(richer, key=lambda other: other.parameters)

@@ -14,7 +14,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.estimation.model import DynamicModel, Matrices, Term, constrained, no_matrices
+from labpipe.estimation.model import DynamicModel, Matrices, Term, constrain, no_matrices
 from labpipe.estimation.settings import DAMPINGS, VISCOUS, FitSettings
 
 
@@ -172,12 +172,12 @@ class FactorModel:
         return self.expanded.whole(self.expanded_values(parameters))
 
 
-def damped(model: DynamicModel, settings: FitSettings) -> DynamicModel | FactorModel:
+def damp(model: DynamicModel, settings: FitSettings) -> DynamicModel | FactorModel:
     """*model* with its `fixed`, `tied` and `damping` settings applied.
 
     ConfigError where it does not have what they name.
     """
-    model = constrained(model, settings)
+    model = constrain(model, settings)
     if settings.damping == VISCOUS:
         return model
     law: DampingLaw = DAMPINGS.load(settings.damping)

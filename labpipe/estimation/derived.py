@@ -22,10 +22,10 @@ from labpipe.estimation.statistics import (
     Estimate,
     condition_number,
     correlation,
-    derived,
+    derive,
     estimated,
     inflation_factors,
-    widened,
+    widen,
 )
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
 from labpipe.records.finding import Parameter
@@ -95,7 +95,7 @@ def is_direct(name: str) -> bool:
     return not place or place[:half] == place[-half:]
 
 
-def corrected(total: Estimated, settings: FitSettings) -> Estimated:
+def correct(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
     The covariance is that of the estimates; the uncertainty of the support is a source of its own, common to
@@ -240,7 +240,7 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
         for name, unit in zip(total.names, total.units, strict=True):
             if unit in ("N/m", "N.s/m"):
                 parameters.append(
-                    derived(f"{name}_total", unit, total.value(name), total.std_error(name), dof)
+                    derive(f"{name}_total", unit, total.value(name), total.std_error(name), dof)
                 )
     parameters.extend(
         Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed
@@ -281,7 +281,7 @@ def _propagated_all(
     for name, (unit, values) in quantities_at_steps.items():
         slope = (values[1 : n + 1] - values[n + 1 :]) / (2 * steps)
         error = float(np.sqrt(max(slope @ total.covariance @ slope, 0.0)))
-        parameters.append(derived(name, unit, float(values[0]), error, dof))
+        parameters.append(derive(name, unit, float(values[0]), error, dof))
     return parameters
 
 
@@ -302,17 +302,17 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     m = total.value("m") if "m" in total.names else 1.0 if stiffness != "k" else float(given)
     resonance = []
     if "m" in total.names and m != 0 and transfer_of(setup):
-        resonance.append(derived("modal_constant", "1/kg", 1 / m, propagated(total, {"m": -1 / m**2}), dof))
+        resonance.append(derive("modal_constant", "1/kg", 1 / m, propagate(total, {"m": -1 / m**2}), dof))
     if k * m <= 0:
         return resonance
     w_n = np.sqrt(k / m)
     f_n = w_n / (2 * np.pi)
     slopes = {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}
-    resonance.insert(0, derived("f_n", "Hz", float(f_n), propagated(total, slopes), dof))
+    resonance.insert(0, derive("f_n", "Hz", float(f_n), propagate(total, slopes), dof))
     if damping:
         zeta = total.value(damping) / (2 * m * w_n)
         slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
-        resonance.insert(1, derived("zeta", "1", float(zeta), propagated(total, slopes), dof))
+        resonance.insert(1, derive("zeta", "1", float(zeta), propagate(total, slopes), dof))
     return resonance
 
 
@@ -320,16 +320,16 @@ def _forcing_angle(total: Estimated, dof: int) -> Parameter:
     """atan2(b_y, b_x) [rad]."""
     x, y = total.value("b_x"), total.value("b_y")
     square = x**2 + y**2
-    return derived(
+    return derive(
         "forcing_angle",
         "rad",
         float(np.arctan2(y, x)),
-        propagated(total, {"b_x": -y / square, "b_y": x / square}),
+        propagate(total, {"b_x": -y / square, "b_y": x / square}),
         dof,
     )
 
 
-def propagated(total: Estimated, slopes: dict[str, float]) -> float:
+def propagate(total: Estimated, slopes: dict[str, float]) -> float:
     """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its derivatives by
     name. Equation (est-delta).
     """
@@ -353,7 +353,7 @@ def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> t
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
     dof = int(estimate.student_dof.min())
     parameters = (
-        *_coefficients(estimate, corrected(total, setup.settings), model),
+        *_coefficients(estimate, correct(total, setup.settings), model),
         *derived_parameters(total, model, setup, dof),
     )
     return parameters if estimate.converged else without_intervals(parameters)
@@ -396,7 +396,7 @@ def widened_parameters(
         for before, after in zip(plain, wide, strict=True)
     ]
     return tuple(
-        widened(parameter, max(factor, 1.0)) if factor > 0 else parameter
+        widen(parameter, max(factor, 1.0)) if factor > 0 else parameter
         for parameter, factor in zip(parameters, factors, strict=True)
     )
 
@@ -412,14 +412,14 @@ def with_systematic(
     (unc-interval).
     """
     return tuple(
-        _expanded(parameter, float(systematic), float(of_parameter))
+        _expand(parameter, float(systematic), float(of_parameter))
         for parameter, systematic, of_parameter in zip(
             parameters, budget.systematic, budget.dof if dof is None else dof, strict=True
         )
     )
 
 
-def _expanded(parameter: Parameter, systematic: float, dof: float) -> Parameter:
+def _expand(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     noise = parameter.full_error
     if noise is None:
         return parameter

@@ -289,7 +289,7 @@ class Settled(Mixture):
         return float(weights @ ends[:, 0]), *_quantiles(weights, centres, reach / NORMAL)
 
 
-def settled(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
+def settle(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
     """The mixture, with *others* of the same mode beside it where there are any."""
     if not others:
         return first

@@ -32,7 +32,7 @@ MOST_FAILED = 0.05
 Refit = Callable[[Measured], tuple[Parameter, ...]]
 
 
-def bootstrapped(
+def bootstrap(
     parameters: tuple[Parameter, ...],
     measured: Measured,
     fitted: ComplexArray,
@@ -55,7 +55,7 @@ def bootstrapped(
             "bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out"
         )
     rng = np.random.default_rng(zlib.crc32(name.encode()))
-    refits = [values for _ in range(repeats) if (values := _refitted(refit, redrawn(measured, fitted, rng)))]
+    refits = [values for _ in range(repeats) if (values := _refit(refit, redrawn(measured, fitted, rng)))]
     if len(refits) < (1 - MOST_FAILED) * repeats:
         raise FitError(
             f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band"
@@ -91,7 +91,7 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
 
 
-def _refitted(refit: Refit, measured: Measured) -> dict[str, float]:
+def _refit(refit: Refit, measured: Measured) -> dict[str, float]:
     """Parameter values by name; empty where the refit fails."""
     try:
         return {parameter.name: parameter.value for parameter in refit(measured)}
@@ -132,7 +132,7 @@ class Drawn:
     note: str
 
 
-def propagated(
+def propagate(
     case: Case,
     parameters: Sequence[Parameter],
     budget: Budget,
@@ -156,7 +156,7 @@ def propagated(
             "monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out"
         )
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
-    values = [drawn for _ in range(draws) if (drawn := _drawn(case, fitted, refit, rng)) is not None]
+    values = [drawn for _ in range(draws) if (drawn := _draw(case, fitted, refit, rng)) is not None]
     if len(values) < (1 - MOST_FAILED) * draws:
         raise FitError(f"monte_carlo: {draws - len(values)} of {draws} refits failed", hint="widen the band")
     columns = np.array(values)
@@ -175,7 +175,7 @@ def propagated(
     )
 
 
-def _drawn(
+def _draw(
     case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.Generator
 ) -> FloatArray | None:
     """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""

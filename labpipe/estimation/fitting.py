@@ -27,7 +27,7 @@ from labpipe.estimation.causes import (
     stated_findings,
 )
 from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
-from labpipe.estimation.damping import damped
+from labpipe.estimation.damping import damp
 from labpipe.estimation.derived import (
     BandModel,
     drawn_densely,
@@ -54,7 +54,7 @@ from labpipe.estimation.diagnostics import (
     with_lost_samples,
     with_weak_injection,
 )
-from labpipe.estimation.draws import bootstrapped, propagated
+from labpipe.estimation.draws import bootstrap, propagate
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.linear_models import form_view
@@ -234,7 +234,7 @@ def _model(setup: Setup) -> BandModel:
             return TransferMode()
         if setup.settings.residuals:
             return DrivingMode()
-    return damped(setup.settings.kind.model(setup), setup.settings)
+    return damp(setup.settings.kind.model(setup), setup.settings)
 
 
 def _may_have_residuals(setup: Setup) -> bool:
@@ -258,7 +258,7 @@ def _beside_others(
     if not estimate.converged or k * m > 0 or measured.matrix.shape[1:] != (1, 1):
         return None
     try:
-        other = _estimated(measured, DrivingMode(), setup.settings)
+        other = _estimate(measured, DrivingMode(), setup.settings)
     except (FitError, np.linalg.LinAlgError):
         return None
     f_n = float(np.sqrt(max(other.values[0] / other.values[2], 0.0))) / (2 * np.pi)
@@ -281,7 +281,7 @@ def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
     return model
 
 
-def _estimated(measured: Measured, model: BandModel, settings: FitSettings) -> Estimate:
+def _estimate(measured: Measured, model: BandModel, settings: FitSettings) -> Estimate:
     """The estimate by the settings' estimator."""
     return settings.estimates.fit(measured, model, settings.weight)
 
@@ -290,7 +290,7 @@ def _fit_band(
     setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool
 ) -> _BandFit:
     settings = setup.settings
-    estimate = _estimated(measured, model, settings)
+    estimate = _estimate(measured, model, settings)
     dropped: list[str] = []
     beside = None if isinstance(model, TransferMode) else _beside_others(setup, measured, estimate, band)
     if beside is not None:
@@ -299,21 +299,19 @@ def _fit_band(
         setup = replace(setup, settings=settings)
         dropped.append(beside[2])
     if settings.eliminate and isinstance(model, DynamicModel):
-        model, estimate, dropped = _eliminated(measured, model, estimate, settings)
+        model, estimate, dropped = _eliminate(measured, model, estimate, settings)
     estimator = settings.estimates
     shown = expected(measured, model) if estimator.models_leakage else model
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
     case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
-    judged = _judged(case, n_band, leaking=bool(leakage)) if judging else _Judged(by_lines(case))
+    judged = _judge(case, n_band, leaking=bool(leakage)) if judging else _Judged(by_lines(case))
     estimate, judgement = judged.estimate, judged.judgement
     parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
         refit = functools.partial(_refit, setup, model)
-        parameters, note = bootstrapped(
-            parameters, measured, fitted, refit, settings.bootstrap, settings.name
-        )
+        parameters, note = bootstrap(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
@@ -384,7 +382,7 @@ def _with_budget(
     draws = case.setup.settings.monte_carlo
     if not draws:
         return _Budgeted(expanded, budget)
-    drawn = propagated(case, expanded, budget, fitted, _refit, draws)
+    drawn = propagate(case, expanded, budget, fitted, _refit, draws)
     return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
 
 
@@ -441,7 +439,7 @@ class _Judged:
     factors: Mapping[str, float] = field(default_factory=dict)
 
 
-def _judged(case: Case, n_band: int, *, leaking: bool) -> _Judged:
+def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
     """Chi-square and judgement with every stated number where data and statements together have it.
 
     Amplitudes alone and fits without convergence are judged as if all numbers were exact.
@@ -466,7 +464,7 @@ def _judged(case: Case, n_band: int, *, leaking: bool) -> _Judged:
             likely.measured, model, fit_weights(case.measured)
         )
         assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
-        findings, factors = _contradicted(case, uncertainties, assessed)
+        findings, factors = _contradict(case, uncertainties, assessed)
         if findings:
             # What is named is no second time a sign of a wrong model.
             by = np.array([factors[uncertainty.source] for uncertainty in uncertainties])
@@ -483,7 +481,7 @@ def _judged(case: Case, n_band: int, *, leaking: bool) -> _Judged:
     return _Judged(estimate, judgement, stated, findings, factors)
 
 
-def _contradicted(
+def _contradict(
     case: Case, uncertainties: tuple[Uncertainty, ...], assessed: Assessed
 ) -> tuple[tuple[Finding, ...], dict[str, float]]:
     """Findings on stated numbers that the data contradict, and by what their uncertainty grows.
@@ -539,13 +537,13 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
 
 def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:
     """The parameters of one bootstrap repeat; FitError where the estimator does not converge."""
-    estimate = _estimated(measured, model, setup.settings)
+    estimate = _estimate(measured, model, setup.settings)
     if not estimate.converged:
         raise FitError("not converged")
     return reported_parameters(estimate, model, setup)
 
 
-def _eliminated(
+def _eliminate(
     measured: Measured, model: DynamicModel, estimate: Estimate, settings: FitSettings
 ) -> tuple[DynamicModel, Estimate, list[str]]:
     """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are
@@ -566,7 +564,7 @@ def _eliminated(
             f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero"
         )
         model = model.without(name)
-        estimate = _estimated(measured, model, settings)
+        estimate = _estimate(measured, model, settings)
     return model, estimate, notes
 
 

@@ -74,7 +74,7 @@ def _difference(low: _Test, high: _Test) -> str:
     """What changed, or nothing where noise explains it: by one factor of all stiffness, of all damping, or
     coefficient by coefficient.
     """
-    before, after = _estimated(low.fit), _estimated(high.fit)
+    before, after = _estimates(low.fit), _estimates(high.fit)
     if not before or [parameter.name for parameter in before] != [parameter.name for parameter in after]:
         return ""
     change = np.array([late.value - early.value for early, late in zip(before, after, strict=True)])
@@ -99,7 +99,7 @@ def _difference(low: _Test, high: _Test) -> str:
     )
 
 
-def _estimated(fit: Fit) -> list[Parameter]:
+def _estimates(fit: Fit) -> list[Parameter]:
     """The parameters that were estimated; none where one of them has no standard error."""
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
     return estimated if all(parameter.std_error for parameter in estimated) else []

@@ -64,7 +64,7 @@ def starts(problem: OutputError[ResponseModel]) -> list[Start]:
     idle = 0
     for number in range(1, REWEIGHTINGS + 1):
         try:
-            values = _reweighted(problem, values)
+            values = _reweight(problem, values)
         except (FitError, np.linalg.LinAlgError):
             break
         lowest = min(start.chi2 for start in attempts)
@@ -93,7 +93,7 @@ def _least_squares(problem: OutputError[ResponseModel]) -> FloatArray:
     )
 
 
-def _reweighted(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
+def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
     """Least squares of the whitened equation error times Z_last^-1."""
     measured, linear = problem.measured, problem.model.linear
     if has_line_products(linear, problem.weights):

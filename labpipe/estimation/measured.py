@@ -167,8 +167,8 @@ def measured_part(
         noise_lines=noise_lines,
         outputs=outputs,
         inputs=inputs,
-        shared_noise=max(_shared(numbers, correlation.real if real else np.abs(correlation) ** 2), 1.0),
-        shared_power=_shared(numbers, np.abs(correlation) ** 2),
+        shared_noise=max(_share(numbers, correlation.real if real else np.abs(correlation) ** 2), 1.0),
+        shared_power=_share(numbers, np.abs(correlation) ** 2),
         blocks=response.blocks,
         leakage=_leakage(response, frequency),
         noise=None if gains is None else line_noise,
@@ -226,7 +226,7 @@ def _line_numbers(frequency: FloatArray, lines: BoolArray) -> IntArray:
     return np.round(frequency / spacing).astype(np.intp)[lines]
 
 
-def _shared(numbers: IntArray, correlation: FloatArray) -> float:
+def _share(numbers: IntArray, correlation: FloatArray) -> float:
     """1 + sum of the *correlation* (n_distance,) over the pairs of chosen lines, per line.
 
     Distant lines are uncorrelated.
@@ -299,7 +299,7 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
                     add(
                         calibration.uncertainty,
                         calibration.uncertainty.std_error
-                        * turned(measured.matrix, number, across, of_forces=sign < 0),
+                        * turn(measured.matrix, number, across, of_forces=sign < 0),
                     )
     for error in measured.errors:
         add(error.uncertainty, error.change)
@@ -325,7 +325,7 @@ def across_ports(ports: Sequence[Port]) -> FloatArray | None:
     return across
 
 
-def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bool) -> ComplexArray:
+def turn(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bool) -> ComplexArray:
     """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian [m/N] by which the direction of one
     port was written too large.
 

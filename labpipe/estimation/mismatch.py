@@ -213,11 +213,11 @@ def _biased(judged: _Judge, own: _Minimum) -> Judgement:
     ratios = np.divide(np.abs(away), errors, out=np.zeros_like(away), where=errors > 0)
     if np.max(ratios) < BIASED:
         return Judgement()
-    worst, covariance = int(np.argmax(ratios)), _apart(estimate.covariance, away)
+    worst, covariance = int(np.argmax(ratios)), _with_distance(estimate.covariance, away)
     said = (
         f"{estimator} is biased by the noise of the FRF: {judged.model.names[worst]} is {ratios[worst]:.2g} "
         "standard errors from what the same model gives by ml, whose residual is noise. "
-        f"{_grown(estimate, covariance)} since they include the distance"
+        f"{_growth(estimate, covariance)} since they include the distance"
     )
     return Judgement(judged.finding(said, "Use the estimator ml"), covariance)
 
@@ -246,10 +246,11 @@ def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
     )
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
-    covariance = _apart(_not_below(covariance, estimate.covariance), own.values - estimate.values)
+    covariance = _with_distance(_not_below(covariance, estimate.covariance), own.values - estimate.values)
     said = (
-        f"{_said(own)}; noise that grows with the response explains it, as from gains that scatter from line "
-        f"to line. {_grown(estimate, covariance)} since they come from the scatter of every line by itself"
+        f"{_wording(own)}; noise that grows with the response explains it, as from gains that scatter from "
+        f"line to line. {_growth(estimate, covariance)} since they come from the scatter of "
+        "every line by itself"
     )
     return Judgement(
         judged.finding(said, "Look for a gain that is not steady, or a response that is not linear"),
@@ -279,15 +280,15 @@ def _of_one_line(judged: _Judge, own: _Minimum) -> Judgement | None:
     mains = next((base for base in MAINS if abs(frequency / base - round(frequency / base)) < 0.01), None)
     hum = "" if mains is None else f", a multiple of the mains' {mains:g} Hz"
     away = other.values - estimate.values
-    wide = _apart(_not_below(other.assessed.covariance, estimate.covariance), away)
+    wide = _with_distance(_not_below(other.assessed.covariance, estimate.covariance), away)
     ratios = np.abs(away) / np.sqrt(np.maximum(np.diag(other.assessed.covariance), np.finfo(float).tiny))
     worst = int(np.argmax(ratios))
     said = (
-        f"{_said(own)}, and the line at {frequency:.6g} Hz alone makes it so{hum}: something that repeats "
+        f"{_wording(own)}, and the line at {frequency:.6g} Hz alone makes it so{hum}: something that repeats "
         "with the periods acts there besides the force. Without it the fit is good "
         f"(p = {other.p_value:.2g}) and {judged.model.names[worst]} is {ratios[worst]:.2g} standard errors "
         "away. "
-        f"{_grown(estimate, wide)} since they include the distance"
+        f"{_growth(estimate, wide)} since they include the distance"
     )
     remedy = f"Leave the line out, `exclude: [{frequency - EITHER:.6g}-{frequency + EITHER:.6g} Hz]`"
     return Judgement(judged.finding(said, remedy), wide)
@@ -300,7 +301,7 @@ def _with_model_error(judged: _Judge, own: _Minimum) -> Judgement | None:
         return None
     factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
     said = (
-        f"{_said(own)}; most likely {error.reason}. Values and intervals include what the model leaves "
+        f"{_wording(own)}; most likely {error.reason}. Values and intervals include what the model leaves "
         f"unexplained, and are up to {factor:.3g} times as wide as noise alone makes them"
     )
     return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
@@ -318,7 +319,7 @@ def _with_coefficient_error(judged: _Judge, own: _Minimum) -> Judgement | None:
     if error is None:
         return None
     said = (
-        f"{_said(own)}; most likely {error.reason}. Intervals include what the model leaves "
+        f"{_wording(own)}; most likely {error.reason}. Intervals include what the model leaves "
         f"unexplained, and are up to {error.growth:.3g} times as wide as noise alone makes them"
     )
     return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
@@ -347,10 +348,10 @@ def _unexplained(judged: _Judge, own: _Minimum) -> Judgement:
             judged, judged.factor or float(np.sqrt(own.assessed.reduced)), own.values - judged.estimate.values
         )
     covariance = judged.measured.omega.size / 2 * own.assessed.covariance
-    covariance = _apart(covariance, own.values - judged.estimate.values)
+    covariance = _with_distance(covariance, own.values - judged.estimate.values)
     said = (
-        f"{_said(own)}. {_grown(judged.estimate, covariance)} since the lines are too few to tell a wrong "
-        "model from noise, and all of them count as two"
+        f"{_wording(own)}. {_growth(judged.estimate, covariance)} since the lines are too few to tell a "
+        "wrong model from noise, and all of them count as two"
     )
     return Judgement(judged.finding(said, "Use a model with more modes, or more lines"), covariance)
 
@@ -362,7 +363,7 @@ def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) ->
     estimate, estimator = judged.estimate, judged.settings.estimator
     covariance = factor**2 * estimate.covariance
     if away is not None:
-        covariance = _apart(covariance, away)
+        covariance = _with_distance(covariance, away)
     # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as
     # well.
     cause = (
@@ -373,13 +374,13 @@ def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) ->
     said = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
         f"freedom {estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): {cause}. "
-        f"{_grown(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
+        f"{_growth(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
         "can be worse than that"
     )
     return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), covariance)
 
 
-def _said(own: _Minimum) -> str:
+def _wording(own: _Minimum) -> str:
     """What is wrong with the residual."""
     if own.structure is None:
         assert own.assessed.reduced is not None
@@ -393,7 +394,7 @@ def _said(own: _Minimum) -> str:
     )
 
 
-def _apart(covariance: FloatArray, away: FloatArray) -> FloatArray:
+def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
     """The covariance (n, n) with the distance (n,) between two fits counted as one standard error, wholly
     correlated.
     """
@@ -406,7 +407,7 @@ def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
     return np.asarray(covariance * np.outer(ratio, ratio))
 
 
-def _grown(estimate: Estimate, covariance: FloatArray) -> str:
+def _growth(estimate: Estimate, covariance: FloatArray) -> str:
     """By how much the intervals are wider than those of noise alone."""
     before, after = np.sqrt(np.diag(estimate.covariance)), np.sqrt(np.diag(covariance))
     factors = after[before > 0] / before[before > 0]

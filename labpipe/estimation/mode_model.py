@@ -311,10 +311,10 @@ def extensions(base: Fitted) -> Iterator[Fitted]:
     found = second_mode(base)
     if found is not None:
         yield found
-    yield from moved(base)
+    yield from move(base)
 
 
-def moved(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fitted]:
+def move(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fitted]:
     """The ordinary fits of a resonance that moves by each of the *laws* beside what *base* holds."""
     zeta = base.model.frequency_and_damping(base.theta)[1]
     n = base.model.n_interest
@@ -339,7 +339,7 @@ def both(base: Fitted, fits: Mapping[str, Fitted]) -> Fitted | None:
     moving = [fit for fit in fits.values() if fit.model.law]
     likely = min(moving, key=lambda fit: fit.chi2, default=base)
     found = [second_mode(likely)] if moving else []
-    found += moved(fits[SECOND], (likely.model.law,) if moving else MOVED) if SECOND in fits else []
+    found += move(fits[SECOND], (likely.model.law,) if moving else MOVED) if SECOND in fits else []
     usable = [fit for fit in found if fit is not None and is_extension(base, fit.model, fit.theta)]
     return min(usable, key=lambda fit: fit.chi2, default=None)
 
@@ -430,6 +430,8 @@ def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
     Coefficients are those of the first mode; the residue of the second is 1 / (2 sqrt(k m)) of its own.
     """
     theta, model, n = fit.theta, fit.model, fit.model.n_interest
+    if not min(model.frequency_and_damping(theta)) > 0:
+        return fit
     first, second = np.log(model.frequency_and_damping(theta)), theta[model.n_shape - 2 : model.n_shape]
     if abs(second[0] - np.log(f_n)) >= abs(first[0] - np.log(f_n)):
         return fit

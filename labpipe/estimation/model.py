@@ -230,7 +230,7 @@ class DynamicModel:
         Equation (est-receptance).
         """
         whole = self.whole(parameters)
-        return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
+        return _solve(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit];
@@ -351,7 +351,7 @@ def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     )
 
 
-def _solved(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
+def _solve(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
     try:
         solved: ComplexArray = np.linalg.solve(z, sides[None])
     except np.linalg.LinAlgError:
@@ -424,13 +424,13 @@ def angle_of(port: Port) -> float | None:
 # Constraints on single coefficients: fixed values, equal values.
 
 
-def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel:
+def constrain(model: DynamicModel, settings: FitSettings) -> DynamicModel:
     """*model* with its `fixed` and `tied` settings applied; ConfigError for names the model does not have."""
     for name, value in settings.fixed:
         _check_names(model, name, "fixed")
         model = model.fixed(name, value)
     for group in settings.tied:
-        model = _tied(model, group)
+        model = _tie(model, group)
     if not model.terms:
         raise ConfigError(
             "every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`"
@@ -438,7 +438,7 @@ def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel:
     return model
 
 
-def _tied(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
+def _tie(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
     for name in group:
         _check_names(model, name, "tied")
     units = {term.unit for term in model.terms if term.name in group}

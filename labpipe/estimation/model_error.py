@@ -76,14 +76,14 @@ class ModelError:
     @property
     def reason(self) -> str:
         """The causes that the evidence names, in words."""
-        return reason_of(self.discrepancy.shares, self._worded)
+        return reason_of(self.discrepancy.shares, self._wording)
 
     @property
     def likely(self) -> str:
         """The reason of the mode as a whole: points that disagree come before any other."""
         return self.reason if not self.apart else UNLOADED if self.unloaded else APART
 
-    def _worded(self, cause: str) -> str:
+    def _wording(self, cause: str) -> str:
         if cause == SECOND_MODE and self.mixture.second is not None:
             return f"second mode at {self.mixture.second:.5g} Hz"
         if cause == MOVED_FREQUENCY and self.mixture.motion is not None:
@@ -103,9 +103,9 @@ class ModelError:
         The value is the mixture's mean: an interval around another value would not hold it. std_error stays
         that of noise.
         """
-        return tuple(self._stated(parameter) for parameter in parameters)
+        return tuple(self._statement(parameter) for parameter in parameters)
 
-    def _stated(self, parameter: Parameter) -> Parameter:
+    def _statement(self, parameter: Parameter) -> Parameter:
         row = self.rows.get(parameter.name)
         if row is None:
             return (
@@ -197,7 +197,7 @@ def model_error(
         return None
     curve = Curve(measured.omega / (2 * np.pi), h / built.force, std / abs(built.force))
     try:
-        placed = replace(built.mode, curve=thinned(curve, built.mode, built.start))
+        placed = replace(built.mode, curve=thin(curve, built.mode, built.start))
         return ModelError(mixture(placed.fitted(placed.started(built.start))), built.rows)
     except (FitError, np.linalg.LinAlgError):
         return None
@@ -281,7 +281,7 @@ def _transfer(by_name: dict[str, float]) -> _Built:
     return _Built(ModeModel(_NO_CURVE), np.log([by_name["f_n"], by_name["zeta"]]), rows)
 
 
-def thinned(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
+def thin(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
     """At most about MOST_LINES lines of a *curve*: those around the *mode* as at *start* (n,) [1], then
     means of neighbours as far as these leave its peak as it is.
     """

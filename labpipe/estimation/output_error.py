@@ -104,8 +104,8 @@ def normal_equations(
             _add_separable_products(inverse, response, omega[lines], sums)
         elif with_products:
             _add_products(inverse, response, power, omega[lines], sums)
-    products = _gathered(model, kinds, sums) if with_products else np.zeros((len(model.terms),) * 2)
-    return NormalEquations(products, _projected(model, dict(zip(kinds, sides, strict=True))), square)
+    products = _gather(model, kinds, sums) if with_products else np.zeros((len(model.terms),) * 2)
+    return NormalEquations(products, _project(model, dict(zip(kinds, sides, strict=True))), square)
 
 
 def _add_products(
@@ -143,7 +143,7 @@ def _add_separable_products(
         total += (columns * omega**exponent) @ rows
 
 
-def _gathered(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]) -> FloatArray:
+def _gather(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]) -> FloatArray:
     """The products (n_parameter, n_parameter) of all terms from those of their elements."""
     products = np.zeros((len(model.terms),) * 2)
     whole = dict(zip(sums, _whole(np.array(list(sums.values())), model.constant.force.shape[0]), strict=True))
@@ -187,7 +187,7 @@ def _whole(totals: ComplexArray, n_dof: int) -> ComplexArray:
     return whole.transpose(0, 1, 3, 2, 4).reshape(-1, n_dof**2, n_dof**2)
 
 
-def _projected(model: DynamicModel, sides: dict[str, ComplexArray]) -> FloatArray:
+def _project(model: DynamicModel, sides: dict[str, ComplexArray]) -> FloatArray:
     projected = np.zeros(len(model.terms))
     for kind, side in sides.items():
         acting = model.acting[kind]

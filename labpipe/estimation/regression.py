@@ -20,7 +20,7 @@ from labpipe.estimation.statistics import (
     condition_number,
     determination,
     inflation_factors,
-    stacked,
+    stack,
     stacked_terms,
 )
 from labpipe.estimation.weights import has_noise, weight_uncertainty, whitened, whitener
@@ -198,7 +198,7 @@ def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArra
     """
     n = columns.shape[1]
     scale, triangle, by_products = scaled_triangle(columns)
-    inverse, (left_vectors, singular, right_vectors) = _inverted(triangle, scale, max(columns.shape))
+    inverse, (left_vectors, singular, right_vectors) = _invert(triangle, scale, max(columns.shape))
     if by_products:
         # Corrected seminormal equations (Bjoerck 1987): one refinement makes them as accurate as QR.
         values = inverse @ (columns.T @ right_side)
@@ -213,10 +213,10 @@ def inverse_of(linear: Linearisation) -> FloatArray:
 
     FitError for linearly dependent columns.
     """
-    return _inverted(linear.triangle, linear.scale, linear.n_equation)[0]
+    return _invert(linear.triangle, linear.scale, linear.n_equation)[0]
 
 
-def _inverted(
+def _invert(
     triangle: FloatArray, scale: FloatArray, n_row: int
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
     """(W^T W)^-1 of W = Q R S, and the singular vectors and values of R."""
@@ -233,7 +233,7 @@ def _inverted(
 def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """One regression: estimates and their covariance from its residual variance."""
     columns = stacked_terms(terms).T
-    side = stacked(right_side.reshape(-1))
+    side = stack(right_side.reshape(-1))
     if side.size <= columns.shape[1]:
         message = (
             f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
@@ -325,7 +325,7 @@ def instrument_step(
 
     def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
         equation = regression(changed, changed_model, weight)
-        columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
+        columns, side = stacked_terms(equation.terms), stack(equation.right_side.reshape(-1))
         return _solve_instrumental(
             instruments, columns, side, np.sqrt(np.einsum("pe,pe->p", columns, columns))
         )
@@ -337,7 +337,7 @@ def _iterate(
     measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray
 ) -> tuple[FloatArray, bool, int]:
     """(estimate, True if converged, iterations)."""
-    columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
+    columns, side = stacked_terms(equation.terms), stack(equation.right_side.reshape(-1))
     # Parameters of different dimension are compared in units of the regressors' lengths.
     size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
     last: ComplexArray | None = None
@@ -425,7 +425,7 @@ def _residual_scores(
     values: FloatArray,
 ) -> FloatArray:
     """sum over lines of g g^T, g = V^T e of one line, enlarged by n / (n - k)."""
-    products = instruments * stacked(equation.residual(values).reshape(-1))
+    products = instruments * stack(equation.residual(values).reshape(-1))
     by_line = products.reshape(values.size, 2, measured.omega.size, -1).sum(axis=(1, 3))
     middle: FloatArray = by_line @ by_line.T * (measured.n_equation / (measured.n_equation - values.size))
     return middle

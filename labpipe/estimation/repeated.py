@@ -216,14 +216,14 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
                 None if course is None else course.at,
                 len(set(of_groups)),
             )
-            stated.append(_stated(parameter, means[name], of, common.get(name), pooled.dof, summary))
+            stated.append(_statement(parameter, means[name], of, common.get(name), pooled.dof, summary))
         else:
             stated.append(parameter)
     return replace(
         pooled,
         parameters=tuple(stated),
         findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means, test, course)),
-        notes=(*pooled.notes, _said(sum(used), test, course)),
+        notes=(*pooled.notes, _wording(sum(used), test, course)),
     )
 
 
@@ -286,7 +286,7 @@ def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter
     curves = [fit.curve for fit in repeats if fit.curve is not None]
     if pooled.curve is None or len(curves) < len(repeats):
         return ()
-    aligned = _aligned(pooled.curve, curves, test.response)
+    aligned = _align(pooled.curve, curves, test.response)
     if aligned is None:
         return ()
     try:
@@ -298,7 +298,7 @@ def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter
     return _numbered_as(pooled, fits[0]).parameters if len(fits) == 1 else ()
 
 
-def _aligned(
+def _align(
     pooled: FittedCurve, curves: Sequence[FittedCurve], response: FrequencyResponse
 ) -> FrequencyResponse | None:
     """The curve of the pooled fit and the mean residual of its repeats, with the scatter of that.
@@ -330,7 +330,7 @@ def _aligned(
     )
 
 
-def _shared(common: Parameter | None, *, log: bool) -> tuple[float, float]:
+def _common_part(common: Parameter | None, *, log: bool) -> tuple[float, float]:
     """Shift and half-width by the model error that all repeats share, of the logarithm if *log*."""
     if common is None or common.fitted is None or common.std_error is None or common.ci95 is None:
         return 0.0, 0.0
@@ -342,11 +342,11 @@ def _shared(common: Parameter | None, *, log: bool) -> tuple[float, float]:
     return shift, float(np.sqrt(max(reach**2 - (NORMAL * common.std_error / size) ** 2, 0.0)))
 
 
-def _stated(
+def _statement(
     parameter: Parameter, mean: RepeatMean, of: _Values, common: Parameter | None, dof: int, summary: Repeats
 ) -> Parameter:
     """The mean with the hull of its own interval and that with the model error that all repeats share."""
-    shift, extra = _shared(common, log=of.log)
+    shift, extra = _common_part(common, log=of.log)
     between, wide = mean.half_width, float(np.hypot(mean.half_width, extra))
     low = min(mean.value - between, mean.value + shift - wide)
     high = max(mean.value + between, mean.value + shift + wide)
@@ -378,7 +378,7 @@ def _stated(
     )
 
 
-def _said(used: int, test: _Test, course: _Course | None) -> str:
+def _wording(used: int, test: _Test, course: _Course | None) -> str:
     response = test.response
     recorded, what = len(response.repeat_names), response.repeats_are
     over = f"{used} {what}" if used == recorded else f"{used} of {recorded} {what}"

@@ -8,6 +8,7 @@ show that.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -198,14 +199,17 @@ def follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) ->
 
 def drifts(values: FloatArray, variances: FloatArray, place: FloatArray) -> bool:
     """Whether *values* (n,) [any unit], *variances* (n,) of their noise, follow their *place* (n,) [1] in the
-    order of recording: neighbours are alike, and a line leaves less than one step at any place would.
+    order of recording: neighbours are alike, and a line leaves less than one or two steps, as between days.
     """
     if order_in_time(values)[0] == 1.0 or not follows(values, variances, place):
         return False
     line = float(np.polyfit(place, values, 1, full=True)[1].sum())
+    n = values.size
+    # Of two steps no part is a single repeat.
+    steps: list[tuple[int, ...]] = [(at,) for at in range(1, n)]
+    steps += [pair for pair in itertools.combinations(range(2, n - 1), 2) if pair[1] - pair[0] > 1]
     return line < min(
-        float(np.var(values[:at]) * at + np.var(values[at:]) * (values.size - at))
-        for at in range(1, values.size)
+        sum(float(np.var(part)) * part.size for part in np.split(values, edges)) for edges in steps
     )
 
 

@@ -162,7 +162,7 @@ def residual_structure(
     if n_draw * errors.size > MOST_VALUES:
         return None
     basis = np.linalg.qr(jacobian)[0]
-    noise = _drawn(n_line, size.shape[1], n_draw, null.shared)
+    noise = _draw(n_line, size.shape[1], n_draw, null.shared)
     noise *= np.tile(levels.reshape(-1), 2)[:, None]
     noise -= basis @ (basis.T @ noise)
     smooth = _smooth(n_line)
@@ -190,7 +190,7 @@ def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
     return np.asarray(np.sqrt(mean + slope * (square - 1)))
 
 
-def _drawn(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) -> FloatArray:
+def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) -> FloatArray:
     """Noise of unit variance, (2 n_line n_element, n_draw) [1]: real parts, then imaginary parts."""
     rng = np.random.default_rng(n_line)
     if shared is None:

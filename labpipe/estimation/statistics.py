@@ -56,7 +56,7 @@ def determination(right_side: ComplexArray, residual: ComplexArray, n_parameter:
     right_side, residual (n_line, n_dof, n_input). SS_total is about the mean of the real and imaginary parts
     in one column, as in the regression (Lim et al. 2009, eq. 23). Equation (est-r2).
     """
-    side = stacked(right_side.reshape(-1))
+    side = stack(right_side.reshape(-1))
     n = side.size
     total = float(np.sum((side - side.mean()) ** 2))
     r2 = 1 - float(np.sum(np.abs(residual) ** 2)) / total if total > 0 else 0.0
@@ -89,7 +89,7 @@ def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vi
     )
 
 
-def widened(parameter: Parameter, factor: float) -> Parameter:
+def widen(parameter: Parameter, factor: float) -> Parameter:
     """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong.
 
     Std_error stays that of noise.
@@ -105,7 +105,7 @@ def widened(parameter: Parameter, factor: float) -> Parameter:
     return replace(parameter, std_error_inflated=error, ci95=interval, t_ratio=ratio, significant=significant)
 
 
-def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:
+def derive(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:
     """A parameter computed from estimated ones, with its propagated standard error."""
     limit = student_limit(dof)
     interval = (value - limit * std_error, value + limit * std_error)
@@ -143,7 +143,7 @@ def correlation(covariance: FloatArray) -> FloatArray:
     return matrix
 
 
-def stacked(values: ComplexArray) -> FloatArray:
+def stack(values: ComplexArray) -> FloatArray:
     """Real and imaginary parts (..., 2 n) [unit of the values] of values (..., n), concatenated."""
     return np.concatenate([values.real, values.imag], axis=-1)
 

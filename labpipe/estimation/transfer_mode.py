@@ -11,7 +11,7 @@ from labpipe.errors import FitError
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import Matrices, Setup, Term, angle_of
 from labpipe.estimation.regression import solve_scaled
-from labpipe.estimation.statistics import stacked
+from labpipe.estimation.statistics import stack
 from labpipe.records.response import Port
 
 # Cosine between two directions of one point below which the response is across the force.
@@ -193,8 +193,8 @@ def transfer_start(measured: Measured) -> FloatArray:
     for _ in range(REWEIGHTINGS):
         # C + j D times the denominator is a polynomial: its terms in w^2 and w are columns of their own.
         columns = [h, 1j * w * h, -unit, -1j * unit, w**2 * unit, 1j * w**2, w * unit, 1j * w]
-        rows = stacked(np.array([column * weight for column in columns])).T
-        solved = solve_scaled(rows, stacked(weight * w**2 * h))[0]
+        rows = stack(np.array([column * weight for column in columns])).T
+        solved = solve_scaled(rows, stack(weight * w**2 * h))[0]
         below = solved[0] - w**2 + 1j * w * solved[1]
         if solved[0] > 0:
             start = solved[:2]
@@ -223,7 +223,7 @@ def _with_amounts(measured: Measured, start: FloatArray) -> FloatArray:
     """Start values (6,) of w_n^2 and 2 zeta w_n (2,) with the residue and the constant of least squares."""
     h, w, unit = measured.matrix[:, 0, 0], measured.omega, np.ones(measured.omega.size, np.complex128)
     below = start[0] - w**2 + 1j * w * start[1]
-    rows = stacked(np.array([1 / below, 1j / below, unit, 1j * unit])).T
-    amounts = solve_scaled(rows, stacked(h))[0]
+    rows = stack(np.array([1 / below, 1j / below, unit, 1j * unit])).T
+    amounts = solve_scaled(rows, stack(h))[0]
     w_n = np.sqrt(start[0])
     return np.array([w_n / (2 * np.pi), start[1] / (2 * w_n), *amounts])

@@ -20,7 +20,7 @@ from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.estimation.leakage import LineBlocks, SharedNoise, shared_residual
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.statistics import stacked
+from labpipe.estimation.statistics import stack
 
 # Weights of FRFs whose covariance is one matrix over the responses times one over the forces, as that of H1
 # is.
@@ -241,7 +241,7 @@ def _size(measured: Measured) -> float:
 
 def whitener(measured: Measured) -> ComplexArray:
     """L^-1 of C = L L^H per line, (n_line, n, n) [N/m]; FitError for a zero variance or a singular C."""
-    std, scaled = _scaled(measured)
+    std, scaled = _scale(measured)
     _check_regular(measured, np.linalg.eigvalsh(scaled)[:, 0])
     weights: ComplexArray = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
     return weights
@@ -292,11 +292,11 @@ def singular_lines(measured: Measured) -> BoolArray:
 
     FitError for a zero variance.
     """
-    scaled = _scaled(measured)[1]
+    scaled = _scale(measured)[1]
     return _is_singular(np.linalg.eigvalsh(scaled)[:, 0], scaled.shape[1])
 
 
-def _scaled(measured: Measured) -> tuple[FloatArray, ComplexArray]:
+def _scale(measured: Measured) -> tuple[FloatArray, ComplexArray]:
     """Standard deviations (n_line, n) [m/N] and correlations (n_line, n, n) [1] of the FRFs.
 
     FitError for a zero variance.
@@ -329,16 +329,16 @@ def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
     *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n). Equation (est-whitened).
     """
     if isinstance(whitener, ProductWeights):
-        return np.sqrt(2.0) * stacked(whitener.whitened(values).reshape(*values.shape[:-3], -1))
+        return np.sqrt(2.0) * stack(whitener.whitened(values).reshape(*values.shape[:-3], -1))
     flat = values.reshape(*values.shape[:-2], -1)
     whitener = short_weights(whitener)
     if whitener.ndim == 2:
-        return np.sqrt(2.0) * stacked((flat * whitener).reshape(*values.shape[:-3], -1))
+        return np.sqrt(2.0) * stack((flat * whitener).reshape(*values.shape[:-3], -1))
     white = np.matmul(
         whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2)
     )
     lines = np.moveaxis(white, 2, 0).reshape(*values.shape[:-3], -1)
-    return np.sqrt(2.0) * stacked(lines)
+    return np.sqrt(2.0) * stack(lines)
 
 
 def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:

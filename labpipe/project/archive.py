@@ -26,7 +26,7 @@ from labpipe.artefacts.identification_file import NAME as IDENTIFICATION
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
-from labpipe.artefacts.writing import is_remote, output_file, path_of, shown
+from labpipe.artefacts.writing import is_remote, output_file, path_of, show
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.project.crate import EXPERIMENT, NAME, Contents, Listed, Member, metadata, read_metadata
 from labpipe.project.identify import rig_entry, settings_entry
@@ -90,11 +90,11 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
         pipeline, digests, dated=identification.dataset is not None, digests_only=digests_only
     )
     return Contents(
-        identification, main, tuple(map(_digested, files)), tuple(map(_digested, results)), tuple(left_out)
+        identification, main, tuple(map(_digest, files)), tuple(map(_digest, results)), tuple(left_out)
     )
 
 
-def _digested(member: Member) -> Member:
+def _digest(member: Member) -> Member:
     """The member with digest and size.
 
     One that is not kept and lies elsewhere has the digest that the result names.
@@ -176,7 +176,7 @@ def _project(
     remote = next(filter(is_remote, raw), None)
     if remote is not None and not digests_only:
         what = "lies in an object storage, and is not brought into the archive"
-        raise DataError(what, where=shown(remote), hint="--digests-only keeps its digest")
+        raise DataError(what, where=show(remote), hint="--digests-only keeps its digest")
     settings, named = _named_by(pipeline.path)
     roles = dict.fromkeys(map(_absolute, (*raw, *ready)), "recording")
     roles |= {
@@ -190,7 +190,7 @@ def _project(
     members = []
     for path, role in roles.items():
         kept = not (digests_only and role == "recording")
-        name = shown(path) if is_remote(path) else f"{PROJECT}/{path.relative_to(home).as_posix()}"
+        name = show(path) if is_remote(path) else f"{PROJECT}/{path.relative_to(home).as_posix()}"
         day = _day(path) if dated and role == "recording" and not is_remote(path) else ""
         members.append(Member(name, role, path, digests.get(name, ""), kept=kept, day=day))
     return f"{PROJECT}/{_absolute(pipeline.path).relative_to(home).as_posix()}", members
@@ -296,7 +296,7 @@ def write_archive(contents: Contents, path: Path, date: str) -> None:
             digest = hashlib.sha256()
             with (
                 member.path.open("rb") as source,
-                _opened(archive, around + member.name, member.size or 0) as goal,
+                _open(archive, around + member.name, member.size or 0) as goal,
             ):
                 while chunk := source.read(CHUNK):
                     digest.update(chunk)
@@ -308,12 +308,12 @@ def write_archive(contents: Contents, path: Path, date: str) -> None:
                     hint="try again when it is finished",
                 )
         content = metadata(contents, date)
-        with _opened(archive, around + NAME, len(content)) as goal:
+        with _open(archive, around + NAME, len(content)) as goal:
             goal.write(content)
 
 
 @contextmanager
-def _opened(archive: zipfile.ZipFile, name: str, size: int) -> Iterator[IO[bytes]]:
+def _open(archive: zipfile.ZipFile, name: str, size: int) -> Iterator[IO[bytes]]:
     info = zipfile.ZipInfo(name, EPOCH)
     info.create_system, info.external_attr, info.file_size = 3, (stat.S_IFREG | 0o644) << 16, size
     with archive.open(info, "w") as stream:
@@ -461,7 +461,7 @@ class Unpacked:
     faults: tuple[tuple[str, str], ...]
 
 
-def unpacked(path: Path, folder: Path) -> Unpacked:
+def unpack(path: Path, folder: Path) -> Unpacked:
     """Unpack an archive into a folder; DataError where it cannot be read as one."""
     with opened(path) as archive:
         crate = read_metadata(archive.metadata, f"{path}: {NAME}")

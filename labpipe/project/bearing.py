@@ -21,7 +21,7 @@ from labpipe.project.marked_yaml import set_entry
 from labpipe.quantities import display_unit, to_display
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.uncertain import uncertainty_of
-from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, cells, curve, named_ticks, stacked
+from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, cells, curve, named_ticks, stack
 from labpipe.report.document import Figure
 from labpipe.report.figures import scale_of
 from labpipe.report.wording import unit_text
@@ -89,7 +89,7 @@ def _sweep_figure(
     )
     caption = f"{title}: {kind} over {label}{band}. Coefficients that are zero throughout are left out."
     return Figure(
-        stacked(panels, 0.7 + 2.3 * len(panels)),
+        stack(panels, 0.7 + 2.3 * len(panels)),
         caption,
         f"{kind.capitalize()} coefficients of {title} over {label}",
     )
@@ -145,9 +145,9 @@ class Evaluated:
     uncertainties: BearingUncertainties | None = None
 
 
-def evaluated(file: BearingFile) -> Evaluated:
+def evaluate(file: BearingFile) -> Evaluated:
     """The coefficients of the file as it is now, with their uncertainties; errors say which file."""
-    (whole,) = _evaluated(file, [lambda: None], file.uncertainties)
+    (whole,) = _evaluate(file, [lambda: None], file.uncertainties)
     return whole
 
 
@@ -160,14 +160,14 @@ def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
     def setter(value: float) -> Callable[[], None]:
         return lambda: set_entry(file.tree, f"{sweep.key}={value!r} {sweep.unit}")
 
-    return _evaluated(
+    return _evaluate(
         file,
         [setter(float(value)) for value in sweep.values],
         [key for key in file.uncertainties if key != sweep.key],
     )
 
 
-def _evaluated(
+def _evaluate(
     file: BearingFile, points: Sequence[Callable[[], None]], keys: Collection[str]
 ) -> list[Evaluated]:
     """The file at each of the *points*, which set its entries: all settings in one go, since kinds evaluate

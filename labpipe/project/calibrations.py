@@ -275,13 +275,13 @@ def certified_sensitivity(node: Marked, key: str, faults: Faults) -> Certified |
     if settings is None:
         return None
     try:
-        return _certified(settings, Path(node.where.rsplit(":", 2)[0]).parent)
+        return _certify(settings, Path(node.where.rsplit(":", 2)[0]).parent)
     except UnitError as error:
         faults.add_unit(node, key, error)
         return None
 
 
-def _certified(settings: CertificateSettings, folder: Path) -> Certified:
+def _certify(settings: CertificateSettings, folder: Path) -> Certified:
     certificate = read_certificate(folder / settings.certificate, settings.number, settings.sha256)
     named = f"certificate '{certificate.number}'"
     if certificate.refused:

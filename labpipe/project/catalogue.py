@@ -28,7 +28,7 @@ from labpipe.artefacts.dataset_file import amount_of
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.json_file import RECORD_FAULTS, read_bytes
-from labpipe.artefacts.writing import finished, output_file
+from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import WARNING, Parameter
@@ -77,7 +77,7 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
         raise DataError(
             "no such folder", where=str(folder), hint="name the folder that holds the results of your runs"
         )
-    with closing(_opened(folder)) as connection:
+    with closing(_open(folder)) as connection:
         if _bring_up_to_date(connection, folder):
             _keep(connection, folder)
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
@@ -89,13 +89,13 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
         yield connection
 
 
-def _opened(folder: Path) -> sqlite3.Connection:
+def _open(folder: Path) -> sqlite3.Connection:
     """The index in memory: as it was kept, or empty where none of this version was, or a damaged one."""
     try:
         kept = read_bytes(folder / INDEX)
     except (DataError, OSError):
         kept = b""
-    if kept and kept == _stamped(kept):
+    if kept and kept == _stamp(kept):
         connection = sqlite3.connect(":memory:")
         try:
             connection.deserialize(kept)
@@ -111,7 +111,7 @@ def _opened(folder: Path) -> sqlite3.Connection:
     return connection
 
 
-def _stamped(database: bytes) -> bytes:
+def _stamp(database: bytes) -> bytes:
     """The bytes of a database with their CRC-32 in the place of the user's version, by which a damaged index
     is noticed.
     """
@@ -128,7 +128,7 @@ def _keep(connection: sqlite3.Connection, folder: Path) -> None:
         return
     try:
         with output_file(folder / INDEX) as path:
-            path.write_bytes(_stamped(connection.serialize()))
+            path.write_bytes(_stamp(connection.serialize()))
     except (DataError, OSError):
         return
 
@@ -137,7 +137,7 @@ def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
     """Read new and changed results, remove deleted ones; True if there were any."""
     before = connection.total_changes
     stamps = dict(connection.execute("SELECT path, stamp FROM result"))
-    here = {path.relative_to(folder).as_posix(): path for path in finished(folder.rglob(NAME))}
+    here = {path.relative_to(folder).as_posix(): path for path in without_staging(folder.rglob(NAME))}
     for name in stamps.keys() - here.keys():
         _remove(connection, name)
     for name, path in here.items():
@@ -196,12 +196,12 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         "verdict": verdict(identification),
         "warnings": ", ".join(sorted(_all_codes(identification))),
     }
-    rows = [("result", _checked(entry))]
+    rows = [("result", _check(entry))]
     for listed in listed_parameters(identification):
         rows.append(
             (
                 "value",
-                _checked(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"])))),
+                _check(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"])))),
             )
         )
     for test, of_test in conditions.items():
@@ -210,7 +210,7 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
             rows.append(
                 (
                     "condition",
-                    _checked({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit}),
+                    _check({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit}),
                 )
             )
     return rows
@@ -224,7 +224,7 @@ def _texts(conditions: Mapping[str, Any]) -> dict[str, str]:
     return {str(name): str(condition) for name, condition in conditions.items()}
 
 
-def _checked(row: dict[str, Any]) -> dict[str, Any]:
+def _check(row: dict[str, Any]) -> dict[str, Any]:
     """The row; TypeError or OverflowError for what the index cannot hold."""
     for name, entry in row.items():
         if entry is not None and not isinstance(entry, (str, int, float)):

@@ -75,7 +75,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
 
     ConfigError for a name or a condition that no test has.
     """
-    table = _chosen(folder, criteria)
+    table = _choose(folder, criteria)
     for column in _NAMED:
         pattern = getattr(criteria, column)
         if pattern:
@@ -109,10 +109,10 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
 
 def has_test(folder: Path, criteria: Filter) -> bool:
     """Whether a dataset has a test at the conditions and of the days of the criteria."""
-    return bool(_at_conditions(_chosen(folder, criteria), criteria.where).num_rows)
+    return bool(_at_conditions(_choose(folder, criteria), criteria.where).num_rows)
 
 
-def _chosen(folder: Path, criteria: Filter) -> pa.Table:
+def _choose(folder: Path, criteria: Filter) -> pa.Table:
     """The rows with a value of the rigs and days asked for."""
     columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN}
     tables = [read_part(part, columns) for part in parts(folder) if _may_hold(part, criteria)]
@@ -227,7 +227,7 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
         return _all_of(asked)
 
 
-def _kept(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
+def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
     return [row] if has_test(home, criteria) else []
 
 
@@ -247,7 +247,7 @@ def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
         for row in everything:
             home = Path(row.path).parent.as_posix()
             if home in homes:
-                asked.append(partial(_kept, row, homes[home], criteria))
+                asked.append(partial(_keep, row, homes[home], criteria))
         return _all_of(asked)
 
 

@@ -47,7 +47,7 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
     comparisons: list[Comparison] = []
     for comparison in settings:
         try:
-            comparisons.append(_compared(work.pipeline.path, comparison, evidence))
+            comparisons.append(_compare(work.pipeline.path, comparison, evidence))
         except LabpipeError as error:
             if not work.go_on:
                 raise
@@ -55,7 +55,7 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
     return tuple(comparisons)
 
 
-def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:
+def _compare(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:
     try:
         return compare(settings, evidence)
     except LabpipeError as error:

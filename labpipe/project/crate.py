@@ -178,7 +178,7 @@ def read_metadata(content: bytes, where: str) -> Crate:
         graph = json.loads(content.decode("utf-8"))["@graph"]
         entities: Mapping[str, Entity] = {entity["@id"]: entity for entity in graph}
         main = _root(entities)
-        files = tuple(_listed(entity, where) for entity in entities.values() if entity["@type"] == "File")
+        files = tuple(_listing(entity, where) for entity in entities.values() if entity["@type"] == "File")
         left_out = sum(name.startswith("#left-out/") for name in entities)
         pipeline = unquote(main["mainEntity"]["@id"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
@@ -205,7 +205,7 @@ def _reference(entry: Any) -> Any:
     return entry.get("@id") if isinstance(entry, dict) else entry
 
 
-def _listed(entity: Entity, where: str) -> Listed:
+def _listing(entity: Entity, where: str) -> Listed:
     name, day = unquote(entity["@id"]), entity.get("dateModified", "")
     size, sha256 = entity["contentSize"], entity["sha256"]
     if not (

@@ -49,7 +49,7 @@ def stated_error(parameter: Parameter) -> float | None:
     return (parameter.ci95[1] - parameter.ci95[0]) / STATED
 
 
-def decided(rule: Rule, value: float | None, error: float | None, unit: str) -> Compared:
+def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> Compared:
     """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits.
 
     Without a value or an uncertainty it does not, and the text says so. ConfigError for limits of another
@@ -60,7 +60,7 @@ def decided(rule: Rule, value: float | None, error: float | None, unit: str) -> 
     try:
         limits = limits_of(decision, unit)
         process = _process(decision, unit)
-        shown = "" if value is None else _shown(decision, value, error, unit)
+        shown = "" if value is None else _text(decision, value, error, unit)
     except UnitError as fault:
         raise ConfigError(
             f"{rule.section}.{rule.address}: {fault.what}", where=rule.place, hint=fault.hint
@@ -118,7 +118,7 @@ def _process(decision: Decision, unit: str) -> tuple[float, float] | None:
     return process.value, process.std_error
 
 
-def _shown(decision: Decision, value: float, error: float | None, unit: str) -> str:
+def _text(decision: Decision, value: float, error: float | None, unit: str) -> str:
     """Value and uncertainty in the unit of the limits."""
     written = written_unit(decision.low or decision.high)
     if not written:

@@ -58,7 +58,7 @@ def parse_factor(text: str, name: str) -> Factor:
     """
     turn = _TURN.match(text.strip())
     if turn is not None:
-        return _turned(turn[1], turn[2], turn[3], name)
+        return _turn(turn[1], turn[2], turn[3], name)
     match = _NUMBER.match(text.replace("±", "+-").partition("+-")[0].strip())
     if match is None:
         raise UnitError(f"'{text}' is not a value with its unit", "for example 30 kg +- 0.1 kg")
@@ -73,7 +73,7 @@ def parse_factor(text: str, name: str) -> Factor:
     return Factor(uncertain.value, dimension, number)
 
 
-def _turned(sign: str, function: str, angle_text: str, name: str) -> Factor:
+def _turn(sign: str, function: str, angle_text: str, name: str) -> Factor:
     """The cosine or sine of an angle with its uncertainty."""
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
@@ -106,7 +106,7 @@ class SumReader:
             elif piece in self.constants:
                 factors.append(self.constants[piece])
             else:
-                factors.append(self._typed(piece, text, name))
+                factors.append(self._literal(piece, text, name))
         if len(members) != 1:
             what = "no channel" if not members else f"{len(members)} channels"
             raise UnitError(
@@ -115,7 +115,7 @@ class SumReader:
         self._check_unit(factors, members[0], text, name)
         return _term_of(members[0], sign, factors)
 
-    def _typed(self, piece: str, term: str, name: str) -> Factor:
+    def _literal(self, piece: str, term: str, name: str) -> Factor:
         """A number that stands in the sum itself."""
         if not _NUMBER.match(piece) and not _TURN.match(piece):
             hint = nearest(piece, [*self.quantities, *self.constants])
@@ -133,19 +133,19 @@ class SumReader:
         of_member = parse_unit(QUANTITIES[self.quantities[member]].si_unit).dimension
         total = of_member
         for factor in factors:
-            total = _combined(total, factor.dimension, 1)
-        if any(abs(power) > 1e-9 for power in _combined(total, wanted, -1)):
+            total = _combine(total, factor.dimension, 1)
+        if any(abs(power) > 1e-9 for power in _combine(total, wanted, -1)):
             unit = QUANTITIES[self.quantities[name]].si_unit
             what = (
                 f"'{text}' is in {name_of_dimension(total)}, {unit} is needed for a {self.quantities[name]}"
             )
-            needed = name_of_dimension(_combined(wanted, of_member, -1))
+            needed = name_of_dimension(_combine(wanted, of_member, -1))
             raise UnitError(
                 what, f"the factor of {member} is {'a pure number' if needed == '1' else f'in {needed}'}"
             )
 
 
-def _combined(first: Dimension, second: Dimension, sign: int) -> Dimension:
+def _combine(first: Dimension, second: Dimension, sign: int) -> Dimension:
     """Dimension of a product (sign 1) or quotient (-1)."""
     m, kg, s, a, k, rad = (exponent + sign * other for exponent, other in zip(first, second, strict=True))
     return m, kg, s, a, k, rad
@@ -176,9 +176,7 @@ def _parts(text: str) -> list[tuple[float, str]]:
     return [(sign, term.strip()) for sign, term in terms]
 
 
-def expanded(
-    sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()
-) -> tuple[Term, ...]:
+def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
     """The sum of channel *name* in recorded channels, sums in it written out.
 
     UnitError for one that holds itself.
@@ -191,13 +189,11 @@ def expanded(
     terms: dict[str, Term] = {}
     for term in sums[name]:
         inner = (
-            expanded(sums, term.channel, (*above, name))
-            if term.channel in sums
-            else (Term(term.channel, 1.0),)
+            expand(sums, term.channel, (*above, name)) if term.channel in sums else (Term(term.channel, 1.0),)
         )
         for part in inner:
             whole = _product(term, part)
-            terms[part.channel] = _added(terms[part.channel], whole) if part.channel in terms else whole
+            terms[part.channel] = _add(terms[part.channel], whole) if part.channel in terms else whole
     return tuple(terms.values())
 
 
@@ -210,10 +206,10 @@ def _product(outer: Term, inner: Term) -> Term:
         outer.numbers,
         tuple(inner.factor * derivative for derivative in outer.derivatives),
     )
-    return replace(_added(scaled, by_derivatives), factor=scaled.factor)
+    return replace(_add(scaled, by_derivatives), factor=scaled.factor)
 
 
-def _added(first: Term, second: Term) -> Term:
+def _add(first: Term, second: Term) -> Term:
     """Two terms of one channel as one."""
     numbers = dict(zip(first.numbers, first.derivatives, strict=True))
     for number, derivative in zip(second.numbers, second.derivatives, strict=True):

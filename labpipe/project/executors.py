@@ -51,12 +51,12 @@ def in_processes(count: int) -> Execute:
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
         open_jobs = {job.test.name: job for job in jobs}
         for _ in range(ATTEMPTS - 1):
-            for done in _pooled(work, tuple(open_jobs.values()), count):
+            for done in _pool(work, tuple(open_jobs.values()), count):
                 del open_jobs[done.test]
                 yield done
         # The pool does not report which job ended its process: every open job runs in a separate process.
         for job in tuple(open_jobs.values()):
-            for done in _pooled(work, (job,), 1):
+            for done in _pool(work, (job,), 1):
                 del open_jobs[done.test]
                 yield done
         for name in open_jobs:
@@ -70,7 +70,7 @@ def in_processes(count: int) -> Execute:
     return execute
 
 
-def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
+def _pool(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
     """Outcomes of the jobs that finish before a process is killed."""
     others = multiprocessing.active_children()
     # Fresh interpreters: forking a process that has threads is not safe.
@@ -122,7 +122,7 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
     """
 
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-        distributed = _distributed()
+        distributed = _distribute()
         try:
             with _client(distributed, address) as client:
                 yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
@@ -203,7 +203,7 @@ def work_on(work: Work, batch: Sequence[Job]) -> list[Done]:
     return [work(job) for job in batch]
 
 
-def _distributed() -> Any:
+def _distribute() -> Any:
     try:
         import distributed
     except ImportError:
@@ -231,17 +231,17 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
             scheduler = started.enter_context(cluster).scheduler_address
         elif Path(address).suffix.lower() in (".yaml", ".yml"):
             scheduler, patience = (
-                started.enter_context(_described(Path(address))).scheduler_address,
+                started.enter_context(_describe(Path(address))).scheduler_address,
                 START_SECONDS,
             )
         else:
             scheduler = address
-        client = _connected(distributed, scheduler, patience)
+        client = _connect(distributed, scheduler, patience)
         started.callback(client.close)
         yield client
 
 
-def _described(path: Path) -> Any:
+def _describe(path: Path) -> Any:
     """The cluster of a file: `class: dask_jobqueue.SLURMCluster`, its `arguments:`, and `adapt:` or `scale:`
     for the number of workers.
     """
@@ -282,7 +282,7 @@ def _described(path: Path) -> Any:
     return cluster
 
 
-def _connected(distributed: Any, address: str, patience: float) -> Any:
+def _connect(distributed: Any, address: str, patience: float) -> Any:
     """A client of the scheduler whose workers, waited for so many seconds, have this version of labpipe."""
     try:
         client = distributed.Client(
@@ -316,7 +316,7 @@ def _security(address: str) -> Any:
     """
     if not address.startswith("tls://"):
         return None
-    security: Any = _distributed().Security()
+    security: Any = _distribute().Security()
     if not (security.tls_ca_file and security.tls_client_cert):
         hint = "name them in Dask's configuration: distributed.comm.tls.ca-file, .client.cert, .client.key"
         raise ConfigError(f"--cluster {address}: no certificates are configured", hint=hint)

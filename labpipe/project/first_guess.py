@@ -134,14 +134,14 @@ def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
         for other in range(len(names)):
             if other == number or names[other] in copied:
                 continue
-            reason = _copied(rows[:, number], rows[:, other], other < number)
+            reason = _repetition(rows[:, number], rows[:, other], other < number)
             if reason:
                 copied[name] = f"{reason} of {names[other]}"
                 break
     return copied
 
 
-def _copied(column: FloatArray, other: FloatArray, is_later: bool) -> str:
+def _repetition(column: FloatArray, other: FloatArray, is_later: bool) -> str:
     """How a column repeats another; '' where it does not."""
     if np.array_equal(column, other):
         return "a copy" if is_later and np.any(column) else ""
@@ -173,7 +173,7 @@ def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | 
         for other in names
         if other not in measured
         and raw in number
-        and _copied(rows[:, number[other]], rows[:, number[raw]], False)
+        and _repetition(rows[:, number[other]], rows[:, number[raw]], False)
     }
     if not pairs:
         return None
@@ -196,7 +196,7 @@ def guess_channels(
     for name in names:
         keys.append(_key(name, keys))
     guessed = [_guess(name, key, units.get(name, "")) for name, key in zip(names, keys, strict=True)]
-    guessed = [_sensed(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
+    guessed = [_sense(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
     if len({_node(name) for name in names if _node(name)}) > 1:
         guessed = [_at_node(channel) for channel in guessed]
     outputs = [channel for channel in guessed if channel.role == "output"]
@@ -253,7 +253,7 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
     )
 
 
-def _sensed(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
+def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
     """The channel with the sensitivity that the file states, for a sensor recorded in volts: its unit says
     what is measured.
     """

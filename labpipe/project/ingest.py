@@ -57,7 +57,7 @@ def ingest(
     """
     if is_recording(source):
         return open_recording(source)
-    table = _joined([source, *joined], rig, by) if joined else _opened(source, rig)
+    table = _join([source, *joined], rig, by) if joined else _open(source, rig)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
     header = Header(
         "recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined))
@@ -77,7 +77,7 @@ def changed_while_read(path: Path) -> DataError:
     return DataError("changed while it was read", where=str(path), hint="run again when it is complete")
 
 
-def _opened(source: Path, rig: Rig) -> Table:
+def _open(source: Path, rig: Rig) -> Table:
     """The table of a file, at the rate to which the rig brings channels of several rates."""
     table = open_table(source)
     if rig.resample is None:
@@ -85,7 +85,7 @@ def _opened(source: Path, rig: Rig) -> Table:
     return ResampledTable([table, *getattr(table, "others", ())], rig.resample)
 
 
-def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
+def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     """The files of one run as one table.
 
     DataError where they shall be joined on a time that one of them lacks.

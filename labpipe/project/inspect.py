@@ -21,7 +21,7 @@ from labpipe.project.report import format_of
 from labpipe.project.rig_file import time_scale
 from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
-from labpipe.raw_files.table import guarded, open_table
+from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.raw_files.uff_shapes import FileShapes, read_shapes_uff
@@ -52,7 +52,7 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
     Recordings and tables are read once, block by block; what is kept does not grow with their length.
     """
     if file.is_file() and plain_suffix(file) in UFF_SUFFIXES:
-        shapes = guarded(read_shapes_uff, file)
+        shapes = guard(read_shapes_uff, file)
         if shapes is not None:
             return shapes
     if is_response(file):

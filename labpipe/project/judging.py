@@ -11,7 +11,7 @@ from labpipe.errors import ConfigError
 from labpipe.project.deciding import (
     Compared,
     Limited,
-    decided,
+    decide,
     decided_together,
     limited_by_comparison,
     limited_by_fit,
@@ -41,7 +41,7 @@ def compare_number(rule: Rule, value: float | None, unit: str, error: float | No
     limits are decided; all others compare the value alone.
     """
     if rule.decision is not None:
-        return decided(rule, value, error, unit)
+        return decide(rule, value, error, unit)
     try:
         text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
@@ -187,7 +187,7 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
     numbers: list[Limited] = []
     for member in rule.together:
         try:
-            numbers.extend(_limited(member, fits, records))
+            numbers.extend(_limit(member, fits, records))
         except UnitError as error:
             raise ConfigError(
                 f"{member.section}.{rule.address}.{member.address}: {error.what}",
@@ -197,7 +197,7 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
     return decided_together(rule, numbers)
 
 
-def _limited(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[Limited]:
+def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[Limited]:
     """The numbers that one of several limits addresses."""
     comparisons = [
         record
@@ -208,7 +208,7 @@ def _limited(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> lis
     ]
     if comparisons:
         return [limited_by_comparison(rule, comparisons[0], _amount(rule, comparisons[0], rule.item))]
-    addressed = _having(rule, _addressed(rule, fits))
+    addressed = _having(rule, _address(rule, fits))
     if not addressed or rule.item in _FIT_VALUES:
         raise UnitError("no such fit or parameter in the result", "limits together need parameters of fits")
     return [limited_by_fit(rule, fit, fit.parameter(rule.item)) for fit in addressed]
@@ -223,7 +223,7 @@ def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
             return PartialOutcome(outcome=together(rule, fits, {}), addressed=len(fits))
         except ConfigError as error:
             return PartialOutcome(addressed=len(fits), fault=(error.what, error.hint))
-    addressed = _addressed(rule, fits)
+    addressed = _address(rule, fits)
     if not addressed or rule.item == "count":
         return PartialOutcome(addressed=len(addressed))
     whole = PartialOutcome()
@@ -265,7 +265,7 @@ def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
     raise ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
 
 
-def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
+def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
     """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the
     centre of a band.
     """

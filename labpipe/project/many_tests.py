@@ -117,7 +117,7 @@ def outcome_of(done: Done, test: Test) -> TestResult:
     return done.result
 
 
-def identified(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
+def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
     """The result of all tests: identification.json, which sums the dataset up.
 
     Parts of an earlier run that are no longer of it go.

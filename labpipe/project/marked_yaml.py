@@ -91,7 +91,7 @@ def load_marked(path: Path) -> Marked:
 def parse_marked(text: str, name: str) -> Marked:
     """The marked tree of YAML *text*; *name* is the file's name in messages."""
     try:
-        node = _composed(text) if len(text) <= MOST_KEPT else _Loader(text).get_single_node()
+        node = _compose(text) if len(text) <= MOST_KEPT else _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
@@ -115,7 +115,7 @@ def parse_marked(text: str, name: str) -> Marked:
 
 
 @lru_cache(maxsize=32)
-def _composed(text: str) -> yaml.Node | None:
+def _compose(text: str) -> yaml.Node | None:
     """The nodes of YAML *text*, which nobody changes."""
     return _Loader(text).get_single_node()
 

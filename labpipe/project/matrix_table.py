@@ -178,7 +178,7 @@ def _course(identification: Identification, matrix: ConditionMatrix, point: Matr
     if drawn:
         low, high = (end(course[0][place] for course in drawn) for end, place in ((max, 0), (min, -1)))
         frequency = np.linspace(low, high, N_WHIRL)
-        return frequency, np.mean([_interpolated(*course, frequency) for course in drawn], axis=0)
+        return frequency, np.mean([_interpolate(*course, frequency) for course in drawn], axis=0)
     return _of_coefficients(matrix, point, fits)
 
 
@@ -201,7 +201,7 @@ def _square(point: MatrixPoint, letter: str) -> FloatArray:
     return np.array([0.0 if value is None else value.parameter.value for value in values]).reshape(2, 2)
 
 
-def _interpolated(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -> ComplexArray:
+def _interpolate(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -> ComplexArray:
     flat = matrix.reshape(frequency.size, -1)
     columns = [
         np.interp(at, frequency, column.real) + 1j * np.interp(at, frequency, column.imag)
@@ -212,7 +212,7 @@ def _interpolated(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -
 
 def _at(course: Course, frequency: FloatArray) -> ComplexArray:
     """H (n, 2, 2) [N/m] at frequencies (n,) [Hz]; beyond the band that was measured, that of its end."""
-    return _interpolated(*course, frequency)
+    return _interpolate(*course, frequency)
 
 
 def _table(over: str, omega: FloatArray, stiffness: ComplexArray, others: list[str]) -> pd.DataFrame:

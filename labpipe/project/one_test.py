@@ -22,7 +22,7 @@ from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
 from labpipe.artefacts.parquet import header_of, made_again
-from labpipe.artefacts.places import StorageError, fetched, status
+from labpipe.artefacts.places import StorageError, fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
@@ -48,7 +48,7 @@ from labpipe.project.work import fits_of, with_repeats_of
 from labpipe.quantities import QUANTITIES, to_display
 from labpipe.raw_files.screening import ChannelScreen
 from labpipe.raw_files.table import open_table
-from labpipe.records.dataset import DatasetRow, TestResult, accepted, rows_of_fit
+from labpipe.records.dataset import DatasetRow, TestResult, is_accepted, rows_of_fit
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
@@ -118,7 +118,7 @@ def result_of_test(
     outcomes = forbidden(rules, fits)
     common = {
         **identity(test, conditions),
-        "accepted": accepted(partial, outcomes),
+        "accepted": is_accepted(partial, outcomes),
         "source": digest_of_sources(sources),
         "digest": digest,
     }
@@ -162,7 +162,7 @@ def day_of(test: Test, conditions: Mapping[str, str]) -> str:
     try:
         return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
     except ValueError:
-        return _changed(next(path for path in files_of(test)))
+        return _change(next(path for path in files_of(test)))
 
 
 def files_of(test: Test) -> list[Path]:
@@ -171,7 +171,7 @@ def files_of(test: Test) -> list[Path]:
     return [*recorded, *(path for ready in test.frfs for path in ready.paths)]
 
 
-def _changed(path: Path) -> str:
+def _change(path: Path) -> str:
     try:
         seconds = _seconds(path)
     except (OSError, DataError):
@@ -274,7 +274,7 @@ def work(job: Job) -> Done:
     remarks: list[str] = []
     try:
         with brought(job) as near:
-            sources, result = _worked(near, remarks)
+            sources, result = _work(near, remarks)
     except LabpipeError as error:
         failed = Failed(job.test.name, str(error))
         return Done(
@@ -297,12 +297,12 @@ def brought(job: Job) -> Iterator[Job]:
     meanwhile.
     """
     paths = [path for source in job.test.recordings for path in (source.path, *source.joined)]
-    with fetched([] if job.measured_before else paths, job.scratch) as here:
+    with fetch([] if job.measured_before else paths, job.scratch) as here:
         recordings = tuple(source.at(here) for source in job.test.recordings)
         yield dataclasses.replace(job, test=dataclasses.replace(job.test, recordings=recordings))
 
 
-def _worked(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
+def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
     """What went into the test, and its result for a dataset."""
     with output_folder(job.target, job.scratch, remarks) as output:
         sources = sources_before(job) if job.measured_before else measure(job, output)

@@ -386,12 +386,12 @@ class Pipeline:
             owner
             for name, settings in self.sections.items()
             if name != "identify"
-            for owner in _listed(settings)
+            for owner in _listing(settings)
         ]
         return list(dict.fromkeys(path for owner in owners for path in named_files(owner, self.folder)))
 
 
-def _listed(settings: Any) -> tuple[Any, ...]:
+def _listing(settings: Any) -> tuple[Any, ...]:
     return settings if isinstance(settings, tuple) else (settings,)
 
 
@@ -405,7 +405,7 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
 
     ConfigErrors with every fault of all files at its place.
     """
-    return _loaded(path, overrides, TestReader.tests)
+    return _load(path, overrides, TestReader.tests)
 
 
 def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
@@ -423,7 +423,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
         return (Test("", source, frf=per_file[0].frf),)
 
-    pipeline = _loaded(path, overrides, imagined)
+    pipeline = _load(path, overrides, imagined)
     return replace(pipeline, tests=()), per_file[0]
 
 
@@ -436,10 +436,10 @@ def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     def to_come(reader: TestReader) -> tuple[Test, ...]:
         return () if reader.rig is None else (Test("", (SourceFile(path, reader.rig),)),)
 
-    return replace(_loaded(path, overrides, to_come), tests=())
+    return replace(_load(path, overrides, to_come), tests=())
 
 
-def _loaded(
+def _load(
     path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]
 ) -> Pipeline:
     tree = load_marked(path)

@@ -123,7 +123,7 @@ ALL_EXPLAINED = 1 - 1e-9
 AT_ONE_POINT = 60.0
 
 
-def proposed(
+def propose(
     frequency: FloatArray,
     mobility: FloatArray | ComplexArray,
     *,
@@ -195,7 +195,7 @@ def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Propo
     weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
     mobility = response.matrix[:, row, 0] * 1j**order * weight
     peak_of = mobility if stated else np.abs(mobility)
-    return proposed(response.frequency, peak_of, at_one_point=True, coherence=coherence)
+    return propose(response.frequency, peak_of, at_one_point=True, coherence=coherence)
 
 
 def _as_channel(channel: GuessedChannel) -> Channel:

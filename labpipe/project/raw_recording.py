@@ -90,12 +90,12 @@ class RawRecording:
         return read_ahead(self._blocks_in_turn(n_sample))
 
     def _blocks_in_turn(self, n_sample: int) -> Iterator[FloatArray]:
-        for columns in self._screened() if self._findings is None else self._recorded():
+        for columns in self._screened() if self._findings is None else self._record():
             block = self._calibration.with_sums(self._calibration.in_rows(columns))
             for start in range(0, block.shape[0], n_sample):
                 yield block[start : start + n_sample]
 
-    def _recorded(self) -> Iterator[list[FloatArray]]:
+    def _record(self) -> Iterator[list[FloatArray]]:
         """The columns of the measured channels, each (n,) [unit of the file]."""
         return self._table.column_chunks(self._columns)
 
@@ -106,7 +106,7 @@ class RawRecording:
         """
         screen = channel_screen(self.rig)
         with DigestAlong(self.path) as digest:
-            for columns in self._recorded():
+            for columns in self._record():
                 self._screen(screen, columns)
                 if not self._sha256:
                     digest.advance(screen.n_sample / self.n_sample)

@@ -14,7 +14,7 @@ from labpipe.project.tests import ReadyFrf
 from labpipe.raw_files.frf_csv import FREQUENCY, port_of
 from labpipe.raw_files.frf_described import Dofs, read_described
 from labpipe.raw_files.mat_frf import holds_response
-from labpipe.raw_files.table import TEXT_SUFFIXES, guarded, open_table, readable
+from labpipe.raw_files.table import TEXT_SUFFIXES, guard, open_table, readable
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.raw_files.uff_read import read_frf_uff
@@ -22,7 +22,7 @@ from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.registry import Registry
 from labpipe.spectra.damping import undamped
-from labpipe.spectra.ports import joined
+from labpipe.spectra.ports import join
 from labpipe.spectra.windows import amplitude_correlation
 
 MATRIX_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf")
@@ -37,7 +37,7 @@ def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
         raise DataError(
             f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {suffixes}"
         )
-    response: FrequencyResponse = guarded(FRF_READERS.load(suffix), path, name)
+    response: FrequencyResponse = guard(FRF_READERS.load(suffix), path, name)
     return response
 
 
@@ -105,7 +105,7 @@ def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None 
         dataclasses.replace(_load_described(path, frf.layout, Dofs(outputs, inputs)), name=path.name)
         for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
     ]
-    response = joined(responses) if frf.layout.each else responses[0]
+    response = join(responses) if frf.layout.each else responses[0]
     if frf.layout.windowed is not None:
         response = undamped(response, frf.layout.windowed.exponential)
     if frf.layout.window and not response.line_correlation:
@@ -115,19 +115,19 @@ def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None 
 
 def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
     if layout.table is not None:
-        return guarded(read_described, path, layout, dofs)
+        return guard(read_described, path, layout, dofs)
     if layout.unit or layout.form:
-        response = guarded(read_frf_uff, path, "", layout.scale if layout.unit else (layout.form, None))
+        response = guard(read_frf_uff, path, "", layout.scale if layout.unit else (layout.form, None))
     else:
         response = load_response(path)
     return dataclasses.replace(
         response,
-        outputs=_renamed(response.outputs, dofs.outputs, "outputs", path),
-        inputs=_renamed(response.inputs, dofs.inputs, "inputs", path),
+        outputs=_rename(response.outputs, dofs.outputs, "outputs", path),
+        inputs=_rename(response.inputs, dofs.inputs, "inputs", path),
     )
 
 
-def _renamed(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
+def _rename(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
     """The ports under the dofs of the entry, if it gives any."""
     if dofs and len(dofs) != len(ports):
         raise DataError(

@@ -39,7 +39,7 @@ def drawn_from(result: Path, code: str = "") -> str:
     return hashlib.sha256(match[1] + (code or code_digest()).encode()).hexdigest() if match else ""
 
 
-def stamped(content: bytes, source: str, report_format: str) -> bytes:
+def stamp(content: bytes, source: str, report_format: str) -> bytes:
     """The bytes of a report with its last line.
 
     As they are without a *source* or for a format that has no comments.
@@ -106,7 +106,7 @@ def write_report(
     """
     name, folder = report_format or format_of(path), results or path.parent
     files = {} if figures is None else _figures_of(identification, folder)
-    _write(_drawn(identification, folder, name), path, files, figures)
+    _write(_draw(identification, folder, name), path, files, figures)
 
 
 def write_test_report(
@@ -154,11 +154,11 @@ def write_reports(
         for name in stale:
             tell(f"report    report.{name}")
             folder.write_path(f"report.{name}").write_bytes(
-                stamped(_drawn(identification, target, name), source, name)
+                stamp(_draw(identification, target, name), source, name)
             )
 
 
-def _drawn(identification: Identification, folder: Path, report_format: str) -> bytes:
+def _draw(identification: Identification, folder: Path, report_format: str) -> bytes:
     """The report as a file's bytes; of a result of many tests, whose *folder* holds them, their summary."""
     if identification.dataset is None:
         content: bytes = _renderer("RENDERERS", report_format)(identification)

@@ -58,7 +58,7 @@ def _readable(text: str) -> str:
     return re.sub(r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)
 
 
-def _named(owner: ET.Element, name: str, text: str) -> ET.Element:
+def _name(owner: ET.Element, name: str, text: str) -> ET.Element:
     """An element whose name is a text."""
     child = _child(owner, name)
     _child(_child(child, "name"), "content", text)
@@ -66,7 +66,7 @@ def _named(owner: ET.Element, name: str, text: str) -> ET.Element:
 
 
 def _administrative(owner: ET.Element, identification: Identification) -> None:
-    software = _named(_child(owner, "dccSoftware"), "software", "labpipe")
+    software = _name(_child(owner, "dccSoftware"), "software", "labpipe")
     _child(software, "release", identification.version or __version__)
     core = _child(owner, "coreData")
     _child(core, "countryCodeISO3166_1", NO_COUNTRY)
@@ -80,20 +80,20 @@ def _administrative(owner: ET.Element, identification: Identification) -> None:
         _child(core, "beginPerformanceDate", days[0])
         _child(core, "endPerformanceDate", days[-1])
     _child(core, "performanceLocation", "other")
-    item = _named(_child(owner, "items"), "item", identification.rig.get("name") or NOT_STATED)
+    item = _name(_child(owner, "items"), "item", identification.rig.get("name") or NOT_STATED)
     identity = _child(_child(item, "identifications"), "identification")
     _child(identity, "issuer", "other")
     _child(identity, "value", identification.title or NOT_STATED)
-    _located(_named(_child(owner, "calibrationLaboratory"), "contact", NOT_STATED))
-    _named(_child(_child(owner, "respPersons"), "respPerson"), "person", NOT_STATED)
-    _located(_named(owner, "customer", NOT_STATED))
+    _locate(_name(_child(owner, "calibrationLaboratory"), "contact", NOT_STATED))
+    _name(_child(_child(owner, "respPersons"), "respPerson"), "person", NOT_STATED)
+    _locate(_name(owner, "customer", NOT_STATED))
     if identification.outcomes:
         statements = _child(owner, "statements")
         for outcome in identification.outcomes:
             _statement(_child(statements, "statement"), outcome)
 
 
-def _located(contact: ET.Element) -> None:
+def _locate(contact: ET.Element) -> None:
     _child(_child(contact, "location"), "countryCode", NO_COUNTRY)
 
 
@@ -111,8 +111,8 @@ def _fit(owner: ET.Element, fit: Fit, key: str) -> None:
     title = " ".join(filter(None, (fit.name, fit.term, f"[{fit.test}]" if fit.test else "")))
     _child(_child(owner, "name"), "content", title)
     band = f"{fit.band_hz[0]:g} Hz to {fit.band_hz[1]:g} Hz"
-    _named(_child(owner, "usedMethods"), "usedMethod", f"{fit.model}, {fit.estimator}, {band}")
-    result = _named(_child(owner, "results"), "result", title)
+    _name(_child(owner, "usedMethods"), "usedMethod", f"{fit.model}, {fit.estimator}, {band}")
+    result = _name(_child(owner, "results"), "result", title)
     listed = _child(_child(result, "data"), "list")
     for parameter in fit.parameters:
         _quantity(listed, parameter, key)
@@ -121,7 +121,7 @@ def _fit(owner: ET.Element, fit: Fit, key: str) -> None:
 def _quantity(owner: ET.Element, parameter: Parameter, key: str) -> None:
     """A parameter with the half width of its stated interval as expanded uncertainty."""
     name = re.sub(r"[^A-Za-z0-9_.-]", "-", parameter.name)
-    quantity = _named(owner, "quantity", parameter.name)
+    quantity = _name(owner, "quantity", parameter.name)
     quantity.set("id", f"{key}_{name}")
     real = _child(quantity, "real", space=SI)
     _child(real, "value", repr(parameter.value), SI)

@@ -17,7 +17,7 @@ from labpipe.project.calibrations import (
     channel_uncertainties,
     read_sensor_response,
 )
-from labpipe.project.derived_channels import Factor, SumReader, expanded, read_constants
+from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
@@ -139,7 +139,7 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
     return read_rig(tree, faults)
 
 
-def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
+def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
     """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of
     that role.
 
@@ -362,7 +362,7 @@ def _sum_channel(
     key = join("channels", name)
     assert settings is not None
     try:
-        terms = expanded({sum_name: sums[sum_name] for sum_name in sums}, name)
+        terms = expand({sum_name: sums[sum_name] for sum_name in sums}, name)
     except UnitError as error:
         faults.add_unit(entry.content["derived"], join(key, "derived"), error)
         return None

@@ -120,16 +120,16 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
         elif _is_decision(entry):
             if "together" in entry.content:
                 rules.extend(_together(section, address, entry, faults, fits))
-            elif match := _matched(address, entry, key, faults, fits):
-                rules.extend(_decided(section, address, entry, match, faults))
-        elif match := _matched(address, entry, key, faults, fits):
+            elif match := _match(address, entry, key, faults, fits):
+                rules.extend(_decide(section, address, entry, match, faults))
+        elif match := _match(address, entry, key, faults, fits):
             rules.extend(
                 _rule(section, address, entry, match, text) for text in _rule_texts(entry, key, faults)
             )
     return tuple(rules)
 
 
-def _matched(
+def _match(
     address: str, entry: Marked, key: str, faults: Faults, fits: tuple[str, ...]
 ) -> re.Match[str] | None:
     """The parts of an address; None and a fault for one that the pipeline does not have."""
@@ -150,7 +150,7 @@ def _is_decision(entry: Marked) -> bool:
     return isinstance(entry.content, dict) and any(name in DECISION_KEYS for name in entry.content)
 
 
-def _decided(
+def _decide(
     section: str, address: str, entry: Marked, match: re.Match[str], faults: Faults
 ) -> tuple[Rule, ...]:
     """The rule with limits on one number; none and faults where it cannot be read."""
@@ -180,10 +180,10 @@ def _together(
     members: list[Rule] = []
     for member, limits in faults.mapping(entry.content["together"], join(key, "together")).items():
         inner = join(key, "together", member)
-        match = _matched(member, limits, inner, faults, fits)
+        match = _match(member, limits, inner, faults, fits)
         if match is not None:
             with_limits = Marked({**shared, "limits": limits}, limits.where, limits.key_where)
-            decided = _decided(section, member, with_limits, match, faults)
+            decided = _decide(section, member, with_limits, match, faults)
             members += [replace(rule, bound=f"{member} {rule.bound}") for rule in decided]
     faults.unknown_keys(entry, key, DECISION_KEYS)
     if not members and len(faults) == before:

@@ -16,7 +16,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.project.executors import Execute, serially
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import unique_names
-from labpipe.project.many_tests import Gathered, advice, identified, keeps_dataset
+from labpipe.project.many_tests import Gathered, advice, identify, keeps_dataset
 from labpipe.project.measured import MeasuredTest, frf_file_name
 from labpipe.project.one_test import (
     Done,
@@ -132,7 +132,7 @@ def _run_many(
         for outcome in _outcomes(jobs, manner):
             gathered.add(outcome)
     manner.tell(f"identify  {pipeline.title}")
-    return identified(pipeline, gathered, output)
+    return identify(pipeline, gathered, output)
 
 
 def measure_tests(
@@ -147,7 +147,7 @@ def measure_tests(
         if len(jobs) > 1:
             done = {outcome.test: outcome for outcome in _outcomes(jobs, manner)}
         else:
-            done = {job.test.name: _measured(job, output, manner) for job in jobs}
+            done = {job.test.name: _measure(job, output, manner) for job in jobs}
     output.remarks.extend(remark for outcome in done.values() for remark in outcome.remarks)
     finished = [job for job in jobs if done[job.test.name].failed is None]
     failed = tuple(
@@ -164,7 +164,7 @@ def measure_tests(
     return Measured(tuple(tests), tuple(sources), finished_fits(finished, output), failed, inputs)
 
 
-def _measured(job: Job, output: OutputFolder, manner: Manner) -> Done:
+def _measure(job: Job, output: OutputFolder, manner: Manner) -> Done:
     """The only test of a pipeline, measured here."""
     with brought(job) as near:
         return Done(job.test.name, measure(near, output, manner.tell))

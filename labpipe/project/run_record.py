@@ -24,7 +24,7 @@ from labpipe import __version__
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import RECORD_FAULTS
-from labpipe.artefacts.writing import finished, is_remote, only_one, output_file
+from labpipe.artefacts.writing import is_remote, only_one, output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.records.identification import Identification
 
@@ -112,7 +112,7 @@ def _add(folder: Path, pipeline: Path, identification: Identification | None, ou
     inputs: Sequence[Mapping[str, str]] = ()
     if identification is not None:
         inputs = (*identification.sources, *identification.inputs)
-    with _locked(path.parent):
+    with _lock(path.parent):
         runs, digest = _read(path)
         run = _next(
             runs,
@@ -147,7 +147,7 @@ def _next(runs: Sequence[Run], previous: str, **entries: object) -> Run:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def _lock(folder: Path) -> Iterator[None]:
     """One process at a time; DataError where another one holds the record for too long."""
     end = time.monotonic() + PATIENCE
     with ExitStack() as stack:
@@ -216,7 +216,8 @@ def head(path: Path) -> str:
 def _digests(folder: Path) -> dict[str, str]:
     """The digests of the results below a folder by their names relative to it."""
     return {
-        path.relative_to(folder).as_posix(): _digest(path) for path in sorted(finished(folder.rglob(NAME)))
+        path.relative_to(folder).as_posix(): _digest(path)
+        for path in sorted(without_staging(folder.rglob(NAME)))
     }
 
 

@@ -35,13 +35,13 @@ from labpipe.project.proposals import (
     first_look,
     proposal_of,
     proposals,
-    proposed,
+    propose,
 )
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.settings_reader import DECIDE
 from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.first_look import Excitation
-from labpipe.raw_files.table import guarded, open_table
+from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.records.frf_layout import MECHANICAL
@@ -91,7 +91,7 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
         except DataError:
             if plain_suffix(files[0]) not in UFF_SUFFIXES:
                 raise
-    guessed = guarded(guessed_frf, files[0]) if files[0].is_file() else None
+    guessed = guard(guessed_frf, files[0]) if files[0].is_file() else None
     if guessed is not None:
         return Scaffold("", _pipeline_of_tables(guessed, files, paths))
     first = first_look(open_table(files[0]))
@@ -304,7 +304,7 @@ def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator
 
 def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
     """A modal fit for each peak of the mobility of all *files*, root mean square over their points."""
-    parts = (guarded(guessed_frf, file) for file in files)
+    parts = (guard(guessed_frf, file) for file in files)
     sizes = [np.abs(part.values[:, 0]) for part in parts if part is not None]
     if any(size.shape != sizes[0].shape for size in sizes):
         return ["  modes:", "    model: modal"]
@@ -410,7 +410,7 @@ def _fits_of(guessed: GuessedFrf, outputs: Sequence[str]) -> Fits:
         if moving.sum() > 1 and number < mobility.shape[1]:
             # Without a form there is no stiffness.
             at_one_point = bool(guessed.unit or guessed.form)
-            proposal = proposed(guessed.frequency[moving], mobility[:, number], at_one_point=at_one_point)
+            proposal = propose(guessed.frequency[moving], mobility[:, number], at_one_point=at_one_point)
         fits[output] = ("fit" if len(outputs) == 1 else f"fit_{number + 1}", proposal)
     return fits
 

@@ -217,14 +217,14 @@ def object_schema(owner: type) -> dict[str, Any]:
     """The schema of a mapping that is read into settings."""
     settings = settings_of(owner)
     properties = {
-        name: {**_kind(setting), "description": _described(setting)}
+        name: {**_kind(setting), "description": _description(setting)}
         for name, (setting, _) in settings.items()
     }
     required = [name for name, (_, needed) in settings.items() if needed]
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
 
 
-def _described(setting: Setting) -> str:
+def _description(setting: Setting) -> str:
     return f"{setting.help} [{setting.unit}]" if setting.unit else setting.help
 
 

@@ -222,10 +222,10 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
     known = next((record for record in records if record is not None), None)
     if known is not None or rig is None:
         return known or _by_itself(path)
-    return _calibrated(path, rig if isinstance(rig, Rig) else load_rig(Path(rig)))
+    return _calibrate(path, rig if isinstance(rig, Rig) else load_rig(Path(rig)))
 
 
-def _calibrated(path: Path, rig: Rig) -> Recording:
+def _calibrate(path: Path, rig: Rig) -> Recording:
     """The recording as the rig file describes it, through the same stage as on the command line."""
     import tempfile
 

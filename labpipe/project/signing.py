@@ -273,7 +273,7 @@ def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
     if path.suffix.lower() == ".pdf":
         yield from _in_pdf(path, trust)
     else:
-        yield _detached(path, trust)
+        yield _detach(path, trust)
 
 
 def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
@@ -328,7 +328,7 @@ def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
                 status = validation.validate_pdf_signature(
                     signature, _context(trust, moment), _context(trust), key_usage_settings=_usage()
                 )
-                moment = _stamped(status)
+                moment = _time_of_stamp(status)
                 if moment is None:
                     break
             states.append((signature, status))
@@ -344,11 +344,11 @@ def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
         if not faults and (status.modification_level is None or not status.bottom_line):
             faults = ("was changed after it was signed",)
         reason = str(signature.sig_object.get("/Reason", ""))
-        yield _stated(path, status, signature.field_name, reason.partition(": ")[2], faults)
+        yield _statement(path, status, signature.field_name, reason.partition(": ")[2], faults)
 
 
-def _stated(path: Path, status: Any, role: str, reason: str, faults: tuple[str, ...]) -> Signature:
-    stamp = _stamped(status)
+def _statement(path: Path, status: Any, role: str, reason: str, faults: tuple[str, ...]) -> Signature:
+    stamp = _time_of_stamp(status)
     time = stamp or status.signer_reported_dt
     return Signature(
         file=path,
@@ -361,7 +361,7 @@ def _stated(path: Path, status: Any, role: str, reason: str, faults: tuple[str, 
     )
 
 
-def _stamped(status: Any) -> datetime.datetime | None:
+def _time_of_stamp(status: Any) -> datetime.datetime | None:
     """The time of a time stamp that holds and that somebody vouches for."""
     stamp = status.timestamp_validity
     return stamp.timestamp if stamp is not None and stamp.trusted else None
@@ -401,7 +401,7 @@ def drawn_from_another(path: Path) -> str:
     return "" if drawn else f"was not drawn from the {NAME} beside it, which is not what was signed"
 
 
-def _detached(path: Path, trust: Trust) -> Signature:
+def _detach(path: Path, trust: Trust) -> Signature:
     """A detached signature and the file beside it that it signs."""
     cms, validation = _library("asn1crypto.cms"), _library("pyhanko.sign.validation")
     signed = path.with_name(path.name.removesuffix(DETACHED).rpartition(".")[0])
@@ -421,7 +421,7 @@ def _detached(path: Path, trust: Trust) -> Signature:
                     key_usage_settings=_usage(),
                 )
             )
-            moment = _stamped(status)
+            moment = _time_of_stamp(status)
             if moment is None:
                 break
     except ConfigError:
@@ -432,8 +432,8 @@ def _detached(path: Path, trust: Trust) -> Signature:
     if content is None:
         faults = (f"'{signed.name}', which it signs, is not there",)
     elif not status.intact:
-        faults = tuple(_changed(signed, words.get("members", {}))) or faults
-    return _stated(signed, status, str(words.get("role", "")), str(words.get("reason", "")), faults)
+        faults = tuple(_changes(signed, words.get("members", {}))) or faults
+    return _statement(signed, status, str(words.get("role", "")), str(words.get("reason", "")), faults)
 
 
 def _words(signer_info: Any) -> dict[str, Any]:
@@ -446,7 +446,7 @@ def _words(signer_info: Any) -> dict[str, Any]:
     return {}
 
 
-def _changed(path: Path, members: dict[str, str]) -> Sequence[str]:
+def _changes(path: Path, members: dict[str, str]) -> Sequence[str]:
     """The files of an archive that are not those that were signed, by their names."""
     now = members_of(path)
     changed = [name for name in members if name in now and now[name] != members[name]]

@@ -18,7 +18,7 @@ from labpipe.records.identification import Identification, ListedParameter, Rule
 from labpipe.records.sections import PipelineSection
 from labpipe.records.study import Studies, Study, StudyCase
 from labpipe.registry import nearest
-from labpipe.report.chart import Axis, Panel, Series, curve, level, look, stacked
+from labpipe.report.chart import Axis, Panel, Series, curve, level, look, stack
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import threshold_text
 from labpipe.uncertainty.study import StudySettings, run_study
@@ -145,7 +145,7 @@ def _noise_figure(study: Study) -> Figure:
     alternative = (
         f"Study on {study.rig}: error, efficiency, coverage and success of {', '.join(fits)} over the noise"
     )
-    return Figure(stacked(panels, 7.4), caption, alternative)
+    return Figure(stack(panels, 7.4), caption, alternative)
 
 
 def _quantities(
@@ -213,7 +213,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
             for case in study.cases
             if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)
         ]
-        values = [_studied(rule, case, match["item"]) for case in cases]
+        values = [_value(rule, case, match["item"]) for case in cases]
     if not values:
         raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
     outcomes = [compare_number(rule, value, "1") for value in values]
@@ -222,7 +222,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     )
 
 
-def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:
+def _value(rule: Rule, case: StudyCase, item: str) -> float | None:
     if item not in _CASE_VALUES:
         hint = nearest(item, [*_CASE_VALUES, "threshold"])
         raise ConfigError(

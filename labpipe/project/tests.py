@@ -10,7 +10,7 @@ from pathlib import Path
 from labpipe.artefacts.writing import is_remote
 from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import Marked
-from labpipe.project.rig_file import load_rig, moved, override_channels
+from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.project.settings_reader import (
     Faults,
     conditions_in,
@@ -64,13 +64,13 @@ def read_ready_frfs(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
     frfs: list[ReadyFrf] = []
     for entry in listed(node):
         if isinstance(entry.content, dict):
-            frfs.extend(_described(entry, key, faults))
+            frfs.extend(_describe(entry, key, faults))
         else:
             frfs.extend(ReadyFrf((path,)) for path in files_of(entry, key, faults))
     return frfs
 
 
-def _described(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
+def _describe(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
     """The response of an entry with `each:`, or the responses of the files that `file:` names."""
     layout = read_settings(FrfLayout, node, key, faults)
     if layout is None:
@@ -103,13 +103,13 @@ def _dofs(
     path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The dofs of a file's rows and columns: from its name, else from the entry."""
-    named = _named(path, layout, node, key, faults) if layout.pattern else {}
+    named = _name(path, layout, node, key, faults) if layout.pattern else {}
     outputs = (named["output"],) if "output" in named else layout.output
     inputs = (named["input"],) if "input" in named else layout.input
     return outputs, inputs
 
 
-def _named(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults) -> dict[str, str]:
+def _name(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults) -> dict[str, str]:
     """The dofs in a file's name."""
     matched = conditions_in(plain_stem(path), layout.pattern)
     if matched is not None and set(matched) <= {"output", "input"}:
@@ -210,7 +210,7 @@ class RecordingReader:
         sources: list[SourceFile] = []
         for entry in listed(node):
             if isinstance(entry.content, dict):
-                sources.extend(self._described(entry, key))
+                sources.extend(self._describe(entry, key))
                 continue
             if self.rig is None and self.rig_node is None:
                 self.faults.add(node, key, "no rig file is named", "add rig: FILE")
@@ -218,7 +218,7 @@ class RecordingReader:
             sources.extend(SourceFile(path, self.rig) for path in paths if self.rig is not None)
         return sources
 
-    def _described(self, entry: Marked, key: str) -> list[SourceFile]:
+    def _describe(self, entry: Marked, key: str) -> list[SourceFile]:
         self.faults.unknown_keys(entry, key, KEYS)
         named = [word for word in ("file", "each", "join") if word in entry.content]
         if len(named) > 1:
@@ -236,7 +236,7 @@ class RecordingReader:
         if named == ["join"]:
             return [
                 SourceFile(
-                    paths[0], self._moved(rig, paths[0], entry, key), tuple(paths[1:]), self._by(entry, key)
+                    paths[0], self._move(rig, paths[0], entry, key), tuple(paths[1:]), self._by(entry, key)
                 )
             ]
         if "by" in entry.content:
@@ -249,7 +249,7 @@ class RecordingReader:
         sources = []
         before = len(self.faults)
         for path in paths:
-            sources.append(SourceFile(path, self._moved(rig, path, entry, key)))
+            sources.append(SourceFile(path, self._move(rig, path, entry, key)))
             if len(self.faults) > before:
                 # The other files would say the same.
                 break
@@ -261,7 +261,7 @@ class RecordingReader:
             self.faults.add(node, join(key, "by"), f"unknown '{node.text}'", f"known: {', '.join(BY)}")
         return node.text if node is not None else ""
 
-    def _moved(self, rig: Rig, path: Path, entry: Marked, key: str) -> Rig:
+    def _move(self, rig: Rig, path: Path, entry: Marked, key: str) -> Rig:
         """The rig with the dofs that the file's name says."""
         node = entry.content.get("pattern")
         if node is None:
@@ -276,7 +276,7 @@ class RecordingReader:
             )
             return rig
         try:
-            return moved(rig, dofs)
+            return move(rig, dofs)
         except ConfigError as error:
             self.faults.add(node, join(key, "pattern"), error.what, error.hint)
             return rig

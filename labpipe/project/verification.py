@@ -24,10 +24,10 @@ from labpipe.artefacts.measured_files import (
     read_spectra,
 )
 from labpipe.artefacts.parquet import header_of
-from labpipe.artefacts.places import fetched, status
+from labpipe.artefacts.places import fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
-from labpipe.artefacts.writing import finished, is_remote
+from labpipe.artefacts.writing import is_remote, without_staging
 from labpipe.errors import DataError
 from labpipe.project.measured import RIGS
 from labpipe.registry import Registry
@@ -88,7 +88,7 @@ def _entries(key: str, path: Path) -> Sequence[Reference]:
     return [(entry["path"], entry["sha256"]) for entry in entries]
 
 
-def _measured(read: Callable[[Path], Any]) -> _Kind:
+def _measure(read: Callable[[Path], Any]) -> _Kind:
     return _Kind(read, lambda path: header_of(path).digest, _raw_files, _recordings)
 
 
@@ -110,9 +110,9 @@ KINDS: Mapping[str, _Kind] = {
         _header_inputs,
         _nothing,
     ),
-    RESPONSE_SUFFIX: _measured(read_response),
-    DECAY_SUFFIX: _measured(read_decays),
-    SPECTRA_SUFFIX: _measured(read_spectra),
+    RESPONSE_SUFFIX: _measure(read_response),
+    DECAY_SUFFIX: _measure(read_decays),
+    SPECTRA_SUFFIX: _measure(read_spectra),
 }
 # Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a
 # damaged one.
@@ -155,15 +155,17 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     for path in artefacts:
         kind = _kind(path)
         assert kind is not None
-        yield _verified(path, kind, base)
+        yield _verify(path, kind, base)
 
 
 def artefacts_below(folder: Path) -> list[Path]:
     """The files below a folder that have an artefact's name, in order."""
-    return [path for path in finished(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()]
+    return [
+        path for path in without_staging(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()
+    ]
 
 
-def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
+def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
     try:
         kind.read(path)
         digest = kind.digest(path)
@@ -201,7 +203,7 @@ def _digest(name: str, folders: Sequence[Path]) -> str | None:
         return None if here is None else source_ref(here, here.parent).sha256
     if status(address) is None:
         return None
-    with tempfile.TemporaryDirectory() as scratch, fetched([address], Path(scratch)) as here_by_url:
+    with tempfile.TemporaryDirectory() as scratch, fetch([address], Path(scratch)) as here_by_url:
         return source_ref(here_by_url[address], Path(scratch)).sha256
 
 

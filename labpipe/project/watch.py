@@ -162,7 +162,7 @@ class Watch:
         self._resume()
         while True:
             complete = list(self._complete())
-            for done, job in self._worked(complete):
+            for done, job in self._work(complete):
                 self._take(done, job)
             stopped = self.stopped()
             self._append(whole=self.settings.once or stopped)
@@ -233,7 +233,7 @@ class Watch:
         """The name of the test of a recording: its path below the folder."""
         return path.relative_to(self.folder).as_posix()
 
-    def _worked(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
+    def _work(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
         """The outcomes of recordings as they end.
 
         Those that are not finished when the watch is stopped are left for the next one.

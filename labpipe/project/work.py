@@ -89,7 +89,7 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
             )
             said = {test.name: test.repeats for test in work.pipeline.tests}
             try:
-                made = fits_of(work.tests, _begun(fit, fits, work), work.pipeline.path, said)
+                made = fits_of(work.tests, _begin(fit, fits, work), work.pipeline.path, said)
             except FitError as error:
                 faults.append(error)
                 work.failed.append(Failed(FIT_PREFIX + fit.name, str(error)))
@@ -102,7 +102,7 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
     return fits
 
 
-def _begun(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSettings:
+def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSettings:
     """The settings with the result of the earlier fit that they begin with.
 
     LabpipeError names the fit, and why the earlier one failed.

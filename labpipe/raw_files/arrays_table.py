@@ -122,7 +122,7 @@ _LISTS = (
 _SIGNAL = re.compile(r"Signal\s+(\w+)\b[^\n;]*?\bEU\s+([^\s,;]+)")
 
 
-def described(
+def describe(
     columns: Sequence[str], texts: Mapping[str, Sequence[str]]
 ) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
     """(names, units, sensitivities) of *columns* by what *texts* beside them say.
@@ -169,7 +169,7 @@ class ArraysTable:
         self.path = path
         chosen = longest(columns, path)
         times = [name for name in chosen if _is_time(name)]
-        names, of_texts, sensitivities = described([n for n in chosen if n not in times], texts or {})
+        names, of_texts, sensitivities = describe([n for n in chosen if n not in times], texts or {})
         self._columns = {names.get(name, name): column for name, column in chosen.items()}
         units = {names.get(name, name): unit for name, unit in (of_texts | units).items()}
         self.sensitivities = {names.get(name, name): text for name, text in sensitivities.items()}

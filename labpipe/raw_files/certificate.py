@@ -106,7 +106,7 @@ def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certific
 
 
 def _of_xml(content: bytes, name: str) -> Certificate:
-    root = _parsed(content, name)
+    root = _parse(content, name)
     if root.tag != f"{DCC}digitalCalibrationCertificate":
         raise UnitError(f"'{name}' is no Digital Calibration Certificate", HINT)
     if not re.fullmatch(r"3\.\d+\.\d+\S*", root.get("schemaVersion", "")):
@@ -133,7 +133,7 @@ def _of_xml(content: bytes, name: str) -> Certificate:
         raise UnitError(f"'{name}' is no valid certificate: {error.what}", error.hint or HINT) from None
 
 
-def _parsed(content: bytes, name: str) -> ET.Element:
+def _parse(content: bytes, name: str) -> ET.Element:
     """The tree of an XML file that declares no document type, so that it can hold no entities of its own."""
     depth = 0
 
@@ -268,7 +268,7 @@ def _quantity(quantity: ET.Element, table: int) -> Iterator[CertifiedQuantity]:
         if _local(number) not in _NUMBERS:
             continue
         end = _NUMBERS[_local(number)]
-        values = _listed(_only(number, f"value{end}", SI))
+        values = _listing(_only(number, f"value{end}", SI))
         unit = unit_text(_text(_only(number, f"unit{end}", SI)))
         errors = _std_errors(number, end, len(values))
         if hybrid and number is not hybrid[0][0]:
@@ -308,8 +308,8 @@ def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] |
     if not stated:
         return None
     element, size, factor = stated[0]
-    sizes = _spread(_listed(_only(element, f"{size}{end}", SI)), count)
-    factors = _spread(_listed(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
+    sizes = _spread(_listing(_only(element, f"{size}{end}", SI)), count)
+    factors = _spread(_listing(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
     if any(not k > 0 for k in factors) or any(u < 0 for u in sizes):
         raise UnitError("an uncertainty is negative, or its coverage factor is not above zero")
     return tuple(u / k for u, k in zip(sizes, factors, strict=True))
@@ -321,7 +321,7 @@ def _spread(values: tuple[float, ...], count: int) -> tuple[float, ...]:
     return values * count if len(values) == 1 else values
 
 
-def _listed(element: ET.Element) -> tuple[float, ...]:
+def _listing(element: ET.Element) -> tuple[float, ...]:
     return tuple(_finite(text, _local(element)) for text in _text(element).split())
 
 
@@ -344,7 +344,7 @@ def unit_text(text: str) -> str:
         word, power = match[1], match[2]
         place = match.end()
         if word == "tothe" and parts and power and re.fullmatch(r"[+-]?\d+(\.\d+)?", power) and not prefix:
-            parts[-1][1] += power.lstrip("+") if not parts[-1][1] else _negated(power)
+            parts[-1][1] += power.lstrip("+") if not parts[-1][1] else _negate(power)
         elif power is None and word == "per" and not sign and not prefix:
             sign = "-"
         elif power is None and word in _PREFIXES and not prefix:
@@ -362,7 +362,7 @@ def unit_text(text: str) -> str:
     )
 
 
-def _negated(power: str) -> str:
+def _negate(power: str) -> str:
     """The digits of a power behind the sign of \\per."""
     if power.startswith("-"):
         raise UnitError(f"a negative power '{power}' behind \\per says two things")

@@ -139,7 +139,7 @@ class DescribedColumns:
             hint=nearest(described, [n for n in self.names if n]),
         )
 
-    def _numbered(self, described: str) -> tuple[str, int] | None:
+    def _number(self, described: str) -> tuple[str, int] | None:
         """The variable and the column (or row) of a matrix that is named as `inspect` does: H_2."""
         base, _, number = described.rpartition("_")
         if self.word == "column" or described in self.names or base not in self.names or not number.isdigit():
@@ -147,7 +147,7 @@ class DescribedColumns:
         return base, int(number)
 
     def _numbers(self, described: str) -> Any:
-        numbered = self._numbered(described)
+        numbered = self._number(described)
         if numbered is None:
             return np.asarray(self._read(self._index(described)))
         base, number = numbered
@@ -161,7 +161,7 @@ class DescribedColumns:
 
     def unit(self, described: str) -> str:
         """The unit that the file states, '' for none or an unknown one."""
-        unit = "" if self._numbered(described) else self._units.get(self.names[self._index(described)], "")
+        unit = "" if self._number(described) else self._units.get(self.names[self._index(described)], "")
         try:
             parse_unit(unit) if unit else None
         except UnitError:
@@ -451,7 +451,7 @@ def _whole(
     orders = [tuple(AXES.index(axis) for axis in axes)] if axes else list(permutations(range(3)))
     # MATLAB drops trailing dimensions of 1, and a vector may lie either way.
     fitting = [
-        order for order in orders if _squeezed(tuple(shape[n] for n in order)) == _squeezed(values.shape)
+        order for order in orders if _squeeze(tuple(shape[n] for n in order)) == _squeeze(values.shape)
     ]
     needed = f"{shape[0]} frequencies, {shape[1]} outputs, {shape[2]} inputs"
     if not fitting:
@@ -471,7 +471,7 @@ def _whole(
     return arrays[0]
 
 
-def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
+def _squeeze(shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(length for length in shape if length != 1)
 
 

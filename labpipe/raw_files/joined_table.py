@@ -72,7 +72,7 @@ class JoinedTable:
         streams = [self._tables[n].chunks(wanted[n]) for n in members]
         skipped = [0] * len(members)
         if self._time:
-            streams, skipped = self._aligned(streams, members)
+            streams, skipped = self._align(streams, members)
         parts = _Parallel(streams, skipped)
         row = 0
         for blocks in parts:
@@ -95,7 +95,7 @@ class JoinedTable:
                 hint="by: sample joins them row by row",
             )
 
-    def _aligned(
+    def _align(
         self, streams: Sequence[Iterator[FloatArray]], members: Sequence[int]
     ) -> tuple[list[Iterator[FloatArray]], list[int]]:
         """The streams again, and the rows of each before the first common time."""
@@ -262,12 +262,12 @@ class _Parallel:
         self._buffers: list[FloatArray] = [np.empty((0, 0))] * len(streams)
 
     def __iter__(self) -> Iterator[list[FloatArray]]:
-        while all(self._filled(number) for number in range(len(self._streams))):
+        while all(self._fill(number) for number in range(len(self._streams))):
             length = min(buffer.shape[0] for buffer in self._buffers)
             yield [buffer[:length] for buffer in self._buffers]
             self._buffers = [buffer[length:] for buffer in self._buffers]
 
-    def _filled(self, number: int) -> bool:
+    def _fill(self, number: int) -> bool:
         """Whether there is a row of a stream, read if need be."""
         while not self._buffers[number].shape[0]:
             block = next(self._streams[number], None)

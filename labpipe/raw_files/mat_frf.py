@@ -72,9 +72,9 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     n = shape[1] * shape[2]
     sizes = {"covariance": (shape[0], n, n), "coherence": shape}
     # MATLAB drops trailing dimensions of 1.
-    optional = {key: _shaped(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
+    optional = {key: _shape(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
     dof = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
-    matrix = _shaped(variables, "H", shape, path)
+    matrix = _shape(variables, "H", shape, path)
     return FrequencyResponse(
         frequency,
         matrix,
@@ -94,7 +94,7 @@ def _numbers(variables: dict[str, Any], key: str, path: Path) -> Any:
     return values
 
 
-def _shaped(variables: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Any:
+def _shape(variables: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Any:
     values = _numbers(variables, key, path)
     if values.shape != shape[: values.ndim] or values.size != math.prod(shape):
         raise DataError(

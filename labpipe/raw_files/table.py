@@ -74,7 +74,7 @@ def _unreadable(path: Path, error: Exception) -> DataError:
 DAMAGED = "the file is damaged, or not what its ending says"
 
 
-def guarded(read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+def guard(read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
     """What *read* makes of a file."""
     with readable(path):
         return read(path, *arguments)
@@ -91,13 +91,13 @@ class GuardedTable:
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """The chunks (n, n_column) [unit of the file] of the table."""
-        return self._guarded(self._table.chunks(columns))
+        return self._guard(self._table.chunks(columns))
 
     def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
         """Column by column (n,) [unit of the file], of a table that has them so."""
-        return self._guarded(self._table.column_chunks(columns))
+        return self._guard(self._table.column_chunks(columns))
 
-    def _guarded(self, chunks: Iterator[Read]) -> Iterator[Read]:
+    def _guard(self, chunks: Iterator[Read]) -> Iterator[Read]:
         while True:
             with readable(self._table.path):
                 chunk = next(chunks, None)
@@ -159,10 +159,10 @@ def _look(path: Path, touch: Touch, seconds: int) -> int:
     child = os.fork()
     if child == 0:
         os._exit(_read_within(path, touch, seconds))
-    return _ended(child, seconds * PATIENCE)
+    return _ending(child, seconds * PATIENCE)
 
 
-def _ended(child: int, seconds: float) -> int:
+def _ending(child: int, seconds: float) -> int:
     """How the child ended; it is killed when it takes longer."""
     pause, deadline = 0.0005, time.monotonic() + seconds
     while True:
@@ -238,7 +238,7 @@ def open_table(path: Path) -> Table:
         )
     if not path.is_file():
         raise DataError("is no regular file", where=str(path))
-    table: Table = GuardedTable(guarded(READERS.load(suffix), path))
+    table: Table = GuardedTable(guard(READERS.load(suffix), path))
     return table
 
 

@@ -411,7 +411,7 @@ class CsvTable:
                             [self._numbers(batch.column(field), clocks.get(field)) for field in fields]
                         ).T
         except pa.ArrowInvalid as error:
-            raise self._located(columns, str(error)) from None
+            raise self._locate(columns, str(error)) from None
         except UnicodeError as error:
             what = f"is not {self.layout.encoding.upper()} text as its first bytes say ({cut(str(error))})"
             raise DataError(what, where=str(self.path), hint="the file is damaged or cut off") from None
@@ -483,7 +483,7 @@ class CsvTable:
         else:
             yield self.path
 
-    def _located(self, columns: Sequence[str], reason: str) -> DataError:
+    def _locate(self, columns: Sequence[str], reason: str) -> DataError:
         """The error with the first faulty line, found by reading the file again as text."""
         layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
         with (

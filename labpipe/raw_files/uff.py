@@ -121,7 +121,7 @@ class _Lines:
         end = len(self.buffer) if end < 0 else end
         line = self.buffer[self.position : end].rstrip(b"\r")
         self.position = end + 1
-        return _decoded(line)
+        return _decode(line)
 
     def needed(self, count: int) -> list[str]:
         """The next lines; DataError at the end of the file."""
@@ -138,7 +138,7 @@ class _Lines:
         return _CLOSING.match(self.buffer, self.position) or _MARK.search(self.buffer, self.position)
 
 
-def _decoded(line: bytes) -> str:
+def _decode(line: bytes) -> str:
     try:
         return line.decode("utf-8")
     except UnicodeDecodeError:
@@ -184,7 +184,7 @@ def records_55(path: Path) -> list[list[str]]:
                 return []
             _to_end(lines, kind)
             if kind == "55":
-                text = _decoded(buffer[begin : lines.position])
+                text = _decode(buffer[begin : lines.position])
                 shapes.append([row for row in text.splitlines() if row.strip() not in ("", "-1")])
     return shapes
 

@@ -148,7 +148,7 @@ def noise_covariance(fit: Fit) -> dict[str, FloatArray]:
     return {parameter.name: row for parameter, row in zip(estimated, covariance, strict=True)}
 
 
-def accepted(partial: Sequence[PartialOutcome], forbidden: Sequence[RuleOutcome]) -> bool | None:
+def is_accepted(partial: Sequence[PartialOutcome], forbidden: Sequence[RuleOutcome]) -> bool | None:
     """Whether every rule that addresses a test holds there; None where none does.
 
     A rule that the test cannot keep or break does not.

@@ -203,7 +203,7 @@ def to_choice(value: Any, setting: Setting) -> str:
     if text not in setting.choices:
         hint = nearest(text, setting.choices)
         raise UnitError(
-            f"unknown choice '{shortened(text)}'",
+            f"unknown choice '{shorten(text)}'",
             hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})",
         )
     return text
@@ -417,11 +417,11 @@ def _shown(value: Any) -> str:
         if isinstance(value, Mapping)
         else "(a list)"
         if _is_list(value)
-        else shortened(str(value))
+        else shorten(str(value))
     )
 
 
-def shortened(text: str) -> str:
+def shorten(text: str) -> str:
     """Text of a file as a message repeats it: the first LONGEST_ECHO characters."""
     return text if len(text) <= LONGEST_ECHO else f"{text[:LONGEST_ECHO]}..."
 
@@ -463,19 +463,19 @@ class Settings:
     @property
     def written(self) -> list[str]:
         """Names of the declared settings that are not as they are by default."""
-        return [name for name, default, _ in _declared(type(self)) if getattr(self, name) != default]
+        return [name for name, default, _ in _declarations(type(self)) if getattr(self, name) != default]
 
 
 def _convert(settings: Any) -> None:
     """Every declared field in SI units and of its type; ConfigError with the field's name."""
     owner = type(settings)
-    for name, default, declared in _declared(owner):
+    for name, default, declared in _declarations(owner):
         value = getattr(settings, name)
         if value is default:
             continue
         try:
             if takes_uncertainty(owner, declared) and is_uncertain(value):
-                value = _noted(settings, name, parse_uncertain(value, declared.unit))
+                value = _note(settings, name, parse_uncertain(value, declared.unit))
             object.__setattr__(settings, name, CONVERTERS[declared.kind](value, declared))
         except UnitError as error:
             raise ConfigError(f"{name}: {error.what}", hint=error.hint, field=name) from None
@@ -485,7 +485,7 @@ def _convert(settings: Any) -> None:
 _DECLARED: dict[Any, tuple[tuple[str, Any, Setting], ...]] = {}
 
 
-def _declared(owner: type) -> tuple[tuple[str, Any, Setting], ...]:
+def _declarations(owner: type) -> tuple[tuple[str, Any, Setting], ...]:
     """Name, default and setting of each declared field."""
     if owner not in _DECLARED:
         _DECLARED[owner] = tuple(
@@ -496,7 +496,7 @@ def _declared(owner: type) -> tuple[tuple[str, Any, Setting], ...]:
     return _DECLARED[owner]
 
 
-def _noted(settings: Any, name: str, number: Uncertain) -> float:
+def _note(settings: Any, name: str, number: Uncertain) -> float:
     """The value of a number with an uncertainty, which is noted among the settings' uncertainties."""
     others = tuple(pair for pair in settings.uncertainties if pair[0] != name)
     object.__setattr__(settings, "uncertainties", (*others, (name, number)))
@@ -564,5 +564,5 @@ def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:
     """
     return {
         name: (declared, default is MISSING or declared.needed)
-        for name, default, declared in _declared(owner)
+        for name, default, declared in _declarations(owner)
     }

@@ -67,7 +67,7 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
     size = abs(value) * parse_value(size_text, "1") if relative else _difference(size_text, unit)
     if size < 0:
         raise UnitError(f"'{text}' has a negative uncertainty")
-    return _qualified(Uncertain(value, size), qualities)
+    return _qualify(Uncertain(value, size), qualities)
 
 
 def _difference(text: str, si_unit: str) -> float:
@@ -90,7 +90,7 @@ def _qualities(text: str) -> tuple[str, list[str]]:
     return match[1].strip(), parts
 
 
-def _qualified(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
+def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
     """The uncertainty with its qualities; UnitError for an unknown one."""
     entries: dict[str, Any] = {}
     factor = 1.0

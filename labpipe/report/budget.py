@@ -15,7 +15,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Budget
-from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks, outline, stacked
+from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks, outline, stack
 from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.wording import legible, rounded
 
@@ -84,7 +84,7 @@ def _blocks(name: str, parameters: Sequence[Parameter], budget: Budget, explaine
         return ()
     header = (*HEADER, *(["Monte Carlo / first order"] if drawn else []))
     rows = tuple(
-        (*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else []))
+        (*_row(budget, parameter), *([_draw(budget, parameter)] if drawn else []))
         for parameter in with_systematic.values()
     )
     named = list(with_systematic)
@@ -118,7 +118,7 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
     )
 
 
-def _drawn(budget: Budget, parameter: Parameter) -> str:
+def _draw(budget: Budget, parameter: Parameter) -> str:
     """Scatter of the Monte Carlo draws over the combined standard uncertainty."""
     assert budget.drawn is not None
     column = budget.names.index(parameter.name)
@@ -146,7 +146,7 @@ def _bars(budget: Budget, names: list[str]) -> Figure:
             x, y = np.array([begin, end, end, begin]), row + BAR * np.array([-1, -1, 1, 1])
             series.append(outline(source if row == 0 else "", x, y, number % PALETTE_SIZE, 0.75))
     axis = Axis("", ticks=named_ticks(names), low=len(names) - 0.5, high=-0.5)
-    chart = stacked(
+    chart = stack(
         [Panel(Axis("share of the variance", "%", low=0.0, high=100.0), axis, tuple(series))],
         1.3 + 0.32 * len(names),
         "above",

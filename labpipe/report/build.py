@@ -59,8 +59,8 @@ def verdict_sections(identification: Identification) -> tuple[Section, ...]:
 
 def _verdict(identification: Identification) -> tuple[Block, ...]:
     if identification.failed:
-        return (*_failed(identification), *_judged(identification))
-    return _judged(identification)
+        return (*_failed(identification), *_judgement(identification))
+    return _judgement(identification)
 
 
 def _failed(identification: Identification) -> tuple[Block, ...]:
@@ -74,7 +74,7 @@ def _failed(identification: Identification) -> tuple[Block, ...]:
     return (lead, Table(("name", "why"), rows, "What could not be evaluated"))
 
 
-def _judged(identification: Identification) -> tuple[Block, ...]:
+def _judgement(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
     codes = _by_code(identification, WARNING)
     uncertainty = (
@@ -113,14 +113,14 @@ def _unchecked(identification: Identification) -> list[str]:
     fits = [fit for fit in identification.fits if not of_points(fit.model)]
     without = [fit_title(fit) for fit in fits if fit.gof.chi2_reduced is None]
     if without:
-        unchecked.append(f"chi-square, since the noise is not known ({_listed(without)})")
+        unchecked.append(f"chi-square, since the noise is not known ({_listing(without)})")
     unjudged = [origin for origin, finding in _of_fits(identification) if finding.code == "not-judged"]
     if unjudged:
-        unchecked.append(f"whether the residual is noise ({_listed(unjudged)})")
+        unchecked.append(f"whether the residual is noise ({_listing(unjudged)})")
     return unchecked
 
 
-def _listed(origins: list[str]) -> str:
+def _listing(origins: list[str]) -> str:
     """Each origin once, up to a number."""
     names = list(dict.fromkeys(origins))
     more = [f"and {len(names) - MOST_NOTES} more"] if len(names) > MOST_NOTES else []

@@ -17,7 +17,7 @@ from labpipe.errors import DataError, FitError
 from labpipe.quantities import UnitError, display_unit, si_amount, to_display
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, named_ticks, stacked
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, named_ticks, stack
 from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_names
@@ -139,7 +139,7 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
                 _value(result, identification, listed)
             )
     series = [
-        CoefficientSeries(fit, name, _ordered(values))
+        CoefficientSeries(fit, name, _order(values))
         for (fit, name), values in groups.items()
         if len(values) > 1
     ]
@@ -155,7 +155,7 @@ def single_parameters(identification: Identification) -> list[ListedParameter]:
     ]
 
 
-def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
+def _order(values: Sequence[Value]) -> tuple[Value, ...]:
     if any(value.day is None for value in values):
         return tuple(values)
     return tuple(sorted(values, key=lambda value: value.day or date.min))
@@ -204,7 +204,7 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
     axis, x = series.over()[condition]
     low, high = series.intervals().T
     tests = dots("tests", x, series.shown(), marker="o", size=4.0, bars=(low, high))
-    chart = stacked([Panel(axis, series.axis, (*_line(series, x), tests))], 3.0)
+    chart = stack([Panel(axis, series.axis, (*_line(series, x), tests))], 3.0)
     caption = (
         f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted straight "
         "trend, shaded: its 95 % interval."
@@ -238,7 +238,7 @@ def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
     tests = curve("tests", places, values, marker=".", size=4.0)
     names = [_place_name(series, n) for n in range(values.size)]
     x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
-    chart = stacked([Panel(x, series.axis, (tests, *ringed, level(limits.centre, width=0.9), *ends))], 3.0)
+    chart = stack([Panel(x, series.axis, (tests, *ringed, level(limits.centre, width=0.9), *ends))], 3.0)
     caption = (
         f"{series.title}: individuals chart; full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128."
     )
@@ -285,7 +285,7 @@ def _overlay(title: str, parameter: str, tests: dict[str, list[Fit]]) -> Figure:
     unit = unit_text(next(iter(tests.values()))[0].parameter(parameter).unit)
     more = f"; the first {MOST_TOGETHER} of {len(tests)}" if len(tests) > MOST_TOGETHER else ""
     caption = f"{title}: {parameter} over frequency of {len(tests)} tests, shaded: 95 % intervals{more}."
-    chart = stacked([Panel(CENTRE, Axis(parameter, unit), tuple(series))], 3.4)
+    chart = stack([Panel(CENTRE, Axis(parameter, unit), tuple(series))], 3.4)
     return Figure(chart, caption, f"{parameter} of {title} over frequency in {len(tests)} tests")
 
 

@@ -11,7 +11,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import ChannelOverview, Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, curve, dots, stacked
+from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, curve, dots, stack
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import PHASE, element_names, over_frequency, phase_degrees, response_figure
 from labpipe.report.measurement import channel_blocks, spectral_blocks
@@ -223,5 +223,5 @@ def phase_figure(response: FrequencyResponse) -> Figure:
         PHASE_END,
         ticks=tuple((float(angle), str(angle)) for angle in range(-180, 181, 90)),
     )
-    chart = stacked([over_frequency(y, series)], 2.4)
+    chart = stack([over_frequency(y, series)], 2.4)
     return Figure(chart, f"Phase of the {response.form}.", f"Phase of the {response.form} over frequency")

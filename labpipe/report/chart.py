@@ -300,7 +300,7 @@ class Chart:
         return low if axis.low is None else axis.low, high if axis.high is None else axis.high
 
 
-def stacked(panels: Sequence[Panel], height: float, legend: str = "panels") -> Chart:
+def stack(panels: Sequence[Panel], height: float, legend: str = "panels") -> Chart:
     """Panels below each other over one abscissa, *height* [in] in all."""
     return Chart(tuple(panels), len(panels), 1, (WIDTH, height), "x" if len(panels) > 1 else "", legend)
 

@@ -28,7 +28,7 @@ from labpipe.report.chart import (
     level,
     named_ticks,
     span,
-    stacked,
+    stack,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import over_frequency, scale_of
@@ -156,7 +156,7 @@ def _trend(comparison: Comparison) -> Figure:
         _condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law)
     )
     mean = f" at the mean {comparison.second}" if comparison.second else ""
-    return _figure(comparison, stacked([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}")
+    return _figure(comparison, stack([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}")
 
 
 def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
@@ -185,7 +185,7 @@ def _difference(comparison: Comparison) -> Figure:
         f"{' and '.join(groups)} with 95 % intervals of the fits; below: distance from the mean of a "
         "condition"
     )
-    return _figure(comparison, stacked(panels, 4.4), meaning)
+    return _figure(comparison, stack(panels, 4.4), meaning)
 
 
 def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
@@ -210,7 +210,7 @@ def _repeatability(comparison: Comparison) -> Figure:
     x = Axis(_condition(comparison).title, _condition(comparison).unit, ticks=named_ticks(list(groups)))
     panel = Panel(x, _subject(comparison), (*series, level(mean), span(mean - within, mean + within, 0)))
     meaning = "tests (dots), mean of each setting (bars); shaded: standard deviation within a setting"
-    return _figure(comparison, stacked([panel], 3.2), meaning)
+    return _figure(comparison, stack([panel], 3.2), meaning)
 
 
 def _ratio(comparison: Comparison) -> Figure:
@@ -247,7 +247,7 @@ def _beside(comparison: Comparison, what: str, ratio: str) -> Chart:
         condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0
     )
     below = Panel(condition, Axis(ratio), (measured, *common, level(1.0)), share=2.0)
-    return stacked([above, below], 5.0)
+    return stack([above, below], 5.0)
 
 
 def _common(comparison: Comparison, name: str) -> tuple[Series, ...]:
@@ -267,7 +267,7 @@ def _overlays(comparison: Comparison) -> Figure:
         "before and after the ratio."
     )
     return Figure(
-        stacked(panels, 0.6 + 2.5 * len(panels)),
+        stack(panels, 0.6 + 2.5 * len(panels)),
         caption,
         f"Measured and theoretical response of {comparison.subject}",
     )
@@ -300,7 +300,7 @@ def _pair(comparison: Comparison, point: ComparedPoint, response: FrequencyRespo
         dots(f"{first}/{second}", response.frequency, forth, size=1.5),
         curve(f"{second}/{first}", response.frequency, back, 1),
     )
-    chart = stacked([over_frequency(Axis(f"{response.form} (SI)", logarithmic=True), series)], 3.0)
+    chart = stack([over_frequency(Axis(f"{response.form} (SI)", logarithmic=True), series)], 3.0)
     both = f"{first}/{second} and {second}/{first}"
     caption = f"{comparison.name}, test {point.test}: {both}; rms difference {100 * point.value:.2g} %."
     return Figure(chart, caption, f"Reciprocity of {point.group} in test {point.test}")

@@ -34,7 +34,7 @@ from labpipe.report.chart import (
     curve,
     look,
     named_ticks,
-    stacked,
+    stack,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, rounded
@@ -75,7 +75,7 @@ def _map(
         Axis(axis.name, _unit(axis), ticks=named_ticks(ticks))
         for axis, ticks in zip(axes, (across, up[::-1]), strict=False)
     )
-    return stacked(
+    return stack(
         [Panel(x, y, (cells(values[::-1], texts[::-1], name),))], ROOM + MAP_HEIGHT * values.shape[0]
     )
 
@@ -105,7 +105,7 @@ def _further(matrix: ConditionMatrix) -> dict[tuple[int, ...], list[MatrixPoint]
     return groups
 
 
-def _valued(points: Sequence[MatrixPoint], name: str) -> list[tuple[MatrixPoint, Repeated]]:
+def _values(points: Sequence[MatrixPoint], name: str) -> list[tuple[MatrixPoint, Repeated]]:
     return [(point, value) for point in points if (value := point.value(name)) is not None]
 
 
@@ -114,7 +114,7 @@ def _lines(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at
     theory.
     """
     first, unit = matrix.axes[0], matrix.unit_of(name)
-    having = _valued(points, name)
+    having = _values(points, name)
     series: list[Series] = []
     expected: list[Series] = []
     second = sorted({point.place[1] for point, _ in having}) if len(matrix.axes) > 1 else [0]
@@ -125,7 +125,7 @@ def _lines(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at
         expected.extend(_theory_line(first, line, unit, number))
     if expected:
         expected[0] = replace(expected[0], name="theory")
-    chart = stacked(
+    chart = stack(
         [Panel(Axis(first.name, _unit(first)), Axis(name, legible(unit)), (*series, *expected))], 3.2
     )
     theory = "; dashed: theory" if expected else ""
@@ -167,7 +167,7 @@ def _theory_line(
 def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:
     shape = (len(matrix.axes[1].levels), len(matrix.axes[0].levels))
     values = np.full(shape, np.nan)
-    having = _valued(points, name)
+    having = _values(points, name)
     unit = matrix.unit_of(name)
     for point, value in having:
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
@@ -206,7 +206,7 @@ def path_figure(matrix: ConditionMatrix) -> Figure:
     unit, title = ("um", "{}") if clearance is None else ("", "{} / clearance")
     panel = Panel(Axis(title.format("x"), unit), Axis(title.format("y"), unit), tuple(series), equal=True)
     caption = "Rest position of the shaft as the load rises, one line per level of the other conditions."
-    return Figure(stacked([panel], 5.0), caption, f"Path of the rest position of {matrix.name}")
+    return Figure(stack([panel], 5.0), caption, f"Path of the rest position of {matrix.name}")
 
 
 # The part of a report that a matrix of tests fills: what was tested, every coefficient over the conditions,

@@ -18,7 +18,7 @@ from labpipe.records.identification import (
     of_points,
 )
 from labpipe.records.sections import section
-from labpipe.report.chart import Chart, stacked
+from labpipe.report.chart import Chart, stack
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import fitted_curve_figure
 from labpipe.report.wording import fit_title, legible
@@ -127,7 +127,7 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{len(tests)} measured, from {len(sources)} source file(s)" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
-        **{key: _listed(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
+        **{key: _listing(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
         "pipeline": ", ".join(
             dict.fromkeys(result.pipeline for result in identifications if result.pipeline)
         ),
@@ -142,7 +142,7 @@ def section_facts(identification: Identification) -> list[Mapping[str, str]]:
     return [entry for entry in facts if entry]
 
 
-def _listed(values: Sequence[str]) -> str:
+def _listing(values: Sequence[str]) -> str:
     distinct = list(dict.fromkeys(values))
     return ", ".join(distinct[:8]) + (f" and {len(distinct) - 8} more" if len(distinct) > 8 else "")
 
@@ -183,7 +183,7 @@ def _whole(fit: Fit, fitted: FittedCurve) -> Figure:
     """Amplitude, phase and residual of the measured and the fitted response, lower than with the fit."""
     figure = fitted_curve_figure(fit, fitted)
     assert isinstance(figure.graphic, Chart)
-    return replace(figure, graphic=stacked(figure.graphic.panels, WHOLE_HEIGHT))
+    return replace(figure, graphic=stack(figure.graphic.panels, WHOLE_HEIGHT))
 
 
 def _amplitudes(fit: Fit, fitted: FittedCurve) -> Figure:
@@ -192,7 +192,7 @@ def _amplitudes(fit: Fit, fitted: FittedCurve) -> Figure:
     assert isinstance(whole.graphic, Chart)
     panel = replace(whole.graphic.panels[0], share=1.0, x=whole.graphic.panels[-1].x)
     caption = f"Measured (dots) and fitted (lines) response of {fit_title(fit)}."
-    return Figure(stacked([panel], FIGURE_HEIGHT), caption, whole.alternative)
+    return Figure(stack([panel], FIGURE_HEIGHT), caption, whole.alternative)
 
 
 def _single_fits(identification: Identification) -> list[Fit]:
@@ -212,7 +212,7 @@ def _single_fits(identification: Identification) -> list[Fit]:
 def _result_rows(fit: Fit, several: bool) -> list[tuple[str, ...]]:
     title = fit_title(fit) if several else ""
     return [
-        (title if number == 0 else "", _coefficient(parameter.name), *_stated(parameter), parameter.reason)
+        (title if number == 0 else "", _coefficient(parameter.name), *_in_print(parameter), parameter.reason)
         for number, parameter in enumerate(fit.parameters)
     ]
 
@@ -222,7 +222,7 @@ def _coefficient(name: str) -> str:
     return f"{meaning} {name}" if meaning else name
 
 
-def _stated(parameter: Parameter) -> tuple[str, str]:
+def _in_print(parameter: Parameter) -> tuple[str, str]:
     """Value and interval as one writes them, and half the interval relative to the value."""
     if parameter.ci95 is None:
         unit = shown_unit(parameter.unit, parameter.value)

@@ -55,11 +55,11 @@ class Section:
     blocks: tuple[Block, ...]
 
     def __post_init__(self) -> None:
-        blocks = tuple(_filled(block) if isinstance(block, Table) else block for block in self.blocks)
+        blocks = tuple(_without_empty(block) if isinstance(block, Table) else block for block in self.blocks)
         object.__setattr__(self, "blocks", blocks)
 
 
-def _filled(table: Table) -> Table:
+def _without_empty(table: Table) -> Table:
     """The table without columns that have no entry."""
     kept = [n for n in range(len(table.header)) if any(row[n] for row in table.rows)]
     if not table.rows or len(kept) == len(table.header):

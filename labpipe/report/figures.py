@@ -27,7 +27,7 @@ from labpipe.report.chart import (
     look,
     named_ticks,
     span,
-    stacked,
+    stack,
 )
 from labpipe.report.document import Figure
 from labpipe.report.wording import fit_title, unit_text
@@ -111,7 +111,7 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     )
     caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {fitted.form}, and the residual{band}."
     return Figure(
-        stacked(panels, 5.0), caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
+        stack(panels, 5.0), caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
     )
 
 
@@ -171,7 +171,7 @@ def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
     what = "stiffness" if names[0].startswith("k") else "damping"
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
     return Figure(
-        stacked([Panel(CENTRE, y, tuple(series))], 3.2),
+        stack([Panel(CENTRE, y, tuple(series))], 3.2),
         caption,
         f"{what} of {fit_title(fits[0])} over frequency with 95 % interval",
     )
@@ -194,7 +194,7 @@ def _goodness_figure(fits: Sequence[Fit]) -> Figure:
         "chi² per datum near 1 says that the model leaves nothing but the measured noise."
     )
     return Figure(
-        stacked(panels, 3.6, "none"), caption, f"Goodness of fit of {fit_title(fits[0])} over frequency"
+        stack(panels, 3.6, "none"), caption, f"Goodness of fit of {fit_title(fits[0])} over frequency"
     )
 
 
@@ -212,7 +212,7 @@ def response_figure(response: FrequencyResponse) -> Figure:
     amplitude = _elements(response, factor * np.abs(response.matrix))
     quality, what = _quality(response)
     shown = over_frequency(form_axis(response.form), amplitude, 3.0)
-    chart = stacked([shown], 2.4) if quality is None else stacked([shown, quality], 3.4)
+    chart = stack([shown], 2.4) if quality is None else stack([shown, quality], 3.4)
     return Figure(
         chart,
         f"Measured {response.form} of {name}, and {what}.",
@@ -282,7 +282,7 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
     series = dots("slope", np.arange(len(fits)), values, marker="o", size=6.0, bars=(ends[0], ends[1]))
     x = Axis(ticks=named_ticks([fit.test or fit.name for fit in fits]))
     y = Axis("slope", slopes[0].unit, low=0.0 if values.min() > 0 else None)
-    chart = stacked([Panel(x, y, (series,))], 3.0, "none")
+    chart = stack([Panel(x, y, (series,))], 3.0, "none")
     return Figure(
         chart,
         f"{fits[0].name}: slope of each line with its 95 % interval.",
@@ -298,7 +298,7 @@ def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         f"{fit_title(fit)}: measured {fitted.form}, and the model before and after its tuning, one "
         "panel per term."
     )
-    chart = stacked(panels, 0.8 + 1.6 * len(terms))
+    chart = stack(panels, 0.8 + 1.6 * len(terms))
     return Figure(
         chart, caption, f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}"
     )
@@ -355,7 +355,7 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         f"{fit_title(fit)}: {fitted.form}, root mean square over all {number} elements: measured, fitted, "
         "and what is left between them."
     )
-    chart = stacked([Panel(FREQUENCY, form_axis(fitted.form), tuple(series))], 3.6)
+    chart = stack([Panel(FREQUENCY, form_axis(fitted.form), tuple(series))], 3.6)
     return Figure(
         chart,
         caption,

@@ -114,8 +114,8 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
     for fits in _groups(identification.fits):
         blocks = _result(fits)
         general = [block for block in blocks if _is_general(block)]
-        again = [block for block in general if _said(block) in said]
-        said += map(_said, general)
+        again = [block for block in general if _wording(block) in said]
+        said += map(_wording, general)
         pointer = (SAID_BEFORE,) if any(block != _EXPLANATION for block in again) else ()
         fresh = tuple(block for block in blocks if not (_is_general(block) and block in again))
         sections.append(Section(f"Result: {_title(fits)}", (*fresh[:2], *pointer, *fresh[2:])))
@@ -131,7 +131,7 @@ def _is_general(block: Block) -> bool:
     )
 
 
-def _said(block: Block) -> object:
+def _wording(block: Block) -> object:
     """What a block says: sources that are not stated say the same of every channel."""
     if isinstance(block, Table) and block.header == NOT_STATED:
         return block.caption, tuple(row[1:] for row in block.rows)
@@ -182,7 +182,7 @@ def _result(fits: list[Fit]) -> tuple[Block, ...]:
 def _single(fit: Fit) -> tuple[Block, ...]:
     rows = tuple(parameter_row(parameter, fit.dof) for parameter in fit.parameters)
     return (
-        Paragraph(_described(fit)),
+        Paragraph(_description(fit)),
         Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
         _EXPLANATION,
         *budget_blocks(fit),
@@ -221,7 +221,7 @@ def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
     return (Paragraph(f"Correlation between the estimates of {said}{rest}."),)
 
 
-def _described(fit: Fit) -> str:
+def _description(fit: Fit) -> str:
     """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
     chi2, lines = (
         "",

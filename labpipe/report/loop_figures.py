@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
-from labpipe.report.chart import INK, PALETTE_SIZE, Axis, Panel, Series, curve, dots, level, stacked
+from labpipe.report.chart import INK, PALETTE_SIZE, Axis, Panel, Series, curve, dots, level, stack
 from labpipe.report.document import Figure
 from labpipe.report.figures import FREQUENCY, over_frequency, scale_of
 from labpipe.report.wording import unit_text
@@ -37,7 +37,7 @@ def prediction_figures(comparison: Comparison) -> list[Figure]:
     low, high = _ratio_range([band for band in comparison.bands if band.parameter == names[0]])
     ratio_axis = Axis(f"{names[0]}: measured / predicted", low=low, high=high)
     panels = [_coefficient_panel(comparison, name, tests) for name in names]
-    chart = stacked([*panels, over_frequency(ratio_axis, (level(1.0), *ratios), 2.0)], 7.4)
+    chart = stack([*panels, over_frequency(ratio_axis, (level(1.0), *ratios), 2.0)], 7.4)
     fitted = ", dashed: with the fitted unknowns" if any(part.matched for part in comparison.curves) else ""
     caption = (
         f"{comparison.name}: bands with 95 % intervals (dots); lines: the prediction as the same fit sees "
@@ -173,7 +173,7 @@ def band_figures(comparison: Comparison) -> list[Figure]:
     caption = f"{comparison.name}: {test}, {meaning}."
     return [
         Figure(
-            stacked(panels, 0.8 + 1.8 * len(names)),
+            stack(panels, 0.8 + 1.8 * len(names)),
             caption,
             f"{test}: ratio of {comparison.subject} over frequency",
         )
@@ -220,7 +220,7 @@ def sensitivity_figures(comparison: Comparison) -> list[Figure]:
         "ISO 14839-3."
     )
     alternative = f"Sensitivity of the control loop over frequency, {comparison.verdict}"
-    return [Figure(stacked([panel], 3.6), caption, alternative)]
+    return [Figure(stack([panel], 3.6), caption, alternative)]
 
 
 def certificate_figures(comparison: Comparison) -> list[Figure]:
@@ -257,7 +257,7 @@ def certificate_figures(comparison: Comparison) -> list[Figure]:
     )
     figures = [
         Figure(
-            stacked([panel], 3.6),
+            stack([panel], 3.6),
             caption,
             f"Sensitivity of the closed loop over frequency, {comparison.verdict}",
         )
@@ -281,4 +281,4 @@ def _nyquist(comparison: Comparison) -> Figure:
     ]
     panel = Panel(axes[0], axes[1], (*series, circle, dots("-1", [-1.0], [0.0], INK, marker="v", size=5.0)))
     caption = f"{comparison.name}: loop transfer L = 1/S - 1 line by line around -1; dashed: |S| = 3."
-    return Figure(stacked([panel], 4.4), caption, "Loop transfer function in the complex plane around -1")
+    return Figure(stack([panel], 4.4), caption, "Loop transfer function in the complex plane around -1")

@@ -15,7 +15,7 @@ from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stacked
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stack
 from labpipe.report.cover import SIMPLE_ACCEPTANCE, decision_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, unit_text
@@ -40,12 +40,12 @@ BANDS = "shaded: half and 95 % of the tests"
 def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     """The values in the order of dates and names, with centre and control limits."""
     there = np.isfinite(columns.values)
-    values, unit = _shown(columns, columns.values[there])
-    centre, low, high = _shown(columns, np.array([limits.centre, limits.low, limits.high]))[0]
+    values, unit = _show(columns, columns.values[there])
+    centre, low, high = _show(columns, np.array([limits.centre, limits.low, limits.high]))[0]
     x = np.arange(1.0, values.size + 1)
     lines = (level(float(centre), width=0.9), *(level(float(end), 1, "--", width=1.0) for end in (low, high)))
-    drawn, how = _drawn(x, values, columns, there)
-    chart = stacked(
+    drawn, how = _draw(x, values, columns, there)
+    chart = stack(
         [Panel(Axis("tests by date and name"), Axis(columns.parameter, legible(unit)), (*drawn, *lines))],
         HEIGHT,
     )
@@ -64,11 +64,11 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
     """The values over a condition."""
     unit, amounts = columns.amounts[condition]
     there = np.isfinite(columns.values) & np.isfinite(amounts)
-    values, shown = _shown(columns, columns.values[there])
+    values, shown = _show(columns, columns.values[there])
     below = readable_unit(unit, amounts[there])
     x = np.array([to_display(amount, below) for amount in amounts[there]])
-    drawn, how = _drawn(x, values, columns, there)
-    chart = stacked(
+    drawn, how = _draw(x, values, columns, there)
+    chart = stack(
         [Panel(Axis(condition, legible(below)), Axis(columns.parameter, legible(shown)), drawn)], HEIGHT
     )
     return Figure(
@@ -78,13 +78,13 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
     )
 
 
-def _shown(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
+def _show(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
     """Values (n,) [SI] in the unit that suits them all."""
     unit = readable_unit(columns.unit, columns.values) if columns.unit != "1" else unit_text("1")
     return (np.array([to_display(value, unit) for value in values]) if unit else values), unit
 
 
-def _drawn(
+def _draw(
     x: FloatArray, values: FloatArray, columns: TestColumns, there: NDArray[np.bool_]
 ) -> tuple[tuple[Series, ...], str]:
     """Points with their intervals, or of more tests the median and bands of groups.
@@ -92,7 +92,7 @@ def _drawn(
     And how the caption says it.
     """
     if values.size <= MOST_POINTS:
-        low, high = (_shown(columns, end[there])[0] for end in (columns.low, columns.high))
+        low, high = (_show(columns, end[there])[0] for end in (columns.low, columns.high))
         return (dots("tests", x, values, size=3.0, bars=(low, high)),), ", with 95 % intervals"
     order = np.argsort(x, kind="stable")
     groups = _groups(x[order])

@@ -26,7 +26,7 @@ from labpipe.report.chart import (
     arrow,
     curve,
     dots,
-    stacked,
+    stack,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import (
@@ -104,7 +104,7 @@ def _table(spectra: ChannelSpectra) -> Table:
     )
 
 
-def _excited(vectors: ComplexArray, noise: FloatArray) -> FloatArray:
+def _above_noise(vectors: ComplexArray, noise: FloatArray) -> FloatArray:
     """Amplitudes (n_line,) above their noise, nothing elsewhere."""
     size = np.abs(vectors)
     return np.where(size > noise, size, np.nan)
@@ -128,7 +128,7 @@ def amplitude_figure(spectra: ChannelSpectra) -> Figure:
         "noise as lines."
     )
     return Figure(
-        stacked(tuple(panels), PANEL_HEIGHT * len(panels) + 0.6),
+        stack(tuple(panels), PANEL_HEIGHT * len(panels) + 0.6),
         caption,
         f"Amplitudes and noise of the channels of {name}",
     )
@@ -138,7 +138,7 @@ def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int
     channel, colour = spectra.channels[number], column % PALETTE_SIZE
     factor = scale_of(channel.unit)
     for run in range(len(spectra.runs)):
-        amplitude = _excited(spectra.vectors[:, run, number], noise[:, run, number])
+        amplitude = _above_noise(spectra.vectors[:, run, number], noise[:, run, number])
         yield dots(channel.name, spectra.frequency, factor * amplitude, colour, size=2.0)
     typical = np.sqrt(np.mean(noise[:, :, number] ** 2, axis=1))
     yield curve(
@@ -177,7 +177,7 @@ def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
             f"Half axes of the orbits of {names} in every run at each line; a negative minor axis "
             "turns backward, from y to x."
         )
-        chart = stacked((over_frequency(Axis("half axis", unit), series),), 2.8)
+        chart = stack((over_frequency(Axis("half axis", unit), series),), 2.8)
         yield Figure(
             chart, caption, f"Half axes of the orbits of {names} of {spectra.name or 'the measurement'}"
         )
@@ -257,7 +257,7 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
         f"force{marked}."
     )
     return Figure(
-        stacked(panels, 4.8),
+        stack(panels, 4.8),
         caption,
         f"Directional {response.form} of {name} over negative and positive frequencies",
     )
@@ -378,7 +378,7 @@ def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Fi
         f"{response.form} of {name} by what is injected into the loop (lines), and H1 (dotted), which takes "
         "the loop as open: a biased estimate, shown as what it is and used for nothing."
     )
-    chart = stacked(
+    chart = stack(
         [over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0)], 4.8
     )
     return Figure(
@@ -412,7 +412,7 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
         f"{response.form} of {name} averaged over realisations of the phases, and the two parts of its "
         "standard deviation: distortion above noise means that the rig left its linear range."
     )
-    chart = stacked([over_frequency(form_axis(response.form), series)], 3.4)
+    chart = stack([over_frequency(form_axis(response.form), series)], 3.4)
     return Figure(chart, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")
 
 

@@ -46,7 +46,7 @@ class ShapeSketch:
         return self.positions + turned, self.positions - turned
 
 
-def projected(points: FloatArray, azimuth: float, elevation: float) -> FloatArray:
+def project(points: FloatArray, azimuth: float, elevation: float) -> FloatArray:
     """*points* (n_point, 3) as an eye sees them that is turned by *azimuth* about z and raised by *elevation*
     [rad], (n_point, 2) [1].
     """

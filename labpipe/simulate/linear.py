@@ -126,7 +126,7 @@ def free_decay(
     return np.asarray(-displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t))
 
 
-def sensed(
+def sense(
     name: str,
     channels: Sequence[Channel],
     clean: Sequence[FloatArray],
@@ -292,7 +292,7 @@ def _base_run(rig: BaseRig, name: str, rng: np.random.Generator) -> Recording:
     else:
         moved = response(1 + relative_transmissibility(rig, lines), base, length)
         measured, noise = Channel("mass", "acceleration", "output", "z"), level.acceleration
-    return sensed(name, [table, measured], [base, moved], [level.base, noise], rig.sample_rate, rng)
+    return sense(name, [table, measured], [base, moved], [level.base, noise], rig.sample_rate, rng)
 
 
 # Law, direction and number of the sweeps of a run.
@@ -311,7 +311,7 @@ def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
     length, lines = rig.from_rest(force.size)
     moved = response(rig.receptance(lines), force, length)
     channels = [Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y")]
-    return sensed(name, channels, [force, moved], [rig.force_noise, rig.noise], rig.sample_rate, rng)
+    return sense(name, channels, [force, moved], [rig.force_noise, rig.noise], rig.sample_rate, rng)
 
 
 # A rotor in an anisotropic support under a white-noise force, along x in one run and along y in the other.
@@ -409,7 +409,7 @@ def shaken_rotor(
     synchronous = (np.exp(1j * angle)[:, None] * (h @ (unbalance * omega**2 * np.array([1, -1j])))).real
     motion = fft.irfft(spectrum[:, None] * at_lines, rig.n_sample, axis=0) + synchronous
     noise = [rig.noise.force, *[rig.noise.displacement] * 2]
-    return sensed(name, channels, [fft.irfft(spectrum, rig.n_sample), *motion.T], noise, rig.sample_rate, rng)
+    return sense(name, channels, [fft.irfft(spectrum, rig.n_sample), *motion.T], noise, rig.sample_rate, rng)
 
 
 # Masses, springs and dampers whose FRF is given directly, with noise of known size on it.

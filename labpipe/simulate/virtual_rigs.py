@@ -237,11 +237,11 @@ def simulated_response(
         )
     if frf is None:
         raise ConfigError("the study needs the frf: section to measure this rig's recordings")
-    made = list(recordings(rig, _joined(seeds), runs))
+    made = list(recordings(rig, _join(seeds), runs))
     return channel_spectra(made, frf) if frf.result == "spectra" else measure(made, frf)
 
 
-def _joined(seeds: Sequence[int]) -> int:
+def _join(seeds: Sequence[int]) -> int:
     """One integer from several, different for different rows of up to a million repeats."""
     joined = 0
     for part in seeds:

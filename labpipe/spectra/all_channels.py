@@ -53,7 +53,7 @@ def periodic_lines(
 
     DataError for a single period, and where no force exceeds its noise.
     """
-    both = [_averaged(source, settings, layout, number) for number, source in enumerate(sources)]
+    both = [_average(source, settings, layout, number) for number, source in enumerate(sources)]
     averaged = [spectrum for spectrum, _ in both]
     n_period = min(spectrum.n_period for spectrum in averaged)
     if n_period < 2:
@@ -61,7 +61,7 @@ def periodic_lines(
             "one period is left, so the noise of the channels is unknown",
             hint="record at least 2 after the transient ones",
         )
-    spectra = [_summed(spectrum, layout) for spectrum in _pooled(averaged, settings.smooth)]
+    spectra = [_sum(spectrum, layout) for spectrum in _pool(averaged, settings.smooth)]
     excited = np.zeros((spectra[0].frequency.size, len(spectra), len(layout.channels)), bool)
     for run, spectrum in enumerate(spectra):
         for column in layout.inputs:
@@ -89,7 +89,7 @@ def periodic_lines(
     )
 
 
-def _averaged(
+def _average(
     source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int
 ) -> tuple[LineSpectrum, tuple[Finding, ...]]:
     """The lines of the recorded channels of one recording in the band, and findings."""
@@ -105,7 +105,7 @@ def _averaged(
     return picked, findings
 
 
-def _summed(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
+def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
     """Corrected for the sensors, with the sums."""
     transform = layout.transform(spectrum.frequency)
     assert spectrum.noise is not None
@@ -114,7 +114,7 @@ def _summed(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
     return LineSpectrum(spectrum.frequency, mean, noise, spectrum.n_period, spectrum.line_dof)
 
 
-def _pooled(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
+def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
     """The spectra with their noise averaged over runs that share it, and over *smooth* lines to either side
     or as many as are needed.
     """

@@ -274,7 +274,7 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
 
     DataError for a recording without a force, or without a channel other than a force that another one has.
     """
-    chosen = [_chosen(source) for source in sources]
+    chosen = [_choose(source) for source in sources]
     distinct = list(dict.fromkeys(channel for members in chosen for channel in members))
     for source, members in zip(sources, chosen, strict=True):
         lacking = [
@@ -295,7 +295,7 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
     return ChannelLayout(named, (*named, *(channel for channel in distinct if channel.terms)), columns)
 
 
-def _chosen(source: SampleSource) -> list[Channel]:
+def _choose(source: SampleSource) -> list[Channel]:
     """Forces, responses, and what stands in a sum of these."""
     used = [channel for channel in source.channels if channel.role != "reference"]
     if not any(channel.role == "input" for channel in used):

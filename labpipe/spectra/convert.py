@@ -55,7 +55,7 @@ class FormView:
         return receptance_factor(self.form, frequency)
 
 
-def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
+def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
     """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n time derivatives between the two forms.
 
     Coherence and signal-to-noise ratio do not change. Raises ConfigError for a form other than receptance,
@@ -101,7 +101,7 @@ def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
     if n_output != n_input:
         hint = "as many forces as responses are needed"
         raise DataError(f"{n_output} responses to {n_input} forces have no dynamic stiffness", hint=hint)
-    receptance = converted(response, "receptance")
+    receptance = convert(response, "receptance")
     try:
         return np.linalg.inv(receptance.matrix)
     except np.linalg.LinAlgError:
@@ -118,7 +118,7 @@ def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | 
     stiffness = dynamic_stiffness(response)
     if response.covariance is None:
         return None
-    covariance = converted(response, "receptance").covariance
+    covariance = convert(response, "receptance").covariance
     assert covariance is not None
     n = stiffness.shape[1]
     turn = np.einsum("fab,fcd->fadbc", stiffness, stiffness).reshape(-1, n * n, n * n)

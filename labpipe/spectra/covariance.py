@@ -60,7 +60,7 @@ def covariance_of_random(
         n_frequency, gain.shape[1], n_input, gain.shape[1], n_input
     )
     # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
-    return without_rounding(_joined(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0)))
+    return without_rounding(_join(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0)))
 
 
 def covariance_of_h1(
@@ -99,7 +99,7 @@ def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexA
     return residual
 
 
-def _joined(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
+def _join(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
     """residual[o, p] spread[o, i, p, j] as matrices over o i and p j, (n_frequency, n, n).
 
     Hermitian where both are.

@@ -49,7 +49,7 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     n_line = frequency.size
     if n_line <= HALF_WIDTH:
         return Undamped(
-            matrix, _centred(np.ones((n_line, 1, *matrix.shape[1:]), np.complex128), np.arange(n_line))
+            matrix, _centre(np.ones((n_line, 1, *matrix.shape[1:]), np.complex128), np.arange(n_line))
         )
     spacing = 2 * np.pi * (frequency[-1] - frequency[0]) / (n_line - 1)
     width = min(2 * HALF_WIDTH + 1, n_line)
@@ -59,16 +59,16 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     flat = matrix.reshape(n_line, -1)
     # A few elements at a time: each takes some hundred numbers per line.
     both = [
-        _evaluated(flat[:, start : start + ELEMENTS], lines, x, -1 / (decay * spacing))
+        _evaluate(flat[:, start : start + ELEMENTS], lines, x, -1 / (decay * spacing))
         for start in range(0, flat.shape[1], ELEMENTS)
     ]
     values, gains = (np.concatenate(parts, axis=-1) for parts in zip(*both, strict=True))
     return Undamped(
-        values.reshape(matrix.shape), _centred(gains.reshape(n_line, width, *matrix.shape[1:]), first)
+        values.reshape(matrix.shape), _centre(gains.reshape(n_line, width, *matrix.shape[1:]), first)
     )
 
 
-def _evaluated(
+def _evaluate(
     flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float
 ) -> tuple[ComplexArray, ComplexArray]:
     """The local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n).
@@ -110,7 +110,7 @@ def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
     return dataclasses.replace(response, matrix=matrix, covariance=None, line_correlation=(), line_gains=None)
 
 
-def _centred(gains: ComplexArray, first: IntArray) -> ComplexArray:
+def _centre(gains: ComplexArray, first: IntArray) -> ComplexArray:
     """Gains (n_line, width, n_output, n_input) [1] of the lines from *first* (n_line,) on, by their distance
     -HALF_WIDTH ... HALF_WIDTH.
 

@@ -235,7 +235,7 @@ def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
     spectra = spectra[np.any(spectra != 0, axis=1)].T
     scale = float(np.sum(taper**4) * taper.size / np.sum(taper**2) ** 2)
     bands = dict.fromkeys(
-        band for band in _excited(spectra[:, :n_input], spectra[:, n_input:]) if _is_enough(*band)
+        band for band in _excited_bands(spectra[:, :n_input], spectra[:, n_input:]) if _is_enough(*band)
     )
     chances = [p_value for band in bands for p_value in _chances_in(spectra, n_input, band, scale)]
     return float(min(min(chances) * len(chances), 1.0)) if chances else 1.0
@@ -312,7 +312,7 @@ def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree
     return float(special.chdtrc(before.size - slow.shape[1], white @ white))
 
 
-def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
+def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
     """First line and number of lines up to the last, of the band that the forces excite and of that which
     they excite most.
     """

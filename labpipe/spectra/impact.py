@@ -240,7 +240,7 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
         parts = _undamped(parts, settings.damping_window, correlation)
-    return _selected(
+    return _select(
         dataclasses.replace(parts, findings=(*findings, *parts.findings)),
         lines_left(parts.frequency, settings),
     )
@@ -309,22 +309,22 @@ class _HitAverage:
         if hit.fault:
             at = hit.start / self._source.sample_rate
             message = (
-                f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._named(hit.fault)}"
+                f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._name(hit.fault)}"
             )
             self.findings.append(note("hit-rejected", message))
             return
-        samples = self._windowed(hit)
+        samples = self._window(hit)
         amplitude = fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self._n_hit += 1
         self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
-    def _named(self, fault: str) -> str:
+    def _name(self, fault: str) -> str:
         what, _, column = fault.rpartition(" ")
         return f"{what} '{self._source.channels[int(column) - 1].name}'" if column.isdigit() else fault
 
-    def _windowed(self, hit: Hit) -> FloatArray:
+    def _window(self, hit: Hit) -> FloatArray:
         rate, impact = self._source.sample_rate, self._settings.impact
         samples = hit.samples.copy()
         if impact.force_window is not None:
@@ -453,7 +453,7 @@ def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
     )
 
 
-def _selected(parts: Parts, chosen: BoolArray) -> Parts:
+def _select(parts: Parts, chosen: BoolArray) -> Parts:
     """The parts on the chosen lines."""
     by_line = {field.name: getattr(parts, field.name) for field in dataclasses.fields(parts)}
     arrays: dict[str, Any] = {

@@ -232,7 +232,7 @@ def _around_lines(
     for output in range(n_output):
         # The output's own column takes the pole: -a r Y on the right side.
         columns = np.concatenate([of_forces, (y[..., output] * offsets)[..., None]], axis=3)
-        residual, leaked, variance = _solved(columns, y[..., output], smooth, half_width)
+        residual, leaked, variance = _solve(columns, y[..., output], smooth, half_width)
         residuals.append(residual.reshape(residual.shape[0], n_block * width))
         leakage.append(leaked)
         spread.append(variance)
@@ -240,7 +240,7 @@ def _around_lines(
     return joined @ hermitian(joined), np.stack(leakage, axis=2), np.stack(spread, axis=2)
 
 
-def _solved(
+def _solve(
     columns: ComplexArray, y: ComplexArray, smooth: FloatArray, middle: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
     """Least squares of *y* (n_line, n_block, width) by *columns* (n_line, n_block, width, n) and polynomials

@@ -111,7 +111,7 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
     n_chunk = max(1, CACHED_NUMBERS // (n * n_first))
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
-        columns, factors = _eliminated(matrix[lines, :, :n_first])
+        columns, factors = _eliminate(matrix[lines, :, :n_first])
         conjugates = columns.conj()
         for row in range(n - n_first):
             left = matrix[lines, n_first + row, n_first : n_first + row + 1].T.copy()
@@ -123,7 +123,7 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
     return rest
 
 
-def _eliminated(first: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _eliminate(first: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Columns of all rows as elimination leaves them, and those over their pivots, both (n, n_first, n_line)
     [any unit].
 

@@ -26,7 +26,7 @@ from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import impact_parts
 from labpipe.spectra.joint import joint_parts
 from labpipe.spectra.periodic import LOW_SNR, periodic_parts, realisations, robust_mean
-from labpipe.spectra.ports import Layout, Parts, check_rates, find_layout, joined, source_findings
+from labpipe.spectra.ports import Layout, Parts, check_rates, find_layout, join, source_findings
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciprocity_findings
 from labpipe.spectra.random import random_parts
 from labpipe.spectra.settings import FrfSettings
@@ -68,7 +68,7 @@ def measure(
             f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay"
         )
     if settings.realisations:
-        responses = [_measured(members, settings, name, conditions) for members in realisations(sources)]
+        responses = [_measure(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
     else:
         response = _with_repeats(_of_sensor_places(sources, settings, name, conditions), sources, settings)
@@ -91,7 +91,7 @@ def _with_repeats(
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
             return response
         try:
-            one = _measured([source], settings, source.name, None)
+            one = _measure([source], settings, source.name, None)
         except (LabpipeError, np.linalg.LinAlgError):
             return response
         lines = np.isin(one.frequency, response.frequency)
@@ -136,22 +136,22 @@ def _of_sensor_places(
     moved = [sensor for place in places for sensor in place]
     if len(places) == 1 or len(set(moved)) < len(moved):
         # One place, or a recording that lacks a response of the others, which is refused.
-        return _measured(sources, settings, name, conditions)
-    responses = [_measured(members, settings, members[0].name, conditions) for members in places.values()]
+        return _measure(sources, settings, name, conditions)
+    responses = [_measure(members, settings, members[0].name, conditions) for members in places.values()]
     names = [port.channel for response in responses for port in response.outputs]
     if len(set(names)) < len(names):
         responses = [
             dataclasses.replace(response, outputs=tuple(map(_by_dof, response.outputs)))
             for response in responses
         ]
-    return dataclasses.replace(joined(responses), name=name)
+    return dataclasses.replace(join(responses), name=name)
 
 
 def _by_dof(port: Port) -> Port:
     return dataclasses.replace(port, label=port.dof)
 
 
-def _measured(
+def _measure(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
     """The response in the directions of the sensors, averaged over all recordings."""
@@ -190,7 +190,7 @@ def _measured(
         outputs=layout.outputs,
         inputs=layout.inputs,
         form=layout.form,
-        covariance=_corrected(parts.covariance, sensor_factor),
+        covariance=_correct(parts.covariance, sensor_factor),
         coherence=parts.coherence,
         multiple_coherence=parts.multiple_coherence,
         partial_coherence=parts.partial_coherence,
@@ -224,7 +224,7 @@ def _channel_names(layout: Layout) -> tuple[str, ...]:
     return (*inputs, *outputs)
 
 
-def _corrected(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
+def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
     """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input).
 
     As it is where that is one.

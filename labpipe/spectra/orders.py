@@ -105,7 +105,7 @@ def track_order(
     planes = planes_of(ports)
     segments = []
     for time, angle, samples in _segments(source, motion, revolutions):
-        fitted = _fitted(time, angle, samples, outputs, orders, order)
+        fitted = _fit(time, angle, samples, outputs, orders, order)
         segments.append((*fitted, *_total_motion(samples[:, outputs], planes)))
     if not segments:
         raise DataError(
@@ -200,7 +200,7 @@ def _total_motion(samples: FloatArray, planes: tuple[Plane, ...]) -> tuple[Float
     return (high - low) / 2, np.array([radius.max() for radius in radii])
 
 
-def _fitted(
+def _fit(
     time: FloatArray,
     angle: FloatArray,
     samples: FloatArray,

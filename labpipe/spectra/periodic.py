@@ -57,7 +57,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     acting = _acting(spectra, layout)
     lines = np.all(acting, axis=1)
     if settings.reference and np.any(lines):
-        lines = _injected(spectra, sources, settings)
+        lines = _injected_lines(spectra, sources, settings)
     if not np.any(lines):
         _refuse_lines(acting)
     spectra = [spectrum.select(lines) for spectrum in spectra]
@@ -107,7 +107,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     )
 
 
-def _injected(
+def _injected_lines(
     spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource], settings: FrfSettings
 ) -> BoolArray:
     """Lines (n_line,) at which a reference acts in every recording: what else repeats is a disturbance that
@@ -210,17 +210,17 @@ def period_average(
     """
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
-    average, spectrum, half = _averaged(source, settings, n_sample)
+    average, spectrum, half = _average(source, settings, n_sample)
     findings = settling_finding(average.differences, source.channels, source.name, settings.skip)
     creep = None if findings else average.creep(spectrum)
     if creep is not None:
-        _, spectrum, half = _averaged(source, settings, n_sample, creep)
+        _, spectrum, half = _average(source, settings, n_sample, creep)
         findings = (_creep_note(creep, source),)
     chosen = lines_left(spectrum.frequency, settings)
     return spectrum.select(chosen), None if half is None else half.select(chosen), findings
 
 
-def _averaged(
+def _average(
     source: SampleSource, settings: FrfSettings, n_sample: int, creep: RestMotion | None = None
 ) -> tuple[PeriodAverage, LineSpectrum, LineSpectrum | None]:
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)

@@ -330,7 +330,7 @@ SAME_AXIS = 1e-5
 QUALITIES = ("coherence", "partial_coherence", "distortion", "change", "open_loop", "line_gains")
 
 
-def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
+def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     """One matrix (n_frequency, n_output, n_input) [unit of the form] of elements, rows or columns that lie in
     several responses.
 
@@ -345,7 +345,7 @@ def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     inputs = _joined_ports([port for response in responses for port in response.inputs])
     rows, columns = ({port.label: number for number, port in enumerate(ports)} for ports in (outputs, inputs))
     _check_all_joined(responses, rows, columns)
-    whole = {name: _placed(responses, name, rows, columns) for name in ("matrix", *QUALITIES)}
+    whole = {name: _place(responses, name, rows, columns) for name in ("matrix", *QUALITIES)}
     windows = {response.line_correlation for response in responses}
     return FrequencyResponse(
         frequency=first.frequency,
@@ -364,7 +364,7 @@ def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     )
 
 
-def _placed(
+def _place(
     responses: Sequence[FrequencyResponse], name: str, rows: dict[str, int], columns: dict[str, int]
 ) -> Any:
     """An array by output and input, its last two dimensions, of all responses; None where one has none."""

@@ -128,7 +128,7 @@ def coherence_by_power(force_power: FloatArray, s_yu: ComplexArray, s_yy: Comple
     [N^2/Hz] alone.
     """
     power = np.einsum("foo->fo", s_yy).real[:, :, None] * force_power[:, None, :]
-    return _clipped(_squared(s_yu), power)
+    return _clip(_square(s_yu), power)
 
 
 def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
@@ -137,7 +137,7 @@ def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray)
 
     Spectra as in ordinary_coherence. Equation (frf-multiple-coherence).
     """
-    return _clipped(_explained(h1, s_yu), np.einsum("foo->fo", s_yy).real)
+    return _clip(_explained_power(h1, s_yu), np.einsum("foo->fo", s_yy).real)
 
 
 def partial_coherence(
@@ -151,25 +151,25 @@ def partial_coherence(
     with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1, (n_frequency, n_input) [Hz/N^2];
     the other arguments as in multiple_coherence. Equation (frf-partial-coherence).
     """
-    residual = np.einsum("foo->fo", s_yy).real - _explained(h1, s_yu)
-    explained = _squared(h1)
+    residual = np.einsum("foo->fo", s_yy).real - _explained_power(h1, s_yu)
+    explained = _square(h1)
     alone = inverse_force[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
-    return _clipped(explained, explained + alone)
+    return _clip(explained, explained + alone)
 
 
-def _explained(h1: ComplexArray, s_yu: ComplexArray) -> FloatArray:
+def _explained_power(h1: ComplexArray, s_yu: ComplexArray) -> FloatArray:
     """The power of every output that the forces explain, the diagonal of H1 S_uy, (n_frequency, n_output)."""
     explained: FloatArray = np.sum(h1.real * s_yu.real + h1.imag * s_yu.imag, axis=2)
     return explained
 
 
-def _squared(values: ComplexArray) -> FloatArray:
+def _square(values: ComplexArray) -> FloatArray:
     """|z|^2 without the root that abs takes."""
     squared: FloatArray = values.real**2 + values.imag**2
     return squared
 
 
-def _clipped(part: FloatArray, whole: FloatArray) -> FloatArray:
+def _clip(part: FloatArray, whole: FloatArray) -> FloatArray:
     """part / whole within 0 ... 1, which rounding alone may leave; 0 where there is no signal."""
     ratio = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
     return np.clip(ratio, 0.0, 1.0, out=ratio)

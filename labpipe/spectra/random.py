@@ -181,14 +181,14 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
     """
     n_block = sum(spectrum.n_block for spectrum in spectra)
     if len(spectra) == 1:
-        return _padded(layout, 0, spectra[0].matrix)
+        return _pad(layout, 0, spectra[0].matrix)
     joined: ComplexArray = np.sum(
-        [_padded(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0
+        [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0
     )
     return joined
 
 
-def _padded(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
+def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
     """The *matrix* of all channels, or of all channels with the acting forces, in the order of the layout.
 
     Zero for an absent force.
@@ -413,7 +413,7 @@ def parts_of_single_forces(
     The noise of the responses, S_yy - H S_uy, is common to all columns, and averaged over *half_width* lines
     around. DataError for a force without power.
     """
-    power, s_yu, s_yy = _summed(spectra, chosen, layout)
+    power, s_yu, s_yy = _sum(spectra, chosen, layout)
     check_power(power)
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
@@ -441,7 +441,7 @@ def parts_of_single_forces(
     )
 
 
-def _summed(
+def _sum(
     spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout
 ) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """S_uu (n_line, n_input) [N^2/Hz], S_yu (n_line, n_output, n_input) and S_yy (n_line, n_output, n_output)

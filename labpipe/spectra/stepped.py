@@ -156,7 +156,7 @@ def settle_time(courses: Sequence[Course]) -> float:
         raise DataError(what, hint="longer dwells; or state `settle`")
     end = float(edges[_bin(edges, time[last - 1]) + 1])
     tau = _time_constant(time[:last], excess[:last])
-    wanted = min(_allowed(course, tau) for course in courses)
+    wanted = min(_allowance(course, tau) for course in courses)
     return end + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
 
 
@@ -199,7 +199,7 @@ def _time_constant(time: FloatArray, excess: FloatArray) -> float:
     return max(shortest, -2.0 / float(slope)) if slope < 0 else float(time[-1])
 
 
-def _allowed(course: Course, tau: float) -> float:
+def _allowance(course: Course, tau: float) -> float:
     """Largest (a / s)^2 at the start of what is used that leaves LEFT standard errors in the mean of its n
     blocks.
     """
@@ -334,7 +334,7 @@ def _lines(
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
     settling = _Settling(settle, min(settle, _settle_of_force(courses, settle)), settings.skip)
     lines = [_line(source, samples, dwell, settling, force) for dwell in dwells]
-    merged = _merged(lines)
+    merged = _merge(lines)
     used = sum(line.duration for line in lines) * rate / samples.shape[0]
     repeats = f" ({len(lines)} dwells)" if len(lines) > len(merged) else ""
     message = (
@@ -455,7 +455,7 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
     return Line(frequency * rate, variance, used.shape[0] / rate, mean * turn, noise, count - 1.0)
 
 
-def _merged(lines: list[Line]) -> list[Line]:
+def _merge(lines: list[Line]) -> list[Line]:
     """The lines by rising frequency; dwells at one frequency averaged by their duration."""
     groups: list[list[Line]] = []
     for line in sorted(lines, key=lambda line: line.frequency):

@@ -57,7 +57,7 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
         raise DataError(f"the force is no sine: its periods scatter by {100 * scatter:.0f} %", hint=_HINT)
     pieces = [
         piece
-        for piece in _refined(times, _straight_pieces(times, scatter))
+        for piece in _refine(times, _straight_pieces(times, scatter))
         if piece[1] - piece[0] > LEAST_PERIODS
     ]
     if not pieces:
@@ -160,7 +160,7 @@ class _Line:
         return float(np.sqrt(1 + 1 / self._n + (x - self._x) ** 2 / self._xx))
 
 
-def _refined(times: FloatArray, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _refine(times: FloatArray, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """The *pieces* with the crossing from which the next one's line fits better: a step shows only some
     periods after it.
     """
@@ -280,7 +280,7 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
     # In noise a line through few samples can put a crossing ahead of the one before.
     times = times[np.diff(np.maximum.accumulate(times), prepend=-np.inf) > 0]
     pieces = [piece for run in _runs(times) for piece in _one_way(times[run[0] : run[1]], run[0])]
-    runs = _continued([times[first:last] for first, last in pieces if last - first > LEAST_SWEPT_PERIODS])
+    runs = _continue([times[first:last] for first, last in pieces if last - first > LEAST_SWEPT_PERIODS])
     sweeps = [_sweep(force, run) for run in runs]
     sweeps = _reaching(force, [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low])
     if not sweeps:
@@ -317,7 +317,7 @@ def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
     """The run of crossings *times* (n,) [samples] cut where its frequency turns, as ranges of the crossings
     of the whole record.
     """
-    level = _smoothed(-np.log(np.diff(times)))
+    level = _smooth(-np.log(np.diff(times)))
     wide = float(np.ptp(level))
     turns, extreme, sign = [], 0, 0.0
     for number, value in enumerate(level):
@@ -335,13 +335,13 @@ def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
     return [(offset + first, offset + last + 1) for first, last in itertools.pairwise(edges)]
 
 
-def _smoothed(values: FloatArray) -> FloatArray:
+def _smooth(values: FloatArray) -> FloatArray:
     """Running median (n,) of AT_END values (n,) [any unit]; those at the ends are repeated."""
     padded = np.pad(values, AT_END // 2, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1))
 
 
-def _continued(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
+def _continue(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
     """Pieces of crossings (n,) [samples], those together that one sweep runs through: where a structure takes
     its shaker along the force all but vanishes, and the crossings are lost.
     """
@@ -393,12 +393,12 @@ def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSwee
     """
     edges = [0, *(sweep.stop for sweep in sweeps)], [*(sweep.start for sweep in sweeps), force.size]
     return [
-        _extended(_extended(sweep, force, edges[0][n], -1), force, edges[1][n + 1], 1)
+        _extend(_extend(sweep, force, edges[0][n], -1), force, edges[1][n + 1], 1)
         for n, sweep in enumerate(sweeps)
     ]
 
 
-def _extended(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> FoundSweep:
+def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> FoundSweep:
     """The sweep up to *edge* [samples] or to where less than half the power of *force* lies at its frequency,
     after it (*sign* 1) or before it (-1), in steps of some periods.
     """
@@ -544,7 +544,7 @@ def rate_findings(
     if not peaks:
         return ()
     excess = [
-        max(sweep.rate_at(p.frequency / rate) * rate**2 for sweep in sweeps) / _allowed(p) for p in peaks
+        max(sweep.rate_at(p.frequency / rate) * rate**2 for sweep in sweeps) / _allowance(p) for p in peaks
     ]
     worst = int(np.argmax(excess))
     peak, times = peaks[worst], excess[worst]
@@ -554,8 +554,8 @@ def rate_findings(
     lines, enough = width * n_sample / rate, LEAKING_LINES if leaking else FEWEST_LINES
     message = (
         f"the resonance at {peak.frequency:.4g} Hz, {width:.3g} Hz wide (half power), is swept at "
-        f"{times * _allowed(peak):.3g} Hz/s, {times:.3g} times the rate of ISO 7626-2 ({_allowed(peak):.3g} "
-        "Hz/s): it does not reach its steady amplitude"
+        f"{times * _allowance(peak):.3g} Hz/s, {times:.3g} times the rate of ISO 7626-2 "
+        f"({_allowance(peak):.3g} Hz/s): it does not reach its steady amplitude"
     )
     if lines >= enough:
         why = (
@@ -571,7 +571,7 @@ def rate_findings(
     return (Finding("sweep-rate", f"{message}; {needed}"),)
 
 
-def _allowed(peak: HalfPower) -> float:
+def _allowance(peak: HalfPower) -> float:
     return largest_rate(peak.frequency, peak.damping_ratio)
 
 

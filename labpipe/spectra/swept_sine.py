@@ -107,7 +107,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     )
     spectra = _in_band(blocks, rate / n_sample, _common_band(sweeps, rate), n_input, settings)
     spectra = spectra.select(
-        lines_left(spectra.frequency, settings) & _driven(spectra.blocks[:, :, :n_input])
+        lines_left(spectra.frequency, settings) & _driven_lines(spectra.blocks[:, :, :n_input])
     )
     leakage: tuple[Finding, ...] = ()
     # The noise of one sweep is what the local fit leaves, beside its leakage.
@@ -227,7 +227,7 @@ def _in_band(
     return _Spectra(frequency[inside], blocks[:, inside], local)
 
 
-def _driven(forces: ComplexArray) -> BoolArray:
+def _driven_lines(forces: ComplexArray) -> BoolArray:
     """Lines (n_line,) at which every force of (n_block, n_line, n_input) [N] has its usual level of the lines
     around, or not much less.
     """
@@ -411,7 +411,7 @@ def _notes(swept: Sequence[_Swept], n_sample: int, rate: float) -> tuple[Finding
         note(
             "sweeps",
             f"'{one.name}': {len(one.sweeps)} sweep(s): "
-            f"{'; '.join(dict.fromkeys(_described(sweep, rate) for sweep in one.sweeps))}; "
+            f"{'; '.join(dict.fromkeys(_description(sweep, rate) for sweep in one.sweeps))}; "
             f"{n_sample / rate:.4g} s of each with what follows it are transformed, lines every "
             f"{rate / n_sample:.3g} Hz{_cut_note(one, rate)}",
         )
@@ -426,7 +426,7 @@ def _cut_note(swept: _Swept, rate: float) -> str:
     return f"; left out, since the record cuts it: {bands}"
 
 
-def _described(sweep: FoundSweep, rate: float) -> str:
+def _description(sweep: FoundSweep, rate: float) -> str:
     speed = (
         f"{sweep.growth * rate**2:.3g} Hz/s"
         if sweep.law == "linear"

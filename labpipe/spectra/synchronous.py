@@ -62,7 +62,7 @@ class WithoutSynchronous:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        return (*self.source.findings, *_removed(self.source.channels, self.motion, self.amplitude))
+        return (*self.source.findings, *_remove(self.source.channels, self.motion, self.amplitude))
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h
@@ -92,7 +92,7 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         )
     amplitude = _fitted(source, motion, lines.harmonics)
     if lines.speed is not None:
-        refined = steady(_refined(source, motion, lines.speed), duration)
+        refined = steady(_refine(source, motion, lines.speed), duration)
         better = _fitted(source, refined, lines.harmonics)
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
@@ -149,7 +149,7 @@ def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Compl
     return solution[1 : n_harmonic + 1] + 1j * solution[n_harmonic + 1 :]
 
 
-def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
+def _refine(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every output weighted with
     its own power.
     """
@@ -177,9 +177,7 @@ def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-def _removed(
-    channels: Sequence[Channel], motion: ShaftMotion, amplitude: ComplexArray
-) -> tuple[Finding, ...]:
+def _remove(channels: Sequence[Channel], motion: ShaftMotion, amplitude: ComplexArray) -> tuple[Finding, ...]:
     """Notes on the subtracted amplitudes of every channel, 0-to-peak."""
     low, high = motion.speed_range
     speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"
@@ -257,14 +255,14 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
     }
     bands = tuple((line - 0.4 / settings.period, line + 0.4 / settings.period) for line in on_lines.values())
     findings = tuple(
-        _dropped(source, order, line, (low + high) / 2)
+        _drop(source, order, line, (low + high) / 2)
         for order, line in on_lines.items()
         if fitted.acting[min(round(line * settings.period), fitted.acting.size - 1)]
     )
     return Cleaned(WithoutSynchronous(source, motion, amplitude), bands, findings)
 
 
-def _dropped(source: SampleSource, order: int, line: float, speed: float) -> Finding:
+def _drop(source: SampleSource, order: int, line: float, speed: float) -> Finding:
     message = (
         f"{source.name}: the excited line {line:g} Hz lies on {order}x of the shaft's {speed:.6g} Hz, so its "
         "runout cannot be told from the response there; the line is left out"

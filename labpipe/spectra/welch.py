@@ -159,7 +159,7 @@ class LineProducts(SegmentProducts):
 
         Of all b, or of *columns*.
         """
-        return _folded(self._sum[:, :, 1:], columns, scale)
+        return _fold(self._sum[:, :, 1:], columns, scale)
 
 
 class PackedProducts(SegmentProducts):
@@ -303,7 +303,7 @@ class RowProducts(SegmentProducts):
 
         Of all b, or of *columns*.
         """
-        return _folded(self._sum[:, :, 1:], columns, 0.5 * scale)
+        return _fold(self._sum[:, :, 1:], columns, 0.5 * scale)
 
 
 def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, FloatArray]:
@@ -357,7 +357,7 @@ def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale:
     return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)
 
 
-def _folded(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+def _fold(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
     """*scale* sum X_a X_b* from sums of products of [re_0 im_0 ...] (n_line, 2 n, 2 n), as (n_line, n, n) or
     its *columns*.
 

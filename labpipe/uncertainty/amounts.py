@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.estimation.budget import contributed
+from labpipe.estimation.budget import contribute
 from labpipe.estimation.derived import INTERVAL, with_systematic
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, random_part
@@ -92,7 +92,7 @@ def with_budget(
         return tuple(amounts), None
     kept = [number for number, row in enumerate(counted) if np.any(row)] or list(range(len(sources)))
     budget = replace(whole, sources=tuple(sources[number] for number in kept), changes=counted[kept])
-    stated = contributed(with_systematic(amounts, budget), budget, INTERVAL)
+    stated = contribute(with_systematic(amounts, budget), budget, INTERVAL)
     return tuple(_as_factor(amount) if amount.name in logarithmic else amount for amount in stated), budget
 
 

@@ -63,7 +63,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
         raise FitError(
             "the two tests have no band in common with standard errors", hint="fit both in the same bands"
         )
-    raw = [_tested(a, b, name) for a, b, name in usable]
+    raw = [_test(a, b, name) for a, b, name in usable]
     corrected = holm(np.array([p for p, _ in raw]))
     first, second = tests.names
     bands = tuple(
@@ -104,7 +104,7 @@ def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
     return [settings.parameter]
 
 
-def _tested(a: Fit, b: Fit, name: str) -> tuple[float, float]:
+def _test(a: Fit, b: Fit, name: str) -> tuple[float, float]:
     """Two-sided p-value of a difference, and half the width of its 95 % interval."""
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T

@@ -81,7 +81,7 @@ def _centre(campaign: Campaign, x: FloatArray) -> float:
 
 def _power(campaign: Campaign) -> Comparison:
     fit, centre = power_fit(campaign), _centre(campaign, campaign.condition)
-    x = _drawn(campaign.condition)
+    x = _draw(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
     exponent = with_error("exponent", "1", float(fit.values[1]), fit.std_error(1), fit.quantile)
     level = from_log("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
@@ -121,7 +121,7 @@ def _line(campaign: Campaign) -> Comparison:
         fit.quantile,
     )
     level = with_error("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
-    drawn = _drawn(x)
+    drawn = _draw(x)
     settings = campaign.settings
     where = (
         f"{display.amount_text(level.value, level.std_error, campaign.unit)} at {settings.condition} "
@@ -140,7 +140,7 @@ def _line(campaign: Campaign) -> Comparison:
     )
 
 
-def _drawn(x: FloatArray) -> FloatArray:
+def _draw(x: FloatArray) -> FloatArray:
     return np.linspace(float(np.min(x)), float(np.max(x)), DRAWN)
 
 
@@ -209,7 +209,7 @@ def quotient(campaign: Campaign) -> Comparison:
 
 
 def _mean_of_logs(campaign: Campaign) -> WeightedFit:
-    logs, errors, common = _paired(campaign, *campaign.settings.groups)
+    logs, errors, common = _pair(campaign, *campaign.settings.groups)
     return weighted_mean(logs, joint_errors(errors, common))
 
 
@@ -233,7 +233,7 @@ def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result:
     )
 
 
-def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """ln(second / first) at every common condition (n,), its error, and its changes by common sources
     (n_source, n) [1].
 

@@ -36,7 +36,7 @@ from labpipe.uncertainty.weighted import weighted_mean
 # not.
 
 
-def repeated(parameters: Sequence[Parameter]) -> Repeated:
+def repeat(parameters: Sequence[Parameter]) -> Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.
 
     Standard error: s^2 = s_mean^2 + u^2. s_mean is that of the weighted mean of the errors by noise, enlarged
@@ -357,7 +357,7 @@ def condition_matrix(
 
     ConfigError for an unknown fit, coefficient or condition, FitError where no test has a result.
     """
-    chosen = _chosen(settings, fits)
+    chosen = _choose(settings, fits)
     amounts = {
         name: _amounts(name, chosen, conditions)
         for name in dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
@@ -383,7 +383,7 @@ def condition_matrix(
         matrix = replace(matrix, points=tuple(_beside_theory(matrix, point, theory) for point in points))
     if settings.path is not None:
         matrix = replace(matrix, paths=equilibrium_paths(settings.path, matrix, chosen))
-    return _judged(matrix, settings)
+    return _judge(matrix, settings)
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,7 @@ class Amounts:
     values: FloatArray
 
 
-def _chosen(settings: MatrixSettings, fits: Sequence[Fit]) -> list[Fit]:
+def _choose(settings: MatrixSettings, fits: Sequence[Fit]) -> list[Fit]:
     """The fit of every test; ConfigError where a test has several."""
     chosen = [fit for fit in fits if fit.name == settings.fit]
     if not chosen:
@@ -478,7 +478,7 @@ def _point(
         scatter = float(np.std(measured, ddof=1)) if measured.size > 1 else 0.0
         beside.append(Beside(name, float(np.mean(measured)), scatter, amounts[name].unit))
     codes = dict.fromkeys(finding.code for fit in fits for finding in of_level(WARNING, fit.findings))
-    values = tuple(repeated(parameters) for parameters in of_name.values() if parameters)
+    values = tuple(repeat(parameters) for parameters in of_name.values() if parameters)
     return MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
 
 
@@ -495,7 +495,7 @@ def _beside_theory(matrix: ConditionMatrix, point: MatrixPoint, theory: PointThe
     return replace(point, values=values)
 
 
-def _judged(matrix: ConditionMatrix, settings: MatrixSettings) -> ConditionMatrix:
+def _judge(matrix: ConditionMatrix, settings: MatrixSettings) -> ConditionMatrix:
     """The matrix with its amounts, findings and statement."""
     values = [(point, value) for point in matrix.points for value in point.values]
     tested = [

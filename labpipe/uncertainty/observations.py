@@ -147,7 +147,7 @@ def campaign_of(
     """
     observations: list[Observation] = []
     units: set[tuple[str, ...]] = set()
-    for fit in _chosen(settings, fits):
+    for fit in _choose(settings, fits):
         of_test = conditions.get(fit.test, {})
         amounts = [condition_of(name, fit.test, of_test) for name in settings.over]
         units.add(tuple(unit for _, unit in amounts))
@@ -178,7 +178,7 @@ def campaign_of(
     return Campaign(settings, tuple(observations), *(*units.pop(), "", "")[:2])
 
 
-def _chosen(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
+def _choose(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
     """The fit of every test; ConfigError where there is none, or several in a test."""
     named = [fit for fit in fits if fit.name == settings.fit]
     if not named:

@@ -20,7 +20,7 @@ from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.measured import measured_part, select_ports
-from labpipe.estimation.model import Setup, constrained
+from labpipe.estimation.model import Setup, constrain
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import whitener
@@ -138,7 +138,7 @@ def _bounds_of_response(exact: FrequencyResponse, truth: RigTruth, settings: Fit
     setup = Setup(
         tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings
     )
-    model = constrained(settings.kind.model(setup), settings)
+    model = constrain(settings.kind.model(setup), settings)
     if any(name not in truth for name in model.names):
         return {}
     measured = measured_part(exact, rows, columns, _lines(exact.frequency, settings))
@@ -208,11 +208,11 @@ class Workers:
     ) -> list[list[Outcome]]:
         """(fit, repeat of *numbers*) -> Outcome; repeat r draws its noise from seed (*seed, r)."""
         if self._pool is None or (len(numbers) < WORTH_SHARING and not self._started):
-            numbered = dict(_repeated(source, fits, numbers, seed))
+            numbered = dict(_repeat(source, fits, numbers, seed))
         else:
             self._started = True
             shares = [numbers[start :: self._count] for start in range(self._count)]
-            futures = [self._pool.submit(_repeated, source, fits, share, seed) for share in shares]
+            futures = [self._pool.submit(_repeat, source, fits, share, seed) for share in shares]
             numbered = dict(pair for future in futures for pair in future.result())
         return [[numbered[number][fit] for number in numbers] for fit in range(len(fits))]
 
@@ -231,7 +231,7 @@ def workers(jobs: int) -> Iterator[Workers]:
         yield Workers(pool, count)
 
 
-def _repeated(
+def _repeat(
     source: Source, fits: Sequence[FitSettings], numbers: Sequence[int], seed: tuple[int, ...]
 ) -> list[tuple[int, list[Outcome]]]:
     numbered = []
@@ -255,7 +255,7 @@ def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings
 Truth = dict[str, float]
 
 
-def summarised(
+def summarise(
     outcomes: Sequence[Outcome],
     settings: FitSettings,
     truth: Truth,
@@ -410,7 +410,7 @@ def _cases(
         tell(f"study     noise {100 * noise:g} %, {source.n_line} lines, {settings.repeats} repeats")
         outcomes = crew.outcomes(source, fits, range(settings.repeats), (settings.seed,))
         yield [
-            summarised(
+            summarise(
                 fit_outcomes, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line
             )
             for fit, fit_outcomes in zip(fits, outcomes, strict=True)

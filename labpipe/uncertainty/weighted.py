@@ -78,7 +78,7 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
             "a value has no standard error, so tests cannot be weighted",
             hint="a response without noise gives none",
         )
-    design, whitened = _whitened(columns, errors), _whitened(values[:, None], errors)[:, 0]
+    design, whitened = _whiten(columns, errors), _whiten(values[:, None], errors)[:, 0]
     if np.linalg.matrix_rank(design) < columns.shape[1]:
         raise FitError(
             "the tests do not differ in the condition", hint="a trend needs at least two different values"
@@ -94,7 +94,7 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
     )
 
 
-def _whitened(columns: FloatArray, errors: FloatArray) -> FloatArray:
+def _whiten(columns: FloatArray, errors: FloatArray) -> FloatArray:
     """Columns (n, m) divided by the standard errors, or by the Cholesky factor of the covariance."""
     if errors.ndim == 1:
         return columns / errors[:, None]

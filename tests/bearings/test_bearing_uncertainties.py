@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigErrors
-from labpipe.project.bearing import Evaluated, bearing_entry, evaluated
+from labpipe.project.bearing import Evaluated, bearing_entry, evaluate
 from labpipe.project.bearing_file import open_bearing
 
 JOURNAL = """kind: journal-bearing
@@ -33,7 +33,7 @@ loads: {{z: {load}}}
 
 def journal(folder: Path, viscosity: str = "0.1044 Pa.s", load: str = "58.82 N", more: str = "") -> Evaluated:
     (folder / "j.yaml").write_text(JOURNAL.format(viscosity=viscosity, load=load) + more)
-    return evaluated(open_bearing(folder / "j.yaml"))
+    return evaluate(open_bearing(folder / "j.yaml"))
 
 
 def relative(whole: Evaluated) -> np.ndarray:
@@ -84,7 +84,7 @@ def test_hertz_contact_stiffness_goes_with_its_constant_and_load(tmp_path: Path)
     (tmp_path / "b.yaml").write_text(
         BALL.format(constant="1.1e10 +- 2 % (source=x)", load="427 N +- 2 % (source=x)")
     )
-    whole = evaluated(open_bearing(tmp_path / "b.yaml"))
+    whole = evaluate(open_bearing(tmp_path / "b.yaml"))
     # Terms between directions that do not couple are zero, or what rounding leaves of it.
     large = np.abs(whole.coefficients.stiffness) > 1e-6 * np.abs(whole.coefficients.stiffness).max()
     assert whole.uncertainties is not None
@@ -100,7 +100,7 @@ def test_json_table_and_sweep_hold_the_uncertainties(tmp_path: Path, labpipe_wit
     assert "with standard uncertainties" in shown.out and "k_y_z" in shown.out and " ± " in shown.out
     entry = json.loads((tmp_path / "j.json").read_text())
     assert entry == json.loads(
-        json.dumps(bearing_entry(open_bearing(file), "j", evaluated(open_bearing(file))))
+        json.dumps(bearing_entry(open_bearing(file), "j", evaluate(open_bearing(file))))
     )
     changes = np.array([source["stiffness"] for source in entry["uncertainty"]["sources"]])
     np.testing.assert_allclose(entry["uncertainty"]["stiffness"], np.hypot(*changes))

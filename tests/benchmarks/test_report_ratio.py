@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.document.charts import canvas_of, svg_text
 from labpipe.document.html_page import render_html
-from labpipe.report.chart import Axis, Panel, curve, dots, stacked
+from labpipe.report.chart import Axis, Panel, curve, dots, stack
 from labpipe.report.document import Document, Figure, Section
 from tests.benchmarks.test_spectral_ratios import ratios
 
@@ -29,7 +29,7 @@ def test_a_figure_of_a_page_costs_a_fraction_of_its_drawing_for_print(
             make(f"term {n}", frequency, row, n) for n, row in enumerate(values) for make in (curve, dots)
         ]
         panels.append(Panel(Axis("frequency", "Hz"), Axis(title, "um/N"), tuple(both)))
-    chart = stacked(panels, 6.0)
+    chart = stack(panels, 6.0)
     document = Document("T", "", (Section("S", (Figure(chart, "a fit", "a fit"),)),))
     (matplotlib,) = ratios(lambda: render_html(document), lambda: svg_text(canvas_of(chart)))
     with capsys.disabled():

@@ -15,7 +15,7 @@ import pytest
 
 from labpipe.document.html_page import NEEDS_SCRIPT, page_part
 from labpipe.document.render import html_document
-from labpipe.report.chart import Axis, Chart, Panel, arrow, cells, curve, level, named_ticks, stacked
+from labpipe.report.chart import Axis, Chart, Panel, arrow, cells, curve, level, named_ticks, stack
 from labpipe.report.document import Document, Figure, Section
 
 CURVE = "#figure-2 .panels > svg"
@@ -222,7 +222,7 @@ def test_arrows_and_names_of_levels_are_drawn(browser: Any, tmp_path: Path) -> N
         level(0.5, name="limit"),
     )
     sense = Panel(across, Axis("y", "um"), series)
-    figure = Figure(stacked([sense], 2.0), "Orbit", "An orbit")
+    figure = Figure(stack([sense], 2.0), "Orbit", "An orbit")
     (tmp_path / "kinds.html").write_bytes(
         html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False))
     )

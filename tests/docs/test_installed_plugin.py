@@ -74,7 +74,7 @@ def installed(project: Path, monkeypatch: pytest.MonkeyPatch, labpipe):
     """
     monkeypatch.chdir(project)
     monkeypatch.syspath_prepend(str(project / "docs/plugin/src"))
-    registry._added.cache_clear()
+    registry._of_others.cache_clear()
 
     def run(*words: str, code: int = 0) -> str:
         ended = labpipe(*words)
@@ -82,7 +82,7 @@ def installed(project: Path, monkeypatch: pytest.MonkeyPatch, labpipe):
         return str(ended.out + ended.err)
 
     yield run
-    registry._added.cache_clear()
+    registry._of_others.cache_clear()
     for name in [name for name in sys.modules if name.partition(".")[0] == "labpipe_example"]:
         del sys.modules[name]
 

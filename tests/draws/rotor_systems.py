@@ -27,10 +27,10 @@ import numpy as np
 import yaml
 
 from labpipe.errors import LabpipeError
-from labpipe.methods.balancing.balance_file import modelled
+from labpipe.methods.balancing.balance_file import model
 from labpipe.methods.balancing.influence import Noise, Run, best_weights, influence, residual_of
 from labpipe.methods.rotor.response import Modes
-from labpipe.methods.rotor.theory import Critical, followed, peaks
+from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built
 from labpipe.methods.rotor_system.evaluate import FAINT, most_probable
 from labpipe.methods.rotor_system.posterior import Posterior, common_changes, fit_system
@@ -115,7 +115,7 @@ def judge(
     delta, v = diagram.log_decrement[0], diagram.log_decrement_error[0]
     true_f, true_delta = true.damped_frequency, -2 * np.pi * true.eigenvalues.real / true.eigenvalues.imag
     # By their shapes: the second pair is so close that frequencies alone mistake one for the other.
-    pairs = followed([turning_modes(this, found.values), true])
+    pairs = follow([turning_modes(this, found.values), true])
     for mode, name in ((0, "1"), (2, "2")):
         near = pairs[1, mode]
         held[f"f{name}"].append(abs(true_f[near] - f[mode]) < 1.96 * u[mode])
@@ -178,7 +178,7 @@ def ways_to_balance(
         path = Path(scratch) / "identification.json"
         entry = {"influence": dataclasses.asdict(stated)}
         path.write_text(json.dumps({"rotor_system": {"balance": entry}}))
-        prior, _ = modelled(path, stated.planes, ())
+        prior, _ = model(path, stated.planes, ())
 
     def run(weights: np.ndarray) -> Run:
         z = h @ (unbalance + weights)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.estimation.damping import PROPORTIONAL, FactorModel, damped
+from labpipe.estimation.damping import PROPORTIONAL, FactorModel, damp
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import MODELS, FitSettings
@@ -76,7 +76,7 @@ def test_proportional_standard_errors_are_the_scatter(three_dof_response) -> Non
 def test_slopes_of_proportional_models_are_central_differences(three_dof_response, mass) -> None:  # type: ignore[no-untyped-def]
     response = three_dof_response()
     setup = Setup(response.outputs, response.inputs, replace(RAYLEIGH, mass=mass, fixed=(("k_1_3", 0.1),)))
-    model = damped(MODELS["mdof"].model(setup), setup.settings)
+    model = damp(MODELS["mdof"].model(setup), setup.settings)
     assert isinstance(model, FactorModel)
     start = 1 + 0.1 * np.arange(len(model.names))
     own = dict(zip(model.names, start, strict=True))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.estimation.damping import damped
+from labpipe.estimation.damping import damp
 from labpipe.estimation.descent import linearised
 from labpipe.estimation.likelihood import starts
 from labpipe.estimation.linear_models import mdof
@@ -42,7 +42,7 @@ def problem_of(
 
     *noise* with a part in "common", or a "product" as that of H1.
     """
-    model = damped(mdof(Setup(DOFS, FORCES[:n_input], settings)), settings)
+    model = damp(mdof(Setup(DOFS, FORCES[:n_input], settings)), settings)
     omega = np.linspace(0.2, 2.5, 40)
     w = omega[:, None, None]
     h = np.linalg.inv(STIFFNESS + 1j * w * DAMPING - w**2 * np.eye(3))[:, :, :n_input]

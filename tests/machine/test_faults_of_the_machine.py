@@ -100,7 +100,7 @@ def test_the_staging_folder_of_a_run_that_was_killed_before_it_was_locked_goes_a
 import os, sys
 from pathlib import Path
 from labpipe.artefacts import writing
-writing._locked = lambda lock: (os.remove(lock.name), os.kill(os.getpid(), 9))
+writing._take_lock = lambda lock: (os.remove(lock.name), os.kill(os.getpid(), 9))
 with writing.staging_folder(Path(sys.argv[1])):
     pass
 """

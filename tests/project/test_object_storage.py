@@ -230,7 +230,7 @@ def test_places_that_cannot_be_read_are_named(
         "run", lab / "bench.yaml", "-o", "s3://rigs/out", "--cluster", "tcp://127.0.0.1:1"
     )
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "")
-    storage._opened.cache_clear()
+    storage._open.cache_clear()
     assert "s3://rigs/runs/0N-0.csv: the storage refuses access" in said(
         "run", lab / "bench.yaml", "-o", lab / "out"
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.project import report as report_stage
-from labpipe.project.report import COMMENTS, is_drawn, stamped
+from labpipe.project.report import COMMENTS, is_drawn, stamp
 from tests.project.laboratory import laboratory
 
 FORMATS = ("html", "md")
@@ -64,7 +64,7 @@ def test_an_html_report_that_is_up_to_date_loads_nothing_that_draws(
 def test_a_stamp_holds_for_its_source_and_content_alone(tmp_path: Path, report_format: str) -> None:
     path = tmp_path / "report"
     source = "ab" * 32
-    path.write_bytes(stamped(b"a report", source, report_format))
+    path.write_bytes(stamp(b"a report", source, report_format))
     assert (
         is_drawn(path, source)
         and not is_drawn(path, "cd" * 32)
@@ -73,5 +73,5 @@ def test_a_stamp_holds_for_its_source_and_content_alone(tmp_path: Path, report_f
     )
     path.write_bytes(path.read_bytes().replace(b"report\n", b"Report\n", 1))
     assert not is_drawn(path, source)
-    path.write_bytes(stamped(b"a report", source, "docx"))
+    path.write_bytes(stamp(b"a report", source, "docx"))
     assert path.read_bytes() == b"a report" and not is_drawn(path, source)

@@ -26,7 +26,7 @@ from labpipe.report.chart import (
     named_ticks,
     outline,
     span,
-    stacked,
+    stack,
     upright,
 )
 from labpipe.report.shapes import shape_figures
@@ -60,7 +60,7 @@ def every_kind() -> Chart:
         Panel(speed, Axis("k", "kN/m", logarithmic=True), above, "stiffness", share=3.0),
         Panel(speed, Axis("c", "N s/m", low=0.0), below, share=1.0),
     )
-    return stacked(panels, 4.0)
+    return stack(panels, 4.0)
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ from labpipe.report.chart import (
     named_ticks,
     outline,
     span,
-    stacked,
+    stack,
     upright,
 )
 
@@ -74,7 +74,7 @@ def test_what_cannot_be_drawn_is_refused(
 
 
 def test_limits_hold_all_values_their_intervals_and_a_twentieth_more() -> None:
-    chart = stacked(
+    chart = stack(
         [panel(curve("k", X, [1.0, np.nan, 9.0], bars=([0.0, 0.0, 8.0], [2.0, 0.0, 10.0])), level(-10.0))],
         3.0,
     )
@@ -84,19 +84,19 @@ def test_limits_hold_all_values_their_intervals_and_a_twentieth_more() -> None:
 
 def test_limits_of_a_logarithmic_axis_leave_out_what_it_has_no_place_for() -> None:
     y = Axis("|H|", "um/N", logarithmic=True)
-    chart = stacked([panel(curve("H", X, [0.0, 1.0, 100.0]), y=y)], 3.0)
+    chart = stack([panel(curve("H", X, [0.0, 1.0, 100.0]), y=y)], 3.0)
     assert chart.limits(0, "y") == pytest.approx((10**-0.1, 10**2.1))
-    assert stacked([panel(curve("H", X, [5.0] * 3), y=y)], 3.0).limits(0, "y") == pytest.approx((0.5, 50.0))
-    assert stacked([panel(y=y)], 3.0).limits(0, "y") == (1.0, 10.0)
+    assert stack([panel(curve("H", X, [5.0] * 3), y=y)], 3.0).limits(0, "y") == pytest.approx((0.5, 50.0))
+    assert stack([panel(y=y)], 3.0).limits(0, "y") == (1.0, 10.0)
 
 
 def test_limits_of_one_value_of_none_and_as_stated() -> None:
-    assert stacked([panel(dots("k", [1.0], [2.0]))], 3.0).limits(0, "y") == pytest.approx((1.9, 2.1))
-    assert stacked([panel(dots("k", [1.0], [0.0]))], 3.0).limits(0, "y") == pytest.approx((-0.05, 0.05))
-    assert stacked([panel()], 3.0).limits(0, "y") == (0.0, 1.0)
-    low = stacked([panel(curve("k", X, X), y=Axis("k", "", low=0.0))], 3.0)
+    assert stack([panel(dots("k", [1.0], [2.0]))], 3.0).limits(0, "y") == pytest.approx((1.9, 2.1))
+    assert stack([panel(dots("k", [1.0], [0.0]))], 3.0).limits(0, "y") == pytest.approx((-0.05, 0.05))
+    assert stack([panel()], 3.0).limits(0, "y") == (0.0, 1.0)
+    low = stack([panel(curve("k", X, X), y=Axis("k", "", low=0.0))], 3.0)
     assert low.limits(0, "y") == pytest.approx((0.0, 4.15))
-    assert stacked([panel(curve("k", X, X), y=Axis("k", "", -1.0, 7.0))], 3.0).limits(0, "y") == (-1.0, 7.0)
+    assert stack([panel(curve("k", X, X), y=Axis("k", "", -1.0, 7.0))], 3.0).limits(0, "y") == (-1.0, 7.0)
 
 
 def test_panels_over_one_abscissa_share_its_limits_and_alone_they_do_not() -> None:
@@ -104,18 +104,18 @@ def test_panels_over_one_abscissa_share_its_limits_and_alone_they_do_not() -> No
         panel(curve("k", [0.0, 1.0], [0.0, 1.0])),
         panel(curve("c", [9.0, 10.0], [5.0, 6.0]), upright(20.0)),
     )
-    together, apart = stacked([near, far], 4.0), Chart((near, far), 1, 2)
+    together, apart = stack([near, far], 4.0), Chart((near, far), 1, 2)
     assert together.limits(0, "x") == together.limits(1, "x") == pytest.approx((-1.0, 21.0))
     assert together.limits(0, "y") == pytest.approx((-0.05, 1.05))
     assert [together.group(1, which) for which in "xy"] == [0, 1] and [
         apart.group(1, which) for which in "xy"
     ] == [1, 1]
-    assert apart.limits(0, "x") == pytest.approx((-0.05, 1.05)) and stacked([near], 3.0).shared == ""
+    assert apart.limits(0, "x") == pytest.approx((-0.05, 1.05)) and stack([near], 3.0).shared == ""
 
 
 def test_heights_are_parts_of_the_whole_row_by_row() -> None:
     high, flat = Panel(*PLAIN, (), share=3.0), Panel(*PLAIN, (), share=1.0)
-    assert stacked([high, flat], 4.0).heights == (0.75, 0.25)
+    assert stack([high, flat], 4.0).heights == (0.75, 0.25)
     assert Chart((high, high, flat), 2, 2).heights == (0.75, 0.25)
 
 
@@ -127,7 +127,7 @@ def test_cells_have_their_edges_and_their_first_row_above() -> None:
 
 
 def test_names_come_once_and_lines_across_have_no_abscissa() -> None:
-    chart = stacked(
+    chart = stack(
         [
             panel(curve("k", X, X), dots("k", X, X)),
             panel(outline("region", X, X), span(1.0, 2.0, 0), level(1.0)),

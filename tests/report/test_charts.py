@@ -37,7 +37,7 @@ from labpipe.report.chart import (
     curve,
     dots,
     named_ticks,
-    stacked,
+    stack,
 )
 
 X = np.array([1.0, 2.0, 4.0])
@@ -106,7 +106,7 @@ def test_axes_have_the_limits_labels_and_scales_of_the_chart(every_kind: Chart) 
 def test_every_name_stands_in_one_legend(every_kind: Chart) -> None:
     above, below = chart_canvas(every_kind).axes
     assert legend(above) == ["k", "gap"] and legend(below) == ["c", "outside", "region"]
-    again = stacked(
+    again = stack(
         [
             Panel(Axis("x"), Axis("y"), (curve("k", X, X),)),
             Panel(Axis("x"), Axis("z"), (curve("k", X, X), dots("c", X, X))),
@@ -141,7 +141,7 @@ def test_long_names_of_places_are_turned_and_short_ones_not() -> None:
         axis = Axis(ticks=named_ticks(names))
         return (
             chart_canvas(
-                stacked([Panel(axis, Axis(), (dots("k", range(len(names)), range(len(names))),))], 3.0)
+                stack([Panel(axis, Axis(), (dots("k", range(len(names)), range(len(names))),))], 3.0)
             )
             .axes[0]
             .get_xticklabels()[0]
@@ -175,7 +175,7 @@ def test_the_same_chart_is_drawn_the_same_and_saved_twice_alike(every_kind: Char
 
 def test_one_name_in_two_colours_stands_twice_and_a_dot_of_its_curve_not() -> None:
     series = (curve("x", X, X, 0), curve("x", X, 2 * X, 3), dots("x", X[:1], X[:1], 0, marker="o"))
-    (axes,) = chart_canvas(stacked([Panel(Axis("f"), Axis("snr"), series)], 3.0)).axes
+    (axes,) = chart_canvas(stack([Panel(Axis("f"), Axis("snr"), series)], 3.0)).axes
     assert legend(axes) == ["x", "x"]
     assert [to_hex(handle.get_color()) for handle in axes.get_legend().legend_handles] == [
         PALETTE[0].lower(),
@@ -192,7 +192,7 @@ def test_names_of_many_cells_stand_upright(heat_map: Chart) -> None:
 
 def ticks(axis: Axis, limits: tuple[float, float]) -> list[str]:
     ends = replace(axis, low=limits[0], high=limits[1])
-    canvas = chart_canvas(stacked([Panel(Axis("x"), ends, (dots("k", [0.0], [limits[0]]),))], 3.0))
+    canvas = chart_canvas(stack([Panel(Axis("x"), ends, (dots("k", [0.0], [limits[0]]),))], 3.0))
     canvas.draw_without_rendering()
     low, high = canvas.axes[0].get_ylim()
     labels = zip(canvas.axes[0].get_yticks(), canvas.axes[0].get_yticklabels(), strict=True)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.document.figure_numbers import MOST_ROWS, RULE, figure_json, figure_table
-from labpipe.report.chart import Axis, Chart, Panel, curve, stacked
+from labpipe.report.chart import Axis, Chart, Panel, curve, stack
 
 X = np.array([1.0, 2.0, 4.0])
 
@@ -46,7 +46,7 @@ def test_numbers_are_the_decimals_that_python_prints() -> None:
     some = np.concatenate([values, [0.0, -0.0, 5.0, 123456789.0, np.nan, np.inf]])
     panel = Panel(Axis("t", "s", 0.0, 1.0), Axis("x", "mm", 0.0, 1.0), (curve("x", some, some),))
     shown = [float(f"{value:.7g}") if np.isfinite(value) else None for value in some.tolist()]
-    assert entry_of(stacked((panel,), 4.0))["numbers"][0] == shown
+    assert entry_of(stack((panel,), 4.0))["numbers"][0] == shown
 
 
 def test_axes_say_what_they_are_and_move_together(every_kind: Chart) -> None:
@@ -82,7 +82,7 @@ def test_a_heat_map_has_texts_and_values(heat_map: Chart) -> None:
 
 
 def test_no_text_of_a_figure_ends_the_element_it_stands_in() -> None:
-    text = figure_json(stacked([Panel(Axis("x"), Axis("y"), (curve("</script><b>&", X, X),))], 3.0))
+    text = figure_json(stack([Panel(Axis("x"), Axis("y"), (curve("</script><b>&", X, X),))], 3.0))
     assert (
         not set("<>&") & set(text) and json.loads(text)["panels"][0]["series"][0]["name"] == "</script><b>&"
     )
@@ -91,7 +91,7 @@ def test_no_text_of_a_figure_ends_the_element_it_stands_in() -> None:
 def test_curves_of_one_figure_share_their_abscissa_and_digits_end_where_nothing_more_is_told() -> None:
     near = curve("c", X / 3, 1000 / 3 + 1e-3 * X)
     entry = entry_of(
-        stacked([Panel(Axis("x"), Axis("y"), (curve("a", X, X / 3), curve("b", X, X**3), near))], 3.0)
+        stack([Panel(Axis("x"), Axis("y"), (curve("a", X, X / 3), curve("b", X, X**3), near))], 3.0)
     )
     # Five digits of what is read, seven of places, and of what differs little from a constant.
     assert len(entry["numbers"]) == 5 and entry["numbers"][1][0] == 0.33333
@@ -108,7 +108,7 @@ def test_the_table_for_pages_without_script_has_all_points_or_says_how_many(ever
         ("4", "k [kN/m]", "100"),
     ]
     x = np.arange(1000.0)
-    long = figure_table(stacked([Panel(Axis("x"), Axis("y"), (curve("a", x, x**2), curve("b", x, x)))], 3.0))
+    long = figure_table(stack([Panel(Axis("x"), Axis("y"), (curve("a", x, x**2), curve("b", x, x)))], 3.0))
     assert len(long.rows) == MOST_ROWS and long.caption == f"{MOST_ROWS} of 2000 points"
     rows = [row for row in long.rows if row[1] == "a"]
     assert (rows[0][3], rows[-1][3], rows[-1][5]) == ("0", "999", "9.98e+05")

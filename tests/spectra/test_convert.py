@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.spectra.convert import converted, directional, dynamic_stiffness
+from labpipe.spectra.convert import convert, directional, dynamic_stiffness
 
 FREQUENCY = np.array([10.0, 20.0, 40.0])
 OMEGA = 2 * np.pi * FREQUENCY
@@ -40,12 +40,12 @@ ANISOTROPIC = np.array([[5e4, 2e3], [1e3, 9e4]])
 
 def test_accelerance_is_receptance_twice_differentiated(rng: np.random.Generator) -> None:
     receptance = rotor(ANISOTROPIC, covariance=some_covariance(rng))
-    accelerance = converted(receptance, "accelerance")
+    accelerance = convert(receptance, "accelerance")
     np.testing.assert_allclose(accelerance.matrix, -(OMEGA**2)[:, None, None] * receptance.matrix, rtol=1e-12)
     np.testing.assert_allclose(
         accelerance.variance, (OMEGA**4)[:, None, None] * receptance.variance, rtol=1e-12
     )
-    back = converted(converted(accelerance, "mobility"), "receptance")
+    back = convert(convert(accelerance, "mobility"), "receptance")
     np.testing.assert_allclose(back.matrix, receptance.matrix, rtol=1e-12)
     np.testing.assert_allclose(back.covariance, receptance.covariance, rtol=1e-12)
 
@@ -53,19 +53,19 @@ def test_accelerance_is_receptance_twice_differentiated(rng: np.random.Generator
 def test_the_line_at_0_hz_can_be_differentiated_but_not_integrated() -> None:
     port = (Port("a", "a", "a"),)
     still = FrequencyResponse(np.array([0.0, 1.0]), np.ones((2, 1, 1)), port, port)
-    accelerance = converted(still, "accelerance")
+    accelerance = convert(still, "accelerance")
     assert accelerance.matrix[0, 0, 0] == 0
     with pytest.raises(DataError, match="0 Hz of a accelerance"):
-        converted(accelerance, "receptance")
+        convert(accelerance, "receptance")
     with pytest.raises(ConfigError, match="form 'other'"):
-        converted(
+        convert(
             FrequencyResponse(np.array([1.0]), np.ones((1, 1, 1)), port, port, form="other"), "receptance"
         )
 
 
 @pytest.mark.parametrize("form", ["receptance", "mobility", "accelerance"])
 def test_dynamic_stiffness_is_the_matrix_inverse(form: str) -> None:
-    stiffness = dynamic_stiffness(converted(rotor(ANISOTROPIC), form))
+    stiffness = dynamic_stiffness(convert(rotor(ANISOTROPIC), form))
     expected = ANISOTROPIC + (1j * OMEGA * DAMPING - OMEGA**2 * MASS)[:, None, None] * np.eye(2)
     np.testing.assert_allclose(stiffness, expected, rtol=1e-9, atol=1e-6)
 

@@ -14,7 +14,7 @@ from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
-from labpipe.spectra.convert import converted, directional
+from labpipe.spectra.convert import convert, directional
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.random import cut_at
 from labpipe.spectra.settings import FrfSettings
@@ -121,7 +121,7 @@ def whole_response() -> FrequencyResponse:
 def test_it_is_turned_and_converted_as_the_response_is() -> None:
     """Both are linear in H, so the change of the turned response is the turned change."""
     whole, (before, after) = whole_response(), halves(two_directions())
-    for turned in (directional, lambda response: converted(response, "accelerance")):
+    for turned in (directional, lambda response: convert(response, "accelerance")):
         expected = turned(measure(after, RANDOM)).matrix - turned(measure(before, RANDOM)).matrix
         change = turned(whole).change
         assert change is not None

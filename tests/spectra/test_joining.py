@@ -8,7 +8,7 @@ import pytest
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import MatrixError, Uncertainty
-from labpipe.spectra.ports import joined
+from labpipe.spectra.ports import join
 
 FREQUENCY = np.array([1.0, 2.0, 3.0])
 
@@ -23,7 +23,7 @@ def part(output: str, reference: str, value: complex, name: str = "", **entries)
 
 def test_elements_come_to_their_places_in_the_order_of_their_numbers() -> None:
     """Points 1, 2, 10 measured in another order; H_oi = o + 100 j i."""
-    response = joined([part(f"p{o}", f"q{i}", o + 100j * i) for o in (10, 2, 1) for i in (20, 3)])
+    response = join([part(f"p{o}", f"q{i}", o + 100j * i) for o in (10, 2, 1) for i in (20, 3)])
     assert [port.label for port in response.outputs] == ["p1", "p2", "p10"] and [
         port.label for port in response.inputs
     ] == ["q3", "q20"]
@@ -45,7 +45,7 @@ def test_coherence_and_noise_stay_with_their_elements() -> None:
         )
         for n, (o, i) in enumerate(pairs)
     ]
-    response = joined(parts[::-1])
+    response = join(parts[::-1])
     np.testing.assert_array_equal(response.covariance[2], np.diag([1.0, 2.0, 3.0, 4.0]))
     np.testing.assert_array_equal(response.coherence[0], [[0.0, 0.1], [0.2, 0.3]])
     assert response.covariance_dof == 6.0
@@ -63,11 +63,11 @@ def test_errors_of_one_number_are_one_error_in_all_files() -> None:
         part("a", "f", 1, errors=(error("gain", 2), error("sum", 5))),
         part("b", "f", 1, errors=(error("gain", 3j),)),
     ]
-    found = {one.uncertainty.source: one.change for one in joined(parts).errors}
+    found = {one.uncertainty.source: one.change for one in join(parts).errors}
     np.testing.assert_array_equal(found["gain"][1], [[2], [3j]])
     np.testing.assert_array_equal(found["sum"][1], [[5], [0]])
     # A file by itself is the whole matrix.
-    (alone,) = joined(parts[1:]).errors
+    (alone,) = join(parts[1:]).errors
     np.testing.assert_array_equal(alone.change, np.full((3, 1, 1), 3j))
 
 
@@ -85,4 +85,4 @@ def test_errors_of_one_number_are_one_error_in_all_files() -> None:
 )
 def test_what_makes_no_matrix_is_refused_with_the_files(second: FrequencyResponse, fault: str) -> None:
     with pytest.raises(DataError, match=fault):
-        joined([part("a", "f", 1, "a.txt"), second])
+        join([part("a", "f", 1, "a.txt"), second])

@@ -21,7 +21,7 @@ from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.simulate.virtual_rigs import recordings
-from labpipe.spectra.convert import converted, directional
+from labpipe.spectra.convert import convert, directional
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.joint import covariance_by_neighbours, joint_estimate
 from labpipe.spectra.measurement import measure
@@ -250,9 +250,7 @@ def test_h1_travels_beside_the_frf(tmp_path: Path) -> None:
     read = read_response(tmp_path / "a.frf.parquet")
     np.testing.assert_array_equal(read.open_loop, response.open_loop)
     as_matrix = replace(response, matrix=response.open_loop)
-    np.testing.assert_allclose(
-        converted(response, "mobility").open_loop, converted(as_matrix, "mobility").matrix
-    )
+    np.testing.assert_allclose(convert(response, "mobility").open_loop, convert(as_matrix, "mobility").matrix)
     np.testing.assert_allclose(directional(response).open_loop, directional(as_matrix).matrix)
 
 

@@ -9,7 +9,7 @@ from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.simulate.linear import WhiteNoiseRig
 from labpipe.simulate.virtual_rigs import recordings
-from labpipe.spectra.convert import converted, dynamic_stiffness, dynamic_stiffness_covariance
+from labpipe.spectra.convert import convert, dynamic_stiffness, dynamic_stiffness_covariance
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.quality import reciprocity
 from labpipe.spectra.settings import FrfSettings
@@ -102,11 +102,11 @@ def test_covariance_of_the_dynamic_stiffness_is_the_scatter_of_inverses(form: st
     errors = inverses - np.linalg.inv(TRUTH).reshape(4)
     observed = errors.T @ errors.conj() / 20_000
     response = FrequencyResponse(FREQUENCY[:1], TRUTH[None], PORTS, PORTS, covariance=0.01 * COVARIANCE[None])
-    predicted = dynamic_stiffness_covariance(converted(response, form))[0]
+    predicted = dynamic_stiffness_covariance(convert(response, form))[0]
     scale = np.sqrt(np.outer(np.diag(observed).real, np.diag(observed).real))
     np.testing.assert_allclose(predicted / scale, observed / scale, atol=0.04)
     np.testing.assert_allclose(
-        dynamic_stiffness(converted(response, form))[0], np.linalg.inv(TRUTH), rtol=1e-12
+        dynamic_stiffness(convert(response, form))[0], np.linalg.inv(TRUTH), rtol=1e-12
     )
 
 

@@ -12,7 +12,7 @@ from labpipe.errors import DataError
 from labpipe.raw_files.screening import ChannelScreen
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.spectra.convert import converted
+from labpipe.spectra.convert import convert
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.random import h2, hv
 from labpipe.spectra.settings import FrfSettings
@@ -84,7 +84,7 @@ def test_accelerance_at_0_hz_is_no_receptance() -> None:
     port = (Port("a", "a", "a"),)
     accelerance = FrequencyResponse(np.array([0.0, 1.0]), np.ones((2, 1, 1)), port, port, form="accelerance")
     with pytest.raises(DataError, match="0 Hz"):
-        converted(accelerance, "receptance")
+        convert(accelerance, "receptance")
 
 
 def test_h2_of_a_matrix_that_is_not_symmetric() -> None:

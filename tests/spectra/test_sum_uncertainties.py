@@ -14,9 +14,9 @@ from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.records.recording import Channel, Number, Recording, Term
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
-from labpipe.spectra.convert import converted, directional
+from labpipe.spectra.convert import convert, directional
 from labpipe.spectra.measurement import measure
-from labpipe.spectra.ports import joined
+from labpipe.spectra.ports import join
 from labpipe.spectra.settings import FrfSettings
 
 MASS = Number("m_s", 3.0, 0.02, "kg")
@@ -181,13 +181,13 @@ def test_errors_follow_the_matrix_into_files_and_other_forms(tmp_path: Path) -> 
     # Any linear map of the matrix acts on its changes alike: one standard uncertainty added before or after
     # gives the same.
     moved = replace(response, matrix=response.matrix + change_of(response, "m_s, 3 kg"))
-    for through in (lambda r: converted(r, "accelerance"), directional):
+    for through in (lambda r: convert(r, "accelerance"), directional):
         expected = through(moved).matrix - through(response).matrix
         np.testing.assert_allclose(
             change_of(through(response), "m_s, 3 kg"), expected, atol=1e-12 * np.abs(expected).max()
         )
     alone = [replace(response, outputs=(response.outputs[n],), **parts_of(response, n)) for n in (0, 1)]
-    np.testing.assert_array_equal(change_of(joined(alone), "m_s, 3 kg"), change_of(response, "m_s, 3 kg"))
+    np.testing.assert_array_equal(change_of(join(alone), "m_s, 3 kg"), change_of(response, "m_s, 3 kg"))
 
 
 def parts_of(response: FrequencyResponse, row: int) -> dict[str, object]:

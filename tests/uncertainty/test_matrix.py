@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.report.condition_matrix import coefficient_figures
-from labpipe.uncertainty.matrix import condition_matrix, repeated
+from labpipe.uncertainty.matrix import condition_matrix, repeat
 from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
 from tests.uncertainty.conftest import a_fit
 
@@ -63,7 +63,7 @@ def test_what_is_common_to_repeats_does_not_shrink() -> None:
         "k", 10.0, "N/m", std_error=1.0, std_error_inflated=float(np.sqrt(10.0)), ci95=(8.0, 12.0)
     )
     values = 10.0 + np.linspace(-1.7, 1.7, 100)
-    mean = repeated([dataclasses.replace(one, value=value) for value in values]).parameter
+    mean = repeat([dataclasses.replace(one, value=value) for value in values]).parameter
     assert mean.value == pytest.approx(10.0)
     assert mean.std_error == pytest.approx(0.1)
     assert mean.full_error == pytest.approx(np.sqrt(0.01 + 9.0))
@@ -114,7 +114,7 @@ def test_means_of_repeats_hold_the_truth(rng) -> None:
             )
             for _ in range(4)
         ]
-        low, high = repeated(draws).parameter.ci95 or (0.0, 0.0)
+        low, high = repeat(draws).parameter.ci95 or (0.0, 0.0)
         held += low <= 100 <= high
     assert abs(held / 1500 - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / 1500)
 

@@ -8,7 +8,7 @@ import pytest
 
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import Parameter
-from labpipe.uncertainty.study import Outcome, squared_error, success_rate, summarised, workers
+from labpipe.uncertainty.study import Outcome, squared_error, success_rate, summarise, workers
 
 FIT = FitSettings("mdof", mass=(1.0, 1.0), symmetric=True, name="two")
 TRUTH = {"k_1_1": 3.0, "k_1_2": -2.0, "k_2_1": -2.0, "k_2_2": 4.0}
@@ -53,7 +53,7 @@ def test_success_needs_a_result_within_the_limit() -> None:
 def test_a_case_by_hand() -> None:
     results = [outcome(3.4, -2.0), outcome(2.8, -2.0), outcome(4.2, -2.0)]
     outcomes = [*results, outcome(9.0, -2.0, converged=False, std_error=None), Outcome(False, ())]
-    case = summarised(outcomes, FIT, TRUTH, {"k_1_1": 0.5}, (0.1,), 0.02, 25)
+    case = summarise(outcomes, FIT, TRUTH, {"k_1_1": 0.5}, (0.1,), 0.02, 25)
     assert (case.repeats, case.failed) == (5, 2)
     # Errors 0.16, 0.04, 1.44 and, of the one that did not converge, 36.
     assert case.mean_error == pytest.approx(37.64 / 4) and case.median_error == pytest.approx(0.8)
@@ -68,7 +68,7 @@ def test_a_case_by_hand() -> None:
 
 
 def test_nothing_but_failures() -> None:
-    case = summarised([Outcome(False, ())] * 3, FIT, TRUTH, {}, (0.1,), 0.5, 25)
+    case = summarise([Outcome(False, ())] * 3, FIT, TRUTH, {}, (0.1,), 0.5, 25)
     assert (
         case.failed == 3 and math.isnan(case.mean_error) and case.success == (0.0,) and case.parameters == ()
     )

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from labpipe.distributions import student_quantile
-from labpipe.estimation.derived import Estimated, propagated
+from labpipe.estimation.derived import Estimated, propagate
 from labpipe.estimation.descent import minimise, sum_of_squares
 from labpipe.estimation.draws import drawn_error
 from labpipe.methods.calibration.section import fit_line
@@ -122,7 +122,7 @@ def impedance() -> list[Claim]:
         found.append(
             within(
                 f"u({name}) of correlated readings",
-                propagated(means, slopes[name]),
+                propagate(means, slopes[name]),
                 printed,
                 5e-4,
                 "ohm",

@@ -98,7 +98,7 @@ class BalanceFile:
     prior: Influence | None = None
 
 
-def modelled(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Influence, tuple[str, ...]]:
+def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Influence, tuple[str, ...]]:
     """What a rotor's tests say of these *planes* and *lines* (all there are where none is named), and the
     lines; ConfigError for a result without it, and for names that it does not have.
     """
@@ -164,7 +164,7 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     if settings.model:
         if unit != "m":
             raise ConfigError("a model needs readings of displacement", where=str(path), hint="in um")
-        prior, lines = modelled(path.parent / settings.model, list(planes), lines)
+        prior, lines = model(path.parent / settings.model, list(planes), lines)
     missing = complex(np.nan, np.nan)
     runs = tuple(
         Run(

@@ -221,10 +221,10 @@ def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
     if not np.all(np.isfinite(values)):
         row, column = (int(n) for n in np.argwhere(~np.isfinite(values))[0])
         raise DataError(f"column '{names[column]}' has no number in row {row + 1}")
-    x = _powered(_column(table, settings.x, settings.x_unit, values[:, 0]), settings.x_power)
+    x = _power(_column(table, settings.x, settings.x_unit, values[:, 0]), settings.x_power)
     y = _column(table, settings.y, settings.y_unit, values[:, 1])
     if settings.group:
-        return _grouped(settings, x, y, _column(table, settings.group, "", values[:, 2]))
+        return _group(settings, x, y, _column(table, settings.group, "", values[:, 2]))
     line = fit_line(x.values, y.values, through_origin=settings.through_origin)
     extra: tuple[Parameter, ...] = ()
     if settings.tolerance is not None:
@@ -233,13 +233,13 @@ def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
     return [line_fit(settings.name, "", line, _units(x, y), x.values, y.values, extra)]
 
 
-def _grouped(settings: CalibrationSettings, x: _Column, y: _Column, group: _Column) -> list[Fit]:
+def _group(settings: CalibrationSettings, x: _Column, y: _Column, group: _Column) -> list[Fit]:
     positions = np.unique(group.values)
     fits = []
     for position in positions:
         in_group = group.values == position
         line = fit_line(x.values[in_group], y.values[in_group], through_origin=settings.through_origin)
-        test = f"{settings.group.split(' [')[0]} {_shown(position, group.unit)}"
+        test = f"{settings.group.split(' [')[0]} {_text(position, group.unit)}"
         fits.append(line_fit(settings.name, test, line, _units(x, y), x.values[in_group], y.values[in_group]))
     if settings.tolerance is not None:
         slopes = np.array([fit.parameter("slope").value for fit in fits])
@@ -250,7 +250,7 @@ def _grouped(settings: CalibrationSettings, x: _Column, y: _Column, group: _Colu
     return fits
 
 
-def _shown(position: float, unit: str) -> str:
+def _text(position: float, unit: str) -> str:
     return f"{100 * position:g} %" if unit == "1" else f"{position:g} {unit}"
 
 
@@ -263,7 +263,7 @@ def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column
     return _Column(values * unit.factor + unit.offset, si_name(unit))
 
 
-def _powered(x: _Column, power: int) -> _Column:
+def _power(x: _Column, power: int) -> _Column:
     if power < 1:
         raise ConfigError("'x_power' must be at least 1")
     return x if power == 1 else _Column(x.values**power, x.unit if x.unit == "1" else f"{x.unit}^{power}")

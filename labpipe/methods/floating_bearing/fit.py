@@ -29,7 +29,7 @@ from labpipe.methods.floating_bearing.findings import (
     stator_error,
     whirl_findings,
 )
-from labpipe.methods.floating_bearing.forms import BANDS, FORMS, Form, StiffnessModel, banded
+from labpipe.methods.floating_bearing.forms import BANDS, FORMS, Form, StiffnessModel, banded_form
 from labpipe.methods.floating_bearing.likelihood import (
     Balance,
     ErrorsInVariables,
@@ -136,7 +136,7 @@ def _scale(shown: DynamicStiffness) -> FloatArray:
 
 
 def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
-    form = banded(np.array(shown.bands)) if shown.form == BANDS else FORMS[shown.form]
+    form = banded_form(np.array(shown.bands)) if shown.form == BANDS else FORMS[shown.form]
     return StiffnessModel(form, shown.symmetry)
 
 
@@ -188,7 +188,7 @@ def least_squares(
             raise FitError(
                 f"{design.shape[0]} lines cannot determine the coefficients", hint="widen the band"
             )
-    values, variance = _solved(model, lines.stiffness, designs)
+    values, variance = _solve(model, lines.stiffness, designs)
     covariance = np.zeros((values.size, values.size))
     n_element = model.elements.shape[0]
     numbers = np.arange(values.size).reshape(-1, n_element)
@@ -209,7 +209,7 @@ def _rows_of(model: StiffnessModel, part: int) -> list[int]:
     return [1] if part else [number for number in range(len(model.form.matrices)) if number != 1]
 
 
-def _solved(
+def _solve(
     model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     measured = np.einsum("...ij,cij->...c", stiffness, model.elements)
@@ -229,7 +229,7 @@ def _response(
 ) -> Callable[[ComplexArray], FloatArray]:
     def respond(errors: ComplexArray) -> FloatArray:
         return np.stack(
-            [_solved(model, error.swapaxes(-1, -2) @ lines.inverse, designs)[0] for error in errors]
+            [_solve(model, error.swapaxes(-1, -2) @ lines.inverse, designs)[0] for error in errors]
         )
 
     return respond
@@ -240,7 +240,7 @@ def _response(
 STRONG = 10.0
 
 
-def compared(
+def compare(
     balance: Balance,
     symmetry: str,
     noise: Noise,
@@ -356,8 +356,10 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     error = stator_error(best, balance, noise) if likely else BalanceError(best.covariance)
     of_given = systematic(solved.uncertainties, best.values.size)
     fitted = FittedStiffness(best.model, best.values, best.covariance, error.covariance + of_given, best.dof)
-    shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
-    load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
+    shaft = Shaft(
+        _statement(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness
+    )
+    load = _statement(section.load, spectra, "load", "N") if section.clearance is not None else None
     bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
     main = coefficients(fitted, inflation_factors(best.design))
     others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
@@ -365,7 +367,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     parameters, budget = budgeted(
         (*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof
     )
-    fit = _reported(settings, balance, solved, whole_band, error.named(parameters))
+    fit = _report(settings, balance, solved, whole_band, error.named(parameters))
     smeared = smeared_balance(stator, given, balance)
     stiffness = functools.partial(best.model.stiffness, best.values)
     findings = (
@@ -418,7 +420,7 @@ def _given(settings: FitSettings, stator: Stator) -> Given:
     return given
 
 
-def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
+def _statement(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
     if given is not None or condition not in spectra.conditions:
         return given
     try:
@@ -469,7 +471,7 @@ def _most_likely(
     if not settings.compare:
         return estimate(balance, model, noise, uncertain), ()
     of_form = None if section.form is None else estimate(balance, model, noise, uncertain)
-    candidates, estimates = compared(balance, section.symmetry, noise, section.forms, of_form, uncertain)
+    candidates, estimates = compare(balance, section.symmetry, noise, section.forms, of_form, uncertain)
     if not candidates:
         raise ConfigError(
             "no compared form can be determined by these lines", hint="widen the band", field="forms"
@@ -484,10 +486,10 @@ def _form(section: DynamicStiffnessSettings, omega: FloatArray) -> Form:
     count = (
         BANDS_BY_DEFAULT if section.band_width is None else max(round((high - low) / section.band_width), 1)
     )
-    return banded(np.linspace(low, high, count + 1))
+    return banded_form(np.linspace(low, high, count + 1))
 
 
-def _reported(
+def _report(
     settings: FitSettings,
     balance: Balance,
     solved: Solved,

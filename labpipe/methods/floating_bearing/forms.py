@@ -166,7 +166,7 @@ BANDS = "bands"
 NAMES = (*FORMS, BANDS)
 
 
-def banded(edges: FloatArray) -> Form:
+def banded_form(edges: FloatArray) -> Form:
     """K and C with values of their own in every band between neighbouring *edges* (n_band + 1,) [Hz]."""
     numbers = range(1, edges.size)
     if len(numbers) > MOST_BANDS:

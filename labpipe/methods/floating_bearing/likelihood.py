@@ -82,7 +82,7 @@ def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
     )
 
 
-def whitened(balance: Balance, stiffness: ComplexArray) -> Whitened:
+def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
     """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m].
 
     Equation (ds-residual).
@@ -117,7 +117,7 @@ class ErrorsInVariables:
         key = parameters.tobytes()
         if self._at is None or self._at[0] != key:
             with np.errstate(all="ignore"):
-                self._at = key, whitened(self.balance, self.model.stiffness(parameters, self.balance.omega))
+                self._at = key, whiten(self.balance, self.model.stiffness(parameters, self.balance.omega))
         return self._at[1]
 
     @property
@@ -178,7 +178,7 @@ def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
     """Values (n_parameter,) [parameter units] to begin with, the most promising first."""
     weights = _weights(balance, model.symmetry)
     grid = model.form.starts(balance.omega)
-    linear, misfit = solved(balance, model, grid, weights)
+    linear, misfit = solve(balance, model, grid, weights)
     order = np.argsort(misfit)[:MOST_DESCENTS]
     return [np.concatenate([linear[number], grid[number]]) for number in order]
 
@@ -191,12 +191,12 @@ def _weights(balance: Balance, symmetry: str) -> Whitened:
     ones = np.ones(balance.right.shape[:2])
     weights = Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
     for _ in range(REWEIGHTED):
-        values = solved(balance, model, np.empty((1, 0)), weights)[0][0]
-        weights = whitened(balance, model.stiffness(values, balance.omega))
+        values = solve(balance, model, np.empty((1, 0)), weights)[0][0]
+        weights = whiten(balance, model.stiffness(values, balance.omega))
     return weights
 
 
-def solved(
+def solve(
     balance: Balance, model: StiffnessModel, grid: FloatArray, weights: Whitened
 ) -> tuple[FloatArray, FloatArray]:
     """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what
@@ -335,7 +335,7 @@ class Noise:
         return f_tail(squares / dof * second / (second - 2), effective, second)
 
 
-def checked(balance: Balance, noise: Noise) -> None:
+def check(balance: Balance, noise: Noise) -> None:
     """FitError for a balance without noise, or whose covariance comes from too few periods."""
     sides = ((balance.motion, balance.motion_covariance), (balance.right, balance.right_covariance))
     if all(
@@ -364,7 +364,7 @@ def estimate(
             f"{balance.n_equation} real equations cannot determine {n} parameters",
             hint="widen the band, or a smaller `form`",
         )
-    checked(balance, noise)
+    check(balance, noise)
     problem = ErrorsInVariables(balance, model)
     begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
     if not begun:

@@ -167,10 +167,10 @@ def given_errors(
             errors.append(
                 (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None])
             )
-    return joined(errors)
+    return join(errors)
 
 
-def joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
+def join(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
     """Errors (..., n_line, n_run, n) [N] of one source added with their signs, each source once."""
     sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
     for uncertainty, error in errors:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, times, whitened
+from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, times, whiten
 from labpipe.records.fit_details import OtherExcitation
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
@@ -232,7 +232,7 @@ def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStif
     stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the course between the two
     lines of a pair: H is the model in their middle and what both lines leave.
     """
-    state = whitened(balance, stiffness)
+    state = whiten(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
     residual = balance.right - times(stiffness[:, None], balance.motion)
     motion, omega = balance.motion, balance.omega

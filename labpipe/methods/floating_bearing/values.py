@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.estimation import statistics
 from labpipe.estimation.derived import without_intervals
-from labpipe.estimation.statistics import derived, estimated, student_limit, widened
+from labpipe.estimation.statistics import derive, estimated, student_limit, widen
 from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, StiffnessModel
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import GivenUncertainty
@@ -287,16 +287,16 @@ def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]
     """
     model = found.model
     plain = [
-        _estimated(found, number, name, unit, float(vif))
+        _estimate(found, number, name, unit, float(vif))
         for number, (name, unit, vif) in enumerate(
             zip(model.names[: model.n_linear], model.units, vifs, strict=False)
         )
     ]
     shaped = [_shape(found, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
-    return (*plain, *shaped, *(_tied(valued) for valued in plain if model.symmetry == "seal"))
+    return (*plain, *shaped, *(_tie(valued) for valued in plain if model.symmetry == "seal"))
 
 
-def _estimated(found: FittedStiffness, number: int, name: str, unit: str, vif: float) -> Valued:
+def _estimate(found: FittedStiffness, number: int, name: str, unit: str, vif: float) -> Valued:
     noise, whole = (float(np.sqrt(matrix[number, number])) for matrix in (found.noise, found.whole))
     shown = _wide(estimated(name, unit, float(found.values[number]), noise, found.dof, vif), noise, whole)
     return Valued(shown, np.eye(found.values.size)[number])
@@ -304,7 +304,7 @@ def _estimated(found: FittedStiffness, number: int, name: str, unit: str, vif: f
 
 def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
     """The interval and significance by the whole standard error."""
-    return widened(parameter, whole / noise) if noise > 0 and whole > SAME * noise else parameter
+    return widen(parameter, whole / noise) if noise > 0 and whole > SAME * noise else parameter
 
 
 def _shape(found: FittedStiffness, number: int, vif: float) -> Valued:
@@ -325,7 +325,7 @@ def _finite(low: float, high: float) -> tuple[float, float] | None:
     return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else None
 
 
-def _tied(valued: Valued) -> Valued:
+def _tie(valued: Valued) -> Valued:
     parameter = valued.parameter
     parts = parameter.name.split("_")
     place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
@@ -363,7 +363,7 @@ def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -
     ratio = np.sqrt(turning.square) / speed
     slopes = turning.slopes / (2 * np.sqrt(turning.square) * speed)
     ends = [float(np.sqrt(max(end, 0.0)) / speed) for end in turning.interval]
-    values = [_derived(found, "whirl_frequency_ratio", "1", float(ratio), slopes, _finite(ends[0], ends[1]))]
+    values = [_derive(found, "whirl_frequency_ratio", "1", float(ratio), slopes, _finite(ends[0], ends[1]))]
     if shaft.rotor_mass is not None and turning.stiffness > 0:
         values.append(_onset(found, turning, shaft, float(ratio), slopes))
     return values
@@ -386,15 +386,15 @@ def _onset(
     reach = LIMIT * whole / value
     interval = _finite(float(value * np.exp(-reach)), float(value * np.exp(reach)))
     noise = found.error(slopes, whole=False)
-    plain = derived("onset_speed", "Hz", float(value), noise, found.dof)
-    return Valued(replace(plain, ci95=interval, std_error_inflated=_inflated(noise, whole)), slopes)
+    plain = derive("onset_speed", "Hz", float(value), noise, found.dof)
+    return Valued(replace(plain, ci95=interval, std_error_inflated=_inflate(noise, whole)), slopes)
 
 
-def _inflated(noise: float, whole: float) -> float | None:
+def _inflate(noise: float, whole: float) -> float | None:
     return whole if whole > SAME * noise else None
 
 
-def _derived(
+def _derive(
     found: FittedStiffness,
     name: str,
     unit: str,
@@ -404,9 +404,7 @@ def _derived(
 ) -> Valued:
     noise, whole = found.error(slopes, whole=False), found.error(slopes, whole=True)
     shown = replace(
-        derived(name, unit, value, noise, found.dof),
-        ci95=interval,
-        std_error_inflated=_inflated(noise, whole),
+        derive(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflate(noise, whole)
     )
     return Valued(shown, slopes)
 
@@ -421,7 +419,7 @@ def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[
     low, high = (to_hertz * end for end in found_at.interval)
     value = to_hertz * found_at.omega
     return [
-        _derived(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))
+        _derive(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))
     ]
 
 
@@ -446,7 +444,7 @@ def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> lis
                 whole = found.error(change, whole=True)
                 reach = student_limit(found.dof) * whole
                 values.append(
-                    _derived(
+                    _derive(
                         found,
                         f"{letter}_{row}{column}_synchronous",
                         unit,
@@ -483,7 +481,7 @@ def dimensionless(
         return ()
     omega = 2 * np.pi * abs(speed)
     scaled = [
-        _scaled(valued, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
+        _scale(valued, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
         for valued in coefficients
         if (letter := valued.parameter.name.split("_")[0]) in LETTERS
         and len(valued.parameter.name) == len("k_xx")
@@ -492,7 +490,7 @@ def dimensionless(
     return (*scaled, *(Valued(parameter, np.zeros_like(coefficients[0].slopes)) for parameter in number))
 
 
-def _scaled(valued: Valued, factor: float) -> Valued:
+def _scale(valued: Valued, factor: float) -> Valued:
     parameter = valued.parameter
     interval = None if parameter.ci95 is None else (factor * parameter.ci95[0], factor * parameter.ci95[1])
     errors = [

@@ -19,7 +19,7 @@ from labpipe.methods.journal_bearing.film import (
     Film,
     FilmMesh,
     band_room,
-    factored,
+    factorise,
     film_equations,
     interpolation,
 )
@@ -85,12 +85,12 @@ def film_equilibrium(
         try:
             start = _start_near(film, load, near)
             return replace(
-                _balanced(film, load, start.displacement, start.pressure, tolerance), coarse=start.coarse
+                _balance(film, load, start.displacement, start.pressure, tolerance), coarse=start.coarse
             )
         except FitError:
             pass
     displacement, pressure, coarse = _first_guess(film, load)
-    return replace(_balanced(film, load, displacement, pressure, tolerance), coarse=coarse)
+    return replace(_balance(film, load, displacement, pressure, tolerance), coarse=coarse)
 
 
 def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
@@ -124,26 +124,26 @@ def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, 
 def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
     try:
         displacement, pressure, coarse = _first_guess(film, load)
-        return replace(_balanced(film, load, displacement, pressure, ROUGH_TOLERANCE), coarse=coarse)
+        return replace(_balance(film, load, displacement, pressure, ROUGH_TOLERANCE), coarse=coarse)
     except FitError:
         if halvings == 0:
             raise
     lighter = _rough_state(film, load / 2, halvings - 1)
-    return _balanced(film, load, lighter.displacement, lighter.pressure, ROUGH_TOLERANCE)
+    return _balance(film, load, lighter.displacement, lighter.pressure, ROUGH_TOLERANCE)
 
 
 def _ambient(film: Film) -> FloatArray:
     return np.zeros((film.mesh.around, film.mesh.across // 2))
 
 
-def _balanced(
+def _balance(
     film: Film, load: FloatArray, displacement: FloatArray, pressure: FloatArray, tolerance: float
 ) -> FilmState:
     still = np.zeros(2)
     room, squeeze, weight = band_room(film.mesh), _squeeze(film), film.mesh.arc * film.mesh.strip / 2
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, still, pressure)
-        factors = factored(equations, film.grid.curvature, room)
+        factors = factorise(equations, film.grid.curvature, room)
         # The weights of the force are those of the squeeze term, and A is symmetric: W A^-1 b = (A^-1 W)^T b,
         # for every b.
         squeezed = factors.solve(squeeze)
@@ -185,7 +185,7 @@ def film_at(
     room, pressure = band_room(film.mesh), _ambient(film) if near is None else near.pressure
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, velocity, pressure)
-        factors = factored(equations, film.grid.curvature, room)
+        factors = factorise(equations, film.grid.curvature, room)
         changes = -factors.solve(np.concatenate([equations.residual[None], equations.by_displacement]))
         pressure = pressure + changes[0]
         if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):

@@ -305,7 +305,7 @@ def journal_table(
             rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
     else:
         rows = [_sheet(sheet) for sheet in sheets]
-    return _fitted(bearing, load, nodes, np.array(rows))
+    return _fit(bearing, load, nodes, np.array(rows))
 
 
 @dataclass(frozen=True)
@@ -372,7 +372,7 @@ def _start(
     return here[-1].moved(before[number - 1], before[number])
 
 
-def _fitted(
+def _fit(
     bearing: JournalBearing, load: tuple[float, float], nodes: tuple[FloatArray, ...], values: FloatArray
 ) -> JournalTable:
     """Splines through *values* (n_depth, n_angle, n_sommerfeld, n_cavitation, 8), reflected at zero depth."""

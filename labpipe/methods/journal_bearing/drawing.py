@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.bearings.kinds import PressureField
-from labpipe.document.charts import PALETTE, styled
+from labpipe.document.charts import PALETTE, style
 
 BAR, MM, UM = 1e-5, 1e3, 1e6
 N_CONTOUR = 14
@@ -25,7 +25,7 @@ def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
     """
     order = np.argsort(np.mod(film.theta, 2 * np.pi))
     angle, pressure = np.degrees(np.mod(film.theta[order], 2 * np.pi)), BAR * film.pressure[order]
-    with styled(grid=False):
+    with style(grid=False):
         canvas = Canvas(figsize=size, layout="constrained")
         field, middle = canvas.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         filled = field.contourf(angle, MM * film.axial, pressure.T, contour_levels(pressure), cmap="cividis")

@@ -395,7 +395,7 @@ def band_room(mesh: FilmMesh) -> FloatArray:
     return np.empty(mesh.around * n_half * (n_half + 1))
 
 
-def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) -> FactoredFilm:
+def factorise(equations: FilmEquations, curvature: FloatArray, room: FloatArray) -> FactoredFilm:
     """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not
     positive definite.
 

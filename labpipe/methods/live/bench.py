@@ -15,7 +15,7 @@ from numpy.linalg import LinAlgError
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
-from labpipe.estimation.damping import damped
+from labpipe.estimation.damping import damp
 from labpipe.estimation.derived import reported_parameters
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.linear_models import form_view
@@ -75,7 +75,7 @@ class FollowedFit:
         rows = chosen_ports(layout.outputs, settings.output, "response")
         columns = chosen_ports(layout.inputs, settings.input, "force")
         self.settings, self.setup = settings, _setup(settings, layout)
-        model = damped(settings.kind.model(self.setup), settings)
+        model = damp(settings.kind.model(self.setup), settings)
         assert isinstance(model, DynamicModel)
         ports = [*rows, *(len(layout.outputs) + column for column in columns)]
         places = (*layout.output_columns[0], *layout.input_columns[0])
@@ -281,7 +281,7 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     setup = _setup(settings, layout_of(channels, rate))
     if settings.mass == ESTIMATE and settings.kind.one_frf and transfer_of(setup):
         return "a transfer FRF of unknown mass tells its coefficients by all lines alone"
-    if not isinstance(damped(settings.kind.model(setup), settings), DynamicModel):
+    if not isinstance(damp(settings.kind.model(setup), settings), DynamicModel):
         return f"`damping: {settings.damping}` is not linear in its parameters"
     return ""
 
@@ -347,12 +347,12 @@ class Bench(Watch):
         for average in self.cutter.add(block):
             self._last_start = average.start
             levels = {c.name: float(size) for c, size in zip(self.channels, average.peaks, strict=True)}
-            update = replace(self._taken(average), levels=levels)
+            update = replace(self._take(average), levels=levels)
             self.keep(update)
             made.append(update)
         return made
 
-    def _taken(self, average: Average) -> Update:
+    def _take(self, average: Average) -> Update:
         event = f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s"
         fault = average.fault
         if not fault and not self.fits:

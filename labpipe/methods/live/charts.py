@@ -142,7 +142,7 @@ class Charts:
         energy = np.sum(of_energy * np.sum((residual.conj() * scaled_residual).real, axis=2))
         return whitened, float(energy / residual.size)
 
-    def _scored(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[list[float], list[float], bool]:
+    def _score(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[list[float], list[float], bool]:
         """Values and normal scores of the energy and coefficients of *z*, and whether it is a jump."""
         number, n_parameter = sums.n + 1, len(self._scores)
         whitened, energy = self.monitors(z, sums, before)
@@ -163,14 +163,14 @@ class Charts:
 
     def jumps(self, z: ComplexArray, sums: Sums, others: Estimate) -> bool:
         """Whether *z* (n_line, n_experiment, n_channel) [units of channels] disagrees with the *others*."""
-        return self._scored(z, sums, others)[2]
+        return self._score(z, sums, others)[2]
 
     def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
         """The verdict on the next average *z* (n_line, n_experiment, n_channel), its force of *level* [N]."""
         number = sums.n + 1
         if number < 3:
             return Verdict()
-        values, scores, jump = self._scored(z, sums, before)
+        values, scores, jump = self._score(z, sums, before)
         if jump:
             return Verdict(jump=True)
         for series, value, score in zip(self._all, values, scores, strict=True):

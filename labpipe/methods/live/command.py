@@ -95,7 +95,7 @@ def live(
     path = None if source in (None, "-") else Path(source)
     with options.asked_to_stop() as asked:
         if simulate is not None:
-            stream: Any = _played(simulate, run_name, seed, speed, rig)
+            stream: Any = _play(simulate, run_name, seed, speed, rig)
         elif path is None:
             keep = None if output is None else output / FRAMES
             stream = standard_input(columns_of(rig), keep)
@@ -104,7 +104,7 @@ def live(
         else:
             stream = open_source(path, columns_of(rig))
         session = Session(pipeline, rig, stream, goals, idle, path, stopped=lambda: bool(asked))
-        enough = _followed(session, as_json, page, bell, quiet)
+        enough = _follow(session, as_json, page, bell, quiet)
         if asked and not quiet and not as_json:
             _echo_by_hand(session)
         if output is not None:
@@ -112,7 +112,7 @@ def live(
     return 0 if enough or not goals else 1
 
 
-def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
+def _follow(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
     """Show every update until it is enough; whether it was."""
     with _display(session, as_json, page, quiet) as show:
         last, shown = None, 0.0
@@ -209,7 +209,7 @@ def _echo_by_hand(session: Session) -> None:
             echo(f"  {name}  {low:.6g} ... {high:.6g}")
 
 
-def _played(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
+def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
     """A run of a virtual rig, played in real time."""
     import numpy as np
 

@@ -21,7 +21,7 @@ from labpipe.quantities import to_display
 from labpipe.records.identification import Identification
 from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, setting
-from labpipe.report.chart import Axis, Panel, curve, level, stacked
+from labpipe.report.chart import Axis, Panel, curve, level, stack
 from labpipe.report.document import Block, Figure, Paragraph, Section
 from labpipe.spectra.settings import FrfSettings
 
@@ -110,7 +110,7 @@ def course_figure(coefficients: Sequence[CoefficientCourse]) -> Figure:
     caption = (
         "Coefficients with their 95 % intervals after each average; lines: the goal around the last value."
     )
-    return Figure(stacked(panels, 1.8 * len(panels) + 0.8), caption, "Coefficients over the averages")
+    return Figure(stack(panels, 1.8 * len(panels) + 0.8), caption, "Coefficients over the averages")
 
 
 def run_live(settings: LiveSettings, work: Work) -> Courses:

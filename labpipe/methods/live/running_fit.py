@@ -228,7 +228,7 @@ class RunningFit:
         cold = self.values is None
         start = self._cold(mean, covariance) if self.values is None else self.values
         self.values = self._descend(mean, covariance, start, COLD if cold else WARM)
-        return self._judged(sums.counts, mean, covariance, self.values)
+        return self._judge(sums.counts, mean, covariance, self.values)
 
     def parts(
         self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
@@ -237,11 +237,11 @@ class RunningFit:
         slopes (n_line, n_experiment, n_output, n_parameter) [N per parameter unit] at the likeliest
         amplitudes, and the inverse times these.
         """
-        residual, inverse, multiplier, spread = self._weighted(mean, covariance, values)
+        residual, inverse, multiplier, spread = self._weight(mean, covariance, values)
         slopes = self.equation.slopes(mean - (spread @ multiplier[..., None])[..., 0])
         return residual, inverse, multiplier, slopes, inverse @ slopes
 
-    def _weighted(
+    def _weight(
         self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
     ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """The first three of the *parts*, and the covariance of amplitudes and residual."""
@@ -252,7 +252,7 @@ class RunningFit:
         return residual, inverse, (inverse @ residual[..., None])[..., 0], spread
 
     def _cost(self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray) -> float:
-        residual, _, multiplier, _ = self._weighted(mean, covariance, values)
+        residual, _, multiplier, _ = self._weight(mean, covariance, values)
         return float(np.sum((residual.conj() * multiplier).real))
 
     def _descend(
@@ -288,7 +288,7 @@ class RunningFit:
         design, right = slopes, side
         for number in range(REWEIGHTED):
             if number:
-                inverse = self._weighted(mean, covariance, values)[1]
+                inverse = self._weight(mean, covariance, values)[1]
                 weight = np.linalg.cholesky(inverse).conj().swapaxes(-1, -2)
                 design, right = np.asarray(weight @ slopes), (weight @ side[..., None])[..., 0]
             rows = np.concatenate(
@@ -300,7 +300,7 @@ class RunningFit:
             values = -np.linalg.lstsq(rows / size, sides, rcond=None)[0] / size
         return values
 
-    def _judged(
+    def _judge(
         self, counts: IntArray, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
     ) -> Estimate:
         residual, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)

@@ -112,7 +112,7 @@ class WholeFits(Watch):
             if end > first
         ]
 
-    def _fitted(self, parts: Sequence[Part]) -> tuple[Any, list[Fit]]:
+    def _fit(self, parts: Sequence[Part]) -> tuple[Any, list[Fit]]:
         """What the recordings give, and the fits of it; what has just begun may not do yet."""
         kind = OTHERS.get(self.frf.gives)
         try:
@@ -121,7 +121,7 @@ class WholeFits(Watch):
         except LabpipeError:
             if len(parts) < 2 or sum(part.n_sample for part in parts) < self.n_sample:
                 raise
-        return self._fitted(parts[:-1])
+        return self._fit(parts[:-1])
 
     def look(self) -> list[Update]:
         """An update by all samples so far, none where these were looked at already."""
@@ -130,7 +130,7 @@ class WholeFits(Watch):
             return []
         self._looked_at = self.n_sample
         try:
-            measured, fits = self._fitted(self._parts())
+            measured, fits = self._fit(self._parts())
         except LabpipeError as error:
             update = Update(
                 self.averages,
@@ -209,9 +209,9 @@ class Session:
                     waited = (time.monotonic(), self.n_row)
                     continue
                 rested = 0.0
-                for update in self._taken(rows):
+                for update in self._take(rows):
                     yield replace(update, findings=(*update.findings, *self._behind(*waited)))
-            yield from self._ended()
+            yield from self._end()
         finally:
             for open_one in (self.stream, self.bench):
                 if isinstance(open_one, Frames | WholeFits):
@@ -225,10 +225,10 @@ class Session:
         message = f"the picture is {lag:.0f} s behind the samples; none is lost"
         return [note("behind", message)] if lag > BEHIND else []
 
-    def _taken(self, rows: FloatArray) -> Iterator[Update]:
+    def _take(self, rows: FloatArray) -> Iterator[Update]:
         if self.bench is None:
             self._head.append(rows)
-            if not self._begun():
+            if not self._begin():
                 return
             rows, self._head = np.concatenate(self._head), []
             if self.findings:
@@ -248,7 +248,7 @@ class Session:
                 full = kept.findings(self._rate or 1.0) if kept else []
                 yield replace(update, findings=(*update.findings, *self.findings, *screened, *full))
 
-    def _begun(self) -> bool:
+    def _begin(self) -> bool:
         head = np.concatenate(self._head)
         rate = self.rig.sample_rate or self.stream.sample_rate
         if self.rig.time:
@@ -321,7 +321,7 @@ class Session:
                 self.bench.restart()
             begin = end
 
-    def _ended(self) -> Iterator[Update]:
+    def _end(self) -> Iterator[Update]:
         if self.bench is None:
             raise DataError("the source ended before it held enough samples", hint="is it the right one?")
         if isinstance(self.bench, WholeFits):

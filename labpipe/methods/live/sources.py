@@ -102,7 +102,7 @@ class GrowingText(_Growing):
         if size < self._place:
             # The logger began the file anew.
             self._table, self._place, self._rest, self.restarted = None, 0, b"", True
-        if self._table is None and not self._opened(size):
+        if self._table is None and not self._open(size):
             return self._none
         assert self._table is not None
         with self.path.open("rb") as stream:
@@ -115,7 +115,7 @@ class GrowingText(_Growing):
             return self._none
         return self._table.rows_of(whole + end, self.columns)
 
-    def _opened(self, size: int) -> bool:
+    def _open(self, size: int) -> bool:
         if size < LEAST_TEXT:
             return False
         with self.path.open("rb") as stream:
@@ -168,7 +168,7 @@ class GrowingWav(_Growing):
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
-        if not self._place and not self._opened():
+        if not self._place and not self._open():
             return self._none
         frame = self._kind.itemsize * self._n_track
         n = min((self._size() - self._place) // frame, MOST_ROWS)
@@ -181,7 +181,7 @@ class GrowingWav(_Growing):
         chosen = raw[:, [int(name) - 1 for name in self.columns]].astype(float)
         return chosen / (1.0 if self._kind.kind == "f" else 2.0 ** (8 * self._kind.itemsize - 1))
 
-    def _opened(self) -> bool:
+    def _open(self) -> bool:
         if self._size() < 44:
             return False
         with self.path.open("rb") as stream:

@@ -76,9 +76,9 @@ def levitation_of(
     *names* of the currents and of the displacements, all without names.
     ConfigError for channels that do not pair or whose places are not known, FitError for too few lines.
     """
-    currents = _chosen(spectra, CURRENT, ("input", "output"), names[0], "input")
-    displacements = _chosen(spectra, DISPLACEMENT, ("output",), names[1], "output")
-    displacements = _paired(spectra.channels, currents, displacements)
+    currents = _choose(spectra, CURRENT, ("input", "output"), names[0], "input")
+    displacements = _choose(spectra, DISPLACEMENT, ("output",), names[1], "output")
+    displacements = _pair(spectra.channels, currents, displacements)
     chosen = [spectra.channels[n] for n in currents]
     lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
     if np.count_nonzero(lines) < LEAST_LINES:
@@ -109,7 +109,7 @@ def levitation_of(
     )
 
 
-def _chosen(
+def _choose(
     spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str
 ) -> list[int]:
     columns = [n for role in roles for n in spectra.columns(quantity, role)]
@@ -133,7 +133,7 @@ def _chosen(
     return columns
 
 
-def _paired(channels: Sequence[Channel], currents: Sequence[int], displacements: Sequence[int]) -> list[int]:
+def _pair(channels: Sequence[Channel], currents: Sequence[int], displacements: Sequence[int]) -> list[int]:
     of_dof = {channels[n].dof: n for n in displacements}
     missing = [channels[n] for n in currents if channels[n].dof not in of_dof]
     if missing:

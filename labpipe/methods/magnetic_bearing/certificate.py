@@ -50,7 +50,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     Levitated,
     closed_loop_poles,
     open_loop,
-    sampled,
+    sample,
     sampled_poles,
     unstable_poles,
     zone_of,
@@ -205,7 +205,7 @@ def bent_findings(loop: ClosedLoop) -> list[Finding]:
 
 def loop_poles(plant: Levitated, rate: float | None) -> ComplexArray:
     """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
-    return closed_loop_poles(plant) if rate is None else sampled_poles(sampled(plant, rate), rate)
+    return closed_loop_poles(plant) if rate is None else sampled_poles(sample(plant, rate), rate)
 
 
 def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
@@ -254,12 +254,12 @@ def certificate(
 
     ConfigError for channels and settings that do not fit together, FitError without a covariance.
     """
-    certificate_settings = resolved(settings)
+    certificate_settings = resolve(settings)
     matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
     peaks = _peaks(matrix, response)
     worst = max(peaks, key=lambda peak: peak.value)
     measured_amounts, budget = _measured_amounts(matrix, peaks)
-    model = None if file is None else _fitted(settings, certificate_settings, response, matrix, file)
+    model = None if file is None else _fit(settings, certificate_settings, response, matrix, file)
     limits = [
         _zone_limit(certificate_settings, worst, None if model is None else model.trusted),
         *_decrement_limits(certificate_settings, model),
@@ -337,7 +337,7 @@ def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tup
     return [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
 
 
-def resolved(settings: CompareSettings) -> CertificateSettings:
+def resolve(settings: CompareSettings) -> CertificateSettings:
     own: CertificateSettings = settings.kind_settings
     if own.after:
         return own
@@ -381,7 +381,7 @@ def _measured_amounts(
     return with_budget(amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof)
 
 
-def _fitted(
+def _fit(
     settings: CompareSettings,
     own: CertificateSettings,
     response: FrequencyResponse,

@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.bearing import MAGNETIC, MagneticFile, stability_findings, verdict
-from labpipe.methods.magnetic_bearing.certificate import certificate, resolved
+from labpipe.methods.magnetic_bearing.certificate import certificate, resolve
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings, decrement_certificate
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.loop_fit import (
@@ -70,7 +70,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
     amounts = [
         Parameter(f"share_{letter}{fitted}", _share(of, name), "1", derived=True)
-        for of, fitted in ((bands, ""), (after, "_fitted"))
+        for of, fitted in ((bands, ""), (after, "_fit"))
         if of
         for letter, name in zip(LETTERS, names, strict=True)
     ]
@@ -285,7 +285,7 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
     """The certificate of a closed loop, or of the decrements of a fit."""
     if settings.fit:
         return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
-    certificate_settings = resolved(settings)
+    certificate_settings = resolve(settings)
     tests: list[FrequencyResponse | ChannelSpectra] = [*evidence.responses, *evidence.spectra]
     names = ", ".join(test.name for test in tests if test.name) or f"{len(tests)} without names"
     if certificate_settings.test:

@@ -18,7 +18,7 @@ from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodne
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widened
+from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widen
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.floating_bearing.findings import BalanceError, BalanceMisfit, balance_error, few_averages
 from labpipe.methods.floating_bearing.values import SAME, Valued, as_estimate, budgeted, unconverged
@@ -216,7 +216,7 @@ def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertaint
     return tuple(notes)
 
 
-def drawn(rotor: Levitation, best: MagnetEstimate) -> FittedCurve | None:
+def draw(rotor: Levitation, best: MagnetEstimate) -> FittedCurve | None:
     """Displacement per current, X I^-1 of the runs, against the model; none where a line has too few runs."""
     axes, n = rotor.axes, rotor.n_axis
     currents, motions = (part.swapaxes(-1, -2) for part in (axes[..., :n], axes[..., n:]))
@@ -287,7 +287,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
     error = magnet_error(rotor, best)
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
-    parameters, budget = budgeted(_valued(best, whole), best.uncertainties, best.dof)
+    parameters, budget = budgeted(_values(best, whole), best.uncertainties, best.dof)
     if not best.converged:
         parameters = unconverged(parameters)
     gof = _goodness(rotor, model, best)
@@ -301,7 +301,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *few_averages(noise_of(rotor)),
         *spectra.findings,
     )
-    curve = drawn(rotor, best)
+    curve = draw(rotor, best)
     plant = (
         None
         if curve is None
@@ -354,13 +354,13 @@ def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -
     return mass_matrix(rotor.currents, rotor.planes, mass, own)
 
 
-def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
+def _values(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
     vifs = inflation_factors(best.design)
     parameters = []
     for place, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):
         noise, full = (float(np.sqrt(matrix[place, place])) for matrix in (best.covariance, whole))
         plain = estimated(name, unit, float(best.values[place]), noise, best.dof, float(vifs[place]))
-        shown: Parameter = widened(plain, full / noise) if noise > 0 and full > SAME * noise else plain
+        shown: Parameter = widen(plain, full / noise) if noise > 0 and full > SAME * noise else plain
         parameters.append(Valued(shown, np.eye(best.values.size)[place]))
     return parameters
 
@@ -474,7 +474,7 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
             key=lambda pair: pair[0].bic or 0.0,
         )
         candidates = tuple(candidate for candidate, _ in pairs) if block_settings.order == AUTO else ()
-        fits.append(_reported(measured, response, settings, *pairs[0][1], candidates))
+        fits.append(_report(measured, response, settings, *pairs[0][1], candidates))
     return tuple(fits)
 
 
@@ -502,7 +502,7 @@ def _candidate(measured: Measured, problem: _Problem, minimum: Minimum) -> Candi
     return Candidate(f"order {problem.block.order}", n, squares, dof, squares + 2 * n, bic=bic, chi2_p=chi2_p)
 
 
-def _reported(
+def _report(
     measured: Measured,
     response: FrequencyResponse,
     settings: FitSettings,
@@ -528,7 +528,7 @@ def _reported(
         estimated(name, unit, float(value), float(error), best.dof, float(vif))
         for (name, unit), value, error, vif in zip(problem.block.names, values, errors, vifs, strict=True)
     ]
-    parameters = [widened(parameter, factor) if factor > 1 else parameter for parameter in plain]
+    parameters = [widen(parameter, factor) if factor > 1 else parameter for parameter in plain]
     as_estimate = Estimate(
         values=values,
         covariance=covariance,

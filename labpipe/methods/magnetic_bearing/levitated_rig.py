@@ -51,20 +51,20 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
     angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
     shape = ((length + 1), len(rig.labels))
     added, push = (
-        _injected(rig, name, length, rng),
+        _injection(rig, name, length, rng),
         (_random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)),
     )
     seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(
         rig, angle[:-1]
     )
     signals = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
-    fine = _logged(rig, np.hstack([signals.current, signals.motion]), BETWEEN, n_sample)
+    fine = _log(rig, np.hstack([signals.current, signals.motion]), BETWEEN, n_sample)
     coarse: list[FloatArray] = [seen]
     if rig.output_recorded:
         coarse.append(signals.output)
     if name != REST:
         coarse.append(push[:-1] if name == SHAKER else added)
-    plain = _logged(rig, np.hstack(coarse), 1, n_sample)
+    plain = _log(rig, np.hstack(coarse), 1, n_sample)
     samples = np.hstack([fine, plain[:, n_axis:]])
     samples[:, n_axis : 2 * n_axis] += plain[:, :n_axis]
     channels = _channels(rig, name)
@@ -103,7 +103,7 @@ def _inputs(
     return np.hstack([forces[:-1], forces[1:], seen, at_input, at_output])
 
 
-def _injected(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
+def _injection(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
     n_axis, injection = len(rig.labels), rig.injection
     added = np.zeros((length, n_axis))
     level = injection.rms * (injection.per_ampere if injection.place == "input" else 1.0)
@@ -142,7 +142,7 @@ def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
     return seen
 
 
-def _logged(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -> FloatArray:
+def _log(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -> FloatArray:
     """Signals known *per_step* times in a step of the controller, as a logger stores them: all channels by
     one filter without delay.
     """

@@ -20,7 +20,7 @@ from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
 from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows
-from labpipe.methods.floating_bearing.settings import given_uncertainties, joined, response_of
+from labpipe.methods.floating_bearing.settings import given_uncertainties, join, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
@@ -228,7 +228,7 @@ def magnet_estimate(
         response_of(problem.at(best.values).whiten, jacobian),
     )
     if errors:
-        squares -= _explained(problem, best.values, jacobian, uncertainties, errors, noise.excess)
+        squares -= _explained_part(problem, best.values, jacobian, uncertainties, errors, noise.excess)
     information = inverse_information(jacobian)
     return MagnetEstimate(
         model=model,
@@ -276,10 +276,10 @@ def errors_by_given(
             errors.append(
                 (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error)
             )
-    return joined(errors)
+    return join(errors)
 
 
-def _explained(
+def _explained_part(
     problem: MagnetLikelihood,
     values: FloatArray,
     jacobian: FloatArray,
@@ -313,16 +313,16 @@ class LateLikelihood(MagnetLikelihood):
         """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at values (n_parameter + 1,)
         [parameter units, s]. Equation (mag-late).
         """
-        return np.asarray(super().rows(values[:-1]) * self._turned(values[-1]))
+        return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
 
     def slopes(self, values: FloatArray) -> ComplexArray:
         """Its derivatives (n_parameter + 1, n_line, n, n_channel) [N per SI unit of the channel and parameter
         unit] there, the last one by s.
         """
         turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
-        return np.concatenate([super().slopes(values[:-1]) * self._turned(values[-1]), turned[None]])
+        return np.concatenate([super().slopes(values[:-1]) * self._turn(values[-1]), turned[None]])
 
-    def _turned(self, delay: float) -> ComplexArray:
+    def _turn(self, delay: float) -> ComplexArray:
         return np.where(self._late, np.exp(1j * self.rotor.omega[:, None, None] * delay), 1.0)
 
     def best_of_grid(self, values: FloatArray) -> tuple[float, FloatArray]:

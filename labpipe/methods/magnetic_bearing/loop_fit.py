@@ -304,12 +304,12 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     if not free.any():
         return _loop_fit(problem, Minimum(start, True, 0))
     if free.all():
-        return _loop_fit(problem, _settled(problem, along_the_edge(problem, minimise(problem, start))))
+        return _loop_fit(problem, _settle(problem, along_the_edge(problem, minimise(problem, start))))
     end = minimise(held, start[free])
     return _loop_fit(problem, replace(end, values=held.whole(end.values)))
 
 
-def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
+def _settle(problem: LoopProblem, minimum: Minimum) -> Minimum:
     """Converged as well where the descent ended within SETTLED standard errors.
 
     The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square
@@ -334,7 +334,7 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
         observation.measured.n_equation - observation.nuisance for observation in problem.observations
     )
     dof = equations - len(problem.unknowns)
-    uncertainty = weight_uncertainty(_weighed(problem.observations[0]), dof)
+    uncertainty = weight_uncertainty(_weigh(problem.observations[0]), dof)
     at_end = LoopMinimum.of(problem, minimum.values)
     reduced = at_end.chi2(uncertainty.excess) / dof
     lines = sum(observation.measured.omega.size for observation in problem.observations)
@@ -417,7 +417,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
     if curved and max(size for _, size in bent) > CURVED:
         parameters = tuple(
-            _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero))
+            _curve(parameter, at_end, number, inflation, limit, bool(fit.at_zero))
             for number, parameter in enumerate(parameters)
         )
     parameters = tuple(replace(one, at_bound=True) if one.name in fit.at_zero else one for one in parameters)
@@ -426,7 +426,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     )
 
 
-def _curved(
+def _curve(
     parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool
 ) -> Parameter:
     factor = parameter.coverage_factor or limit
@@ -446,7 +446,7 @@ def _curved(
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
 
 
-def _weighed(observation: LoopObservation) -> Measured:
+def _weigh(observation: LoopObservation) -> Measured:
     """The measurement with as many outputs as count: a complex unknown of every line takes one of them."""
     taken = observation.nuisance // (2 * observation.measured.omega.size)
     return (

@@ -19,7 +19,7 @@ from labpipe.estimation.measured import (
     matrix_errors,
     measured_part,
     select_ports,
-    turned,
+    turn,
 )
 from labpipe.estimation.settings import MODELS, FitSettings, Support, model_kind
 from labpipe.estimation.weights import whitened, whitener
@@ -160,7 +160,7 @@ def response_errors(
     )
 
 
-def merged(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
+def merge(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
     """The errors with those of one source added up."""
     by_source: dict[str, MatrixError] = {}
     for error in errors:
@@ -290,7 +290,7 @@ class LoopProblem:
         for observation, weight in zip(self.observations, self.weights, strict=True):
             errors = {
                 error.uncertainty.source: error
-                for error in merged(observation.errors(*self._at(observation, u)))
+                for error in merge(observation.errors(*self._at(observation, u)))
             }
             nothing = np.zeros(observation.measured.n_equation)
             parts.append(
@@ -455,7 +455,7 @@ def view_errors(
                 mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2
             )
         )
-    return merged(errors)
+    return merge(errors)
 
 
 def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[MatrixError]:
@@ -467,7 +467,7 @@ def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[Matri
         for error in _uncertainties_of_direction(port):
             if across is not None and np.any(across[number]):
                 yield MatrixError(
-                    error, error.std_error * turned(measured.matrix, number, across, of_forces=False)
+                    error, error.std_error * turn(measured.matrix, number, across, of_forces=False)
                 )
             else:
                 yield MatrixError(error, error.std_error * _sines(measured, port) / total)

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.records.fit_details import FitDetailKind, RobustPlant
 from labpipe.records.identification import Fit
-from labpipe.report.chart import PALETTE_SIZE, Axis, Series, curve, stacked
+from labpipe.report.chart import PALETTE_SIZE, Axis, Series, curve, stack
 from labpipe.report.document import Block, Figure, Paragraph
 from labpipe.report.figures import over_frequency
 from labpipe.report.wording import fit_title
@@ -45,7 +45,7 @@ def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
     )
     return [
         Paragraph(sentence, "note"),
-        Figure(stacked(panels, 5.0), caption, f"Nominal plant of {fit_title(fit)} with its band"),
+        Figure(stack(panels, 5.0), caption, f"Nominal plant of {fit_title(fit)} with its band"),
     ]
 
 

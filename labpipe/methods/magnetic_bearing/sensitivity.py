@@ -23,7 +23,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 )
 from labpipe.methods.magnetic_bearing.loop_problem import (
     LoopObservation,
-    merged,
+    merge,
     response_errors,
     with_unknowns,
 )
@@ -426,7 +426,7 @@ def _errors(
             factor.source, Uncertainty(factor.source, factor.std_error, factor.unit)
         )
         errors.append(MatrixError(uncertainty, change))
-    return merged(errors)
+    return merge(errors)
 
 
 def _port(spectra: ChannelSpectra, number: int) -> Port:

@@ -123,7 +123,7 @@ def _polynomials(blocks: Sequence[ControllerBlock], time: float) -> tuple[Polyno
     return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
 
 
-def sampled(plant: Levitated, rate: float) -> FloatArray:
+def sample(plant: Levitated, rate: float) -> FloatArray:
     """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the
     controller is a matrix.
     """
@@ -138,7 +138,7 @@ def closed_loop_poles(plant: Levitated) -> ComplexArray:
     """
     rate = plant.loop.rate
     if rate is not None:
-        return ordered_poles(sampled_poles(sampled(plant, rate), rate))
+        return ordered_poles(sampled_poles(sample(plant, rate), rate))
     time = 1e-3
     return ordered_poles(np.asarray(characteristic_polynomial(plant, time).roots(), np.complex128) / time)
 
@@ -168,7 +168,7 @@ def unstable_poles(plant: Levitated) -> int:
     """
     loop = plant.loop
     if loop.rate is not None:
-        return int(np.sum(np.abs(np.linalg.eigvals(sampled(plant, loop.rate))) > 1 + MARGINAL))
+        return int(np.sum(np.abs(np.linalg.eigvals(sample(plant, loop.rate))) > 1 + MARGINAL))
     omega = 2 * np.pi * np.geomspace(*TURNING)
     dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega) - plant.mass * omega[
         :, None, None

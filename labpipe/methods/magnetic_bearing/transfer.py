@@ -204,10 +204,10 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
         markov[first] * size * unit ** (first - 1),
         rate,
     )
-    return _confirmed(transfer, (a, b, c, d), unit)
+    return _confirm(transfer, (a, b, c, d), unit)
 
 
-def _confirmed(
+def _confirm(
     found: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float
 ) -> Transfer:
     a, b, c, d = system

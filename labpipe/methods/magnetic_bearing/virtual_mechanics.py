@@ -136,7 +136,7 @@ def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexAr
     return levitation.bearings * LEVITATION_LAWS[levitation.law](levitation, omega)
 
 
-def levitated(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
+def levitated_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
     """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m].
     Equation (sim-levitated).
     """
@@ -144,6 +144,6 @@ def levitated(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
     return pedestal + levitation_stiffness(rig.levitation, omega)
 
 
-def coupled(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
+def coupled_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
     """Dynamic stiffness matrix of the cross-coupled support, (n_line, 2, 2) [N/m]."""
     return linear.dynamic_stiffness(rig.rotor_mass * np.eye(2), COUPLED_STIFFNESS, COUPLED_DAMPING, omega)

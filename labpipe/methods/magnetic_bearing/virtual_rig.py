@@ -56,7 +56,7 @@ UNBALANCE = {"front": (15e-6, 0.0), "rear": (9e-6, 1.2)}
 AXIAL_SHARE = 0.15
 
 
-def suspended(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
+def suspension(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
     """Pedestal and rotor on all bearings in one direction.
 
     The bias field is that of the rig's own loop, whatever gains *loop* has.
@@ -85,7 +85,7 @@ def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
 def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods."""
     loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
-    plant = suspended(rig, loop)
+    plant = suspension(rig, loop)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     periods, rate = 1 + PERIODS, 2000.0
     closed = sampled_loop(plant)
@@ -97,7 +97,7 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     ) * np.cos(np.pi / 4)
     noise = _probe_noise(rig, rate, (length, 2), rng)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
-    signals = _logged(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
+    signals = _log(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
     shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
     channels = [Channel("f", "force", "input", "45 deg", np.pi / 4)]
     columns: list[FloatArray] = [shaker]
@@ -144,7 +144,7 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> S
         _hover_force(rig, plant, (length + 1, 1), rng), _probe_noise(rig, rate, (length, 1), rng)
     )
     inputs[:, 0, 3] = np.resize(added.samples(CONTROL_RATE, 1), length)
-    signals = _logged(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
+    signals = _log(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
     reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
     channels = [Channel("e", "voltage", "input", "e")]
     channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
@@ -179,9 +179,7 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         _inputs(axial_force[:, None], _probe_noise(rig, rate, (length, 1), rng))
     )
     n_sample = round(duration * rate)
-    displacements = _logged(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[
-        :, :, READING
-    ]
+    displacements = _log(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[:, :, READING]
     tacho = pulses(angle[: length : round(CONTROL_RATE / rate)][:n_sample])
     labels = [*(f"{end}.{dof}" for end in UNBALANCE for dof in "xy"), "z"]
     channels = [Channel(label, "displacement", "output", label) for label in labels]
@@ -242,7 +240,7 @@ def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) ->
     return np.asarray(signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
 
 
-def _logged(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
+def _log(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
     from scipy import signal
 
     return signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
@@ -401,7 +399,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = linear.line_frequencies(force)
-    receptance = np.cos(np.pi / 4) / mechanics.levitated(rig, omega)
+    receptance = np.cos(np.pi / 4) / mechanics.levitated_stiffness(rig, omega)
     timing = Timing(2000.0, 1.0, 1)
     clean = linear.steady_state(force, receptance, timing.n_sample, timing.periods)
     clean = clean + linear.free_decay(clean, timing.sample_rate, 70.0, 0.2)
@@ -442,7 +440,7 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     column = "xy".index(dof)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = linear.line_frequencies(force)
-    receptance = np.linalg.inv(mechanics.coupled(rig, omega))[:, :, column]
+    receptance = np.linalg.inv(mechanics.coupled_stiffness(rig, omega))[:, :, column]
     timing = Timing(2000.0, 1.0, 1)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for row in range(2):
@@ -498,7 +496,7 @@ RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], Simulat
 }
 
 
-def logged(recording: Recording) -> LoggedTable:
+def log_table(recording: Recording) -> LoggedTable:
     """A run as the logger stores it: short runs as text, runs under the control loop as whole numbers."""
     if recording.name in LOOP_RUNS:
         return whole_numbers(recording)
@@ -531,7 +529,7 @@ MAGNETIC_RIG = kind_of_tests(
     runs=run_names,
     usual=usual_runs,
     tests=simulate,
-    logged=logged,
+    logged=log_table,
     parameters=_parameters,
     std_errors=_std_errors,
 )

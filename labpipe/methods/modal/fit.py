@@ -34,14 +34,14 @@ from labpipe.methods.modal.model_error import (
     with_model_errors,
     with_window,
 )
-from labpipe.methods.modal.moved import MovedMode, aligned, aligned_measured, with_moved_modes
+from labpipe.methods.modal.moved import MovedMode, aligned_measured, alignment, with_moved_modes
 from labpipe.methods.modal.poles import (
     Completed,
     Diagram,
     LineNoise,
     NormalEquations,
     Poles,
-    completed,
+    complete,
     damping_ratio,
     kept_modes,
     nearest_modes,
@@ -312,14 +312,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
     # need.
     line_noise = LineNoise(response.line_correlation)
-    whole = completed(sides.lines, refined, terms, line_noise, adding=not modal.poles)
+    whole = complete(sides.lines, refined, terms, line_noise, adding=not modal.poles)
     sides, whole, moved, loaded = _at_mean_poles(sides, whole, line_noise, modal)
     if real := modal.shapes == "real":
         whole = with_real_modes(sides.lines, whole, line_noise)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
-    fit = _reported(settings, band, sides, whole, estimate, beyond, moved)
+    fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     if not (has_noise(sides.measured) or response.line_correlation):
         narrow = narrow_modes(estimate.refined, sides.lines)
@@ -362,7 +362,7 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
 
 def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
-    turned = _turned(measured) if forces_move else measured
+    turned = _turn(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
     lines = Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor), hysteretic)
@@ -386,7 +386,7 @@ def _beyond(
     )
     lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
     measured = measured_part(response, rows, columns, lines)
-    return _turned(measured) if sides.forces_move else measured
+    return _turn(measured) if sides.forces_move else measured
 
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
@@ -400,7 +400,7 @@ def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
     return np.asarray(1 / np.sqrt(np.mean(variance / np.mean(variance, axis=0), axis=1)))
 
 
-def _turned(measured: Measured) -> Measured:
+def _turn(measured: Measured) -> Measured:
     """Outputs and inputs exchanged: a linear structure answers alike (Maxwell and Betti)."""
     _, n_output, n_input = measured.matrix.shape
     order = np.arange(n_output * n_input).reshape(n_output, n_input).T.ravel()
@@ -475,7 +475,7 @@ def _sources(
     return [*of_matrix, *mass_source(parameters(estimate.refined), settings)]
 
 
-def _reported(
+def _report(
     settings: FitSettings,
     band: tuple[float, float],
     sides: _Sides,
@@ -542,7 +542,7 @@ def _curve(
 ) -> FittedCurve:
     measured = sides.measured
     frequency = measured.omega / (2 * np.pi)
-    away = aligned(1j * measured.omega, moved)
+    away = alignment(1j * measured.omega, moved)
     fitted, outputs, inputs = estimate.fitted - away, measured.outputs, measured.inputs
     factor = receptance_factor(form, frequency)[:, None, None]
     variance = None

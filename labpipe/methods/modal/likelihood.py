@@ -182,14 +182,14 @@ def refine(
         step, std_errors = state.step()
         if np.all(np.abs(step) <= NEGLIGIBLE * std_errors):
             return state.result(True, steps)
-        moved = _moved(state, step)
+        moved = _move(state, step)
         if moved is None:
             return state.result(bool(np.all(np.abs(step) <= NEAR * std_errors)), steps)
         state = moved.with_noise()
     return state.result(False, most_steps)
 
 
-def _moved(state: _State, step: FloatArray) -> _State | None:
+def _move(state: _State, step: FloatArray) -> _State | None:
     before = state.chi2
     for halving in range(MOST_HALVINGS):
         other = state.after(step / 2**halving)
@@ -353,11 +353,11 @@ def _shape_columns(participation: ComplexArray) -> FloatArray:
     n_mode, n_input = participation.shape
     columns = np.zeros((n_input, 2 * n_mode, 2 * n_mode))
     for mode in range(n_mode):
-        columns[:, 2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2] = _turned(participation[mode])
+        columns[:, 2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2] = _turn(participation[mode])
     return columns
 
 
-def _turned(factor: ComplexArray) -> FloatArray:
+def _turn(factor: ComplexArray) -> FloatArray:
     """The product with complex factors (...,) as real matrices (..., 2, 2)."""
     matrices = np.empty((*factor.shape, 2, 2))
     matrices[..., 0, 0] = matrices[..., 1, 1] = factor.real
@@ -376,10 +376,10 @@ def _theta_columns(participation: ComplexArray, psi: ComplexArray) -> FloatArray
     for mode in range(n_mode):
         # d / d Re lambda has the residue R on the squared denominators, d / d Im lambda has j R.
         at = 2 * n_mode + 2 * mode
-        values[:, :, at : at + 2, 2 * mode : 2 * mode + 2] = _turned(residue[:, :, mode])
+        values[:, :, at : at + 2, 2 * mode : 2 * mode + 2] = _turn(residue[:, :, mode])
     for number, (mode, column) in enumerate(zip(rows, columns, strict=True)):
         at = 2 * n_mode + 2 * number
-        values[:, column, 2 * mode : 2 * mode + 2, at : at + 2] = _turned(psi[:, mode])
+        values[:, column, 2 * mode : 2 * mode + 2, at : at + 2] = _turn(psi[:, mode])
     return values
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, similarity
 from labpipe.errors import FitError
 from labpipe.estimation.derived import without_intervals
-from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settled
+from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settle
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
-from labpipe.estimation.model_error import ModelError, StatedRow, thinned
-from labpipe.estimation.statistics import correlation, derived, widened
+from labpipe.estimation.model_error import ModelError, StatedRow, thin
+from labpipe.estimation.statistics import correlation, derive, widen
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
 from labpipe.methods.modal.moved import MovedMode, apart, unloaded
 from labpipe.methods.modal.poles import damping_ratio
@@ -133,7 +133,7 @@ def modal_parameters(
         return tuple(replace(parameter, std_error=None, ci95=None) for parameter in parameters)
     if inflation is None:
         return tuple(parameters)
-    return tuple(widened(parameter, inflation) for parameter in parameters)
+    return tuple(widen(parameter, inflation) for parameter in parameters)
 
 
 def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple[DrivingPoint, ...]:
@@ -169,7 +169,7 @@ def _value(
 ) -> Parameter:
     values, covariance = _pole_and_residue(refined, mode, driving)
     gradient = _gradient(function, values)
-    return derived(
+    return derive(
         name, unit, function(values), float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0))), dof
     )
 
@@ -281,11 +281,11 @@ def model_errors(
             continue
         try:
             scatter = _scatter(measured, estimate, _near(measured, complex(refined.poles[mode])))
-            band, base, mixed = _judged(measured, wide, estimate, int(mode), scatter)
+            band, base, mixed = _judge(measured, wide, estimate, int(mode), scatter)
         except (FitError, np.linalg.LinAlgError):
             continue
         if mixed.sound < 0.5 or scatter is not None:
-            mixed = settled(mixed, _elsewhere(wide, estimate, int(mode), band, scatter))
+            mixed = settle(mixed, _elsewhere(wide, estimate, int(mode), band, scatter))
         rows = _rows(base, number, values)
         if not (misfit or moving or moved) and (
             mixed.sound > SOUND_SHARE if scatter is None else _survives(mixed)
@@ -302,7 +302,7 @@ def model_errors(
     return errors_by_mode
 
 
-def _judged(
+def _judge(
     measured: Measured, wide: Measured, estimate: ModalEstimate, mode: int, scatter: FloatArray | None
 ) -> tuple[_Band, Fitted, Mixture]:
     """The band of a mode, its ordinary fit and mixture; the lines next to it alone where its whole band shows
@@ -310,7 +310,7 @@ def _judged(
     """
     pole = complex(estimate.refined.poles[mode])
     f_r, half = abs(pole) / (2 * np.pi), HALF_JUDGED * -2 * pole.real / (2 * np.pi)
-    edges = _widened(measured, pole)
+    edges = _widen(measured, pole)
     for of in (edges, (f_r - half, f_r + half)):
         try:
             band = _Band.of(measured if edges is None else wide, estimate, mode, scatter, of)
@@ -372,7 +372,7 @@ def with_model_errors(
             stated += errors[number].stated([parameter])
         elif estimate.chi2_reduced is None:
             alike = -2 * pole.real / (2 * np.pi) / float(np.mean(np.diff(lines)))
-            stated.append(replace(widened(parameter, float(np.sqrt(max(alike, 1.0)))), reason=FEW))
+            stated.append(replace(widen(parameter, float(np.sqrt(max(alike, 1.0)))), reason=FEW))
         else:
             stated.append(parameter)
     for mode in instead:
@@ -469,7 +469,7 @@ def _near(measured: Measured, pole: complex) -> BoolArray:
     return np.asarray(near)
 
 
-def _widened(measured: Measured, pole: complex) -> tuple[float, float] | None:
+def _widen(measured: Measured, pole: complex) -> tuple[float, float] | None:
     f_r, width = abs(pole) / (2 * np.pi), -2 * pole.real / (2 * np.pi)
     low, high = (float(end) / (2 * np.pi) for end in measured.omega[[0, -1]])
     if high - low >= FEWEST_WIDTHS * width:
@@ -504,7 +504,7 @@ def _noise(measured: Measured, scatter: FloatArray | None) -> FloatArray:
 def _ordinary(curve: Curve, pole: complex, terms: int = TERMS) -> Fitted:
     model = ModeModel(curve, residual=terms)
     start = np.log([abs(pole) / (2 * np.pi), -pole.real / abs(pole)])
-    model = replace(model, curve=thinned(curve, model, start))
+    model = replace(model, curve=thin(curve, model, start))
     fit = model.fitted(model.started(start))
     if abs(np.exp(fit.theta[0]) / np.exp(start[0]) - 1) > REACH * np.exp(start[1]):
         raise FitError("the filtered line shows another mode")

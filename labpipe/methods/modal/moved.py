@@ -133,7 +133,7 @@ class MovedMode:
         return note("moved-mode", message)
 
 
-def aligned(s: ComplexArray, moved: Sequence[MovedMode]) -> ComplexArray | float:
+def alignment(s: ComplexArray, moved: Sequence[MovedMode]) -> ComplexArray | float:
     """What takes all points to the mean poles of *moved* modes, (n_line, n_point, n_reference) [unit of the
     FRF], on *s* (n_line,) [rad/s]; 0 without any.
     """
@@ -144,7 +144,7 @@ def aligned_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured
     """The FRFs with every point at the mean poles of the *moved* modes."""
     if not moved:
         return measured
-    return replace(measured, matrix=measured.matrix + aligned(1j * measured.omega, moved))
+    return replace(measured, matrix=measured.matrix + alignment(1j * measured.omega, moved))
 
 
 def with_moved_modes(
@@ -162,7 +162,7 @@ def with_moved_modes(
     refined = done.refined
     if lines.hysteretic or lines.matrix.shape[1] < FEWEST_POINTS or np.any(refined.poles.real >= 0):
         return lines, done, (), ()
-    judged = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _moved(lines, refined, chain)]
+    judged = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _move(lines, refined, chain)]
     merging = [(chain, mode) for chain, mode in judged if not mode.instead]
     undecided = tuple(mode for _, mode in judged if mode.instead)
     if not merging and not (moving and done.p_noise < MISMATCH_P):
@@ -178,7 +178,7 @@ def with_moved_modes(
     rest = np.setdiff1d(np.arange(refined.poles.size), list(merged))
     poles = np.concatenate([refined.poles[rest], [mode.pole for mode in moved]])
     participation = np.vstack([refined.participation[rest], [mode.reference for mode in moved]])
-    change = aligned(lines.s, moved) * (lines.s**lines.power)[:, None, None]
+    change = alignment(lines.s, moved) * (lines.s**lines.power)[:, None, None]
     plain, lines = lines, replace(lines, matrix=lines.matrix + change)
     again, terms = refine_with_terms(lines, poles, participation)
     frequency = np.abs(again.poles)
@@ -205,7 +205,7 @@ def _chains(refined: Refined) -> list[list[int]]:
     return chains
 
 
-def _moved(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
+def _move(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
     if len(chain) < 2:
         return []
     s, data = _alone(lines, refined, chain)
@@ -217,8 +217,8 @@ def _moved(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[
     middle = len(chain) // 2
     return [
         *([] if mode is None else [(chain, mode)]),
-        *_moved(lines, refined, chain[:middle]),
-        *_moved(lines, refined, chain[middle:]),
+        *_move(lines, refined, chain[:middle]),
+        *_move(lines, refined, chain[middle:]),
     ]
 
 
@@ -241,7 +241,7 @@ def _alone(lines: Lines, refined: Refined, chain: list[int]) -> tuple[ComplexArr
     return s, data - np.tensordot(a, residues, 1) - np.tensordot(b, residues.conj(), 1)
 
 
-def _solved(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _solve(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Residues (n_pole, n) and what poles with a constant and a slope leave of *data* (n_line, n)."""
     x = np.linspace(-1, 1, s.size)
     columns = np.column_stack([1 / (s[:, None] - poles), np.ones_like(x), x])
@@ -262,7 +262,7 @@ def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexAr
         return np.asarray(start.real * np.exp(decay) + 1j * (start.imag + unit * frequency))
 
     def cost(moves: FloatArray) -> float:
-        return float(np.sum(np.log(_squares(_solved(s, data, poles(moves))[1])))) * 2 * s.size / data.shape[1]
+        return float(np.sum(np.log(_squares(_solve(s, data, poles(moves))[1])))) * 2 * s.size / data.shape[1]
 
     steps = np.vstack([np.zeros(2 * start.size), 0.3 * np.eye(2 * start.size)])
     best = optimize.minimize(
@@ -275,7 +275,7 @@ def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tupl
     """A pole of every point of data (n_line, n_point, n_reference), and the squares that each leaves."""
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
     point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
-    solved = [_solved(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
+    solved = [_solve(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
     return MovedMode(np.array(point_poles)[:, 0], np.array([amounts[0] for amounts, _ in solved])), np.array(
         [_squares(left) for _, left in solved]
     )
@@ -289,7 +289,7 @@ def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> Moved
     moved, squares = _by_points(s, data, chain)
     flat, n_entry = data.reshape(n_line, -1), n_point * n_reference
     pair = _best(s, flat, chain[np.argsort(chain.imag)[[0, -1]]])
-    amounts, left = _solved(s, flat, pair)
+    amounts, left = _solve(s, flat, pair)
     difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(_squares(left))))
     difference += np.log(2 * n_line * n_entry) * (6 * n_entry + 2 * n_point - 8 * n_entry - 4)
     width = -2 * moved.pole.real

@@ -66,9 +66,9 @@ class NormalEquations:
         n = self.n_input
         matrix = self.matrices[order - 1]
         if stable_noise:
-            coefficients = _solved(matrix[n:, n:], -matrix[n:, :n]).reshape(order, n, n)[::-1]
+            coefficients = _solve(matrix[n:, n:], -matrix[n:, :n]).reshape(order, n, n)[::-1]
         else:
-            coefficients = _solved(matrix[:-n, :-n], -matrix[:-n, -n:]).reshape(order, n, n)
+            coefficients = _solve(matrix[:-n, :-n], -matrix[:-n, -n:]).reshape(order, n, n)
         roots = _roots(coefficients)
         with np.errstate(divide="ignore"):
             values = np.asarray(np.log(roots) * (1 if stable_noise else -1) / self.period, np.complex128)
@@ -124,7 +124,7 @@ def _both_lags(lags: ComplexArray, values: ComplexArray) -> FloatArray:
     return np.concatenate([backward[:0:-1], forward])
 
 
-def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
+def _solve(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     """Solution with the eigenvalues left out that are rounding: noise-free data leave the normal matrix
     singular.
     """
@@ -514,7 +514,7 @@ def shape_p(refined: Refined) -> FloatArray:
     return np.array(probabilities)
 
 
-def completed(
+def complete(
     lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineNoise, *, adding: bool
 ) -> Completed:
     """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports

@@ -21,7 +21,7 @@ from labpipe.report.chart import (
     level,
     look,
     named_ticks,
-    stacked,
+    stack,
     upright,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Table
@@ -96,7 +96,7 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         "of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; the line "
         "`poles:` for the section `modal:` then stands below."
     )
-    chart = stacked(panels[1:], 2.0) if alone else stacked(panels, 3.6)
+    chart = stack(panels[1:], 2.0) if alone else stack(panels, 3.6)
     return Figure(chart, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 
 

@@ -198,7 +198,7 @@ def whole_covariance_fit(
     minimum = minimise(problem, start)
     _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
     reduced = problem.chi2(minimum.values) / dof / uncertainty.excess
-    again = _refined(model, minimum, uncertainty.inflation * inverse, refined)
+    again = _refine(model, minimum, uncertainty.inflation * inverse, refined)
     return ModalEstimate(
         again,
         model.receptance(minimum.values, measured.omega),
@@ -224,7 +224,7 @@ def regular(measured: Measured) -> Measured:
     return replace(measured, covariance=np.where(alone[:, None, None], diagonal, measured.covariance))
 
 
-def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
+def _refine(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
     poles, participation, shapes, _ = model.split(minimum.values)
     whole = np.zeros((model.free.size, model.free.size))
     whole[np.ix_(model.free, model.free)] = covariance

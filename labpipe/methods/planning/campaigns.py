@@ -85,10 +85,10 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
     forces[1::2, 1] *= -1
-    return _kept(names, used, forces, np.repeat(np.arange(len(paired)), 2))
+    return _keep(names, used, forces, np.repeat(np.arange(len(paired)), 2))
 
 
-def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
+def interleave(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
     """One test of two shakers at once, each on every other line.
 
     Arguments as of one_by_one, power (n_line, 2) [N^2].
@@ -96,7 +96,7 @@ def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> t
     paired, used = _pairs(lines, power)
     forces = np.zeros((used.size, 2), complex)
     forces[::2, 0], forces[1::2, 1] = np.sqrt(2 * paired).T
-    return _kept(names, used, forces, np.arange(used.size))
+    return _keep(names, used, forces, np.arange(used.size))
 
 
 def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -104,7 +104,7 @@ def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
 
 
-def _kept(
+def _keep(
     names: tuple[str, ...], lines: IntArray, forces: ComplexArray, groups: IntArray
 ) -> tuple[Multisines, ...]:
     size = np.sum(np.abs(forces) ** 2, axis=1)
@@ -112,7 +112,7 @@ def _kept(
     return (Multisines("+".join(names), lines[kept], forces[kept], groups[kept]),)
 
 
-SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleaved}
+SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleave}
 
 
 # Samples per period of the highest line, while searching.

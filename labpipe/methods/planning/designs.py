@@ -146,14 +146,14 @@ def optimum(
     # With the floor inside every candidate the problem is again one of shares that sum to one.
     whole = free * information + np.einsum("a,aij->ij", floor, information)
     _check_regular(whole)
-    shares = _multiplied(criterion, whole, wanted)
+    shares = _multiply(criterion, whole, wanted)
     certified = certificate(criterion, whole, _sum(shares, whole), wanted)
     best, best_shares = certified, shares
     for _ in range(ROUNDS):
         if best.efficiency >= ENOUGH:
             break
         remaining = np.flatnonzero(shares > NEGLIGIBLE * shares.max())
-        shares = _polished(criterion, whole, wanted, np.union1d(remaining, [certified.candidate]), shares)
+        shares = _polish(criterion, whole, wanted, np.union1d(remaining, [certified.candidate]), shares)
         certified = certificate(criterion, whole, _sum(shares, whole), wanted)
         if certified.efficiency > best.efficiency:
             best, best_shares = certified, shares
@@ -174,7 +174,7 @@ def _sum(shares: FloatArray, information: FloatArray) -> FloatArray:
     return np.asarray(np.tensordot(shares, information, 1))
 
 
-def _multiplied(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
+def _multiply(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
     """Start by w <- w (d / f)^g; minimax by p-norms of the variances, p rising to 25."""
     shares = np.full(len(information), 1 / len(information))
     for step in range(START_STEPS):
@@ -191,7 +191,7 @@ def _multiplied(criterion: str, information: FloatArray, wanted: FloatArray) -> 
     return shares
 
 
-def _polished(
+def _polish(
     criterion: str, information: FloatArray, wanted: FloatArray, chosen: IntArray, start: FloatArray
 ) -> FloatArray:
     """The best shares on the *chosen* candidates by sequential quadratic programming, zero elsewhere."""

@@ -30,7 +30,7 @@ from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_pla
 from labpipe.methods.planning.records import PlannedTest
 from labpipe.methods.planning.report import goal_sentence, plan_document, sentence
 from labpipe.methods.planning.settings import PlanKind, PlanSettings, TheorySettings
-from labpipe.methods.planning.uncertainty import Earlier, Expected, Rehearse, rehearsed
+from labpipe.methods.planning.uncertainty import Earlier, Expected, Rehearse, rehearse
 from labpipe.project.bearing_file import open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import load_marked, set_entry
@@ -240,7 +240,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
         )
         with_masses = any(name[0] == "m" for name in rig.model.names)
         with tempfile.TemporaryDirectory() as folder:
-            pipeline = _loaded(
+            pipeline = _load(
                 Evaluation(settings, file.title, planned, with_masses, rig_path(file)), Path(folder)
             )
         return _of_coefficients(_rehearsed_fit(pipeline, rig, tests, periods), rig.model.names)
@@ -248,7 +248,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
     return budget
 
 
-def _loaded(evaluation: Evaluation, folder: Path) -> Pipeline:
+def _load(evaluation: Evaluation, folder: Path) -> Pipeline:
     if evaluation.rig_path is None:
         (folder / RIG).write_text(yaml.safe_dump(rig_entries(evaluation)), encoding="utf-8")
     (folder / PIPELINE).write_text(yaml.safe_dump(pipeline_entries(evaluation, folder)), encoding="utf-8")
@@ -265,7 +265,7 @@ def _rehearsed_fit(
     assert settings is not None
     highest = max(int(test.lines[-1]) for test in tests)
     recordings = [
-        rehearsed(
+        rehearse(
             rig,
             test,
             [channel.channel for channel in source.rig.channels if channel.channel.role != "reference"],

@@ -52,7 +52,7 @@ from labpipe.methods.planning.uncertainty import (
     identifiability,
     lasting_notes,
     limits,
-    predicted,
+    predict,
     spread,
     spread_notes,
     unreachable,
@@ -208,7 +208,7 @@ def _with_budget(
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
     if timed.known is not None and earlier is not None:
         budget = beside_earlier(budget, earlier, timed, model, plan.duration)
-    budget = predicted(budget, random)
+    budget = predict(budget, random)
     coefficients = with_uncertainty(plan.coefficients, budget)
     allowed = limits(goals, budget, model.scales)
     beyond = unreachable(goals, allowed)

@@ -15,7 +15,7 @@ from labpipe.methods.planning.records import (
     RunPlan,
 )
 from labpipe.quantities import to_display
-from labpipe.report.chart import Axis, Panel, dots, look, stacked
+from labpipe.report.chart import Axis, Panel, dots, look, stack
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 HEADER = (
@@ -74,7 +74,7 @@ CRITERIA = {
 def plan_document(plan: Plan, version: str) -> Document:
     sections = (
         Section("Plan", tuple(_verdict(plan))),
-        Section("Predicted errors", (_coefficients(plan), Paragraph(_explained(plan)))),
+        Section("Predicted errors", (_coefficients(plan), Paragraph(_explanation(plan)))),
         *_uncertainty(plan),
         Section("Excitation", (_tests(plan), _spectrum(plan))),
     )
@@ -206,7 +206,7 @@ def _expected(coefficient: PlannedCoefficient) -> str:
     return f"{to_display(coefficient.expected, shown):.5g} {shown}"
 
 
-def _explained(plan: Plan) -> str:
+def _explanation(plan: Plan) -> str:
     return (
         "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. "
         "The noise is not known before the test: weights from the scatter of "
@@ -253,7 +253,7 @@ def _spectrum(plan: Plan) -> Figure:
             Panel(Axis("frequency", "Hz"), Axis(f"force, {test.name}", "N", logarithmic=True), tuple(series))
         )
     caption = "Amplitude of every line, 0-to-peak, by shaker; tests below each other."
-    return Figure(stacked(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
+    return Figure(stack(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
 
 
 def _over_goal(coefficient: PlannedCoefficient) -> float:

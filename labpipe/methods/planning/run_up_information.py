@@ -140,7 +140,7 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     return np.asarray(matrix)
 
 
-def allowed(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> BoolArray:
+def allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> BoolArray:
     """Speeds (n_speed,) at which the rotor is stable, no displacement exceeds its limit, and every reading is
     above its noise.
     """
@@ -159,5 +159,5 @@ def allowed(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> B
 
 def at_allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> RunCandidate | None:
     """The candidate at the speeds that are allowed; None where fewer than two are left."""
-    good = allowed(expected, candidate, limits)
+    good = allowed_speeds(expected, candidate, limits)
     return replace(candidate, speed=candidate.speed[good]) if np.count_nonzero(good) > 1 else None

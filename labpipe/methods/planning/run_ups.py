@@ -303,7 +303,7 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     noise = settings.noise
     reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
     expected = ExpectedRig(rig, family, settings.values(earlier), reading)
-    candidates, notes = _allowed(expected, _candidates(settings, expected, settings.loads), settings)
+    candidates, notes = _admit(expected, _candidates(settings, expected, settings.loads), settings)
     given = settings.known
     question = RunQuestion(
         parameters=PARAMETERS,
@@ -352,7 +352,7 @@ def _shaker(trial: TrialSettings) -> Shaker | None:
     return Shaker(trial.shaker, trial.force, 0.0, trial.ratio) if trial.shaker else None
 
 
-def _allowed(
+def _admit(
     expected: ExpectedRig, candidates: Iterator[RunCandidate], settings: RunUpPlanSettings
 ) -> tuple[list[RunCandidate], list[str]]:
     limits = Limits(settings.displacement_limit, settings.journal_limit)
@@ -421,7 +421,7 @@ def _extra(
     settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
 ) -> tuple[Condition, ...]:
     try:
-        allowed, _ = _allowed(
+        allowed, _ = _admit(
             expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings
         )
     except (ConfigError, FitError):

@@ -96,8 +96,8 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     begun = np.floor(design.shares * duration / choices.cost + 1e-9).astype(int)
     if separate:
         begun = _one_each(choices, begun, duration)
-    counts = _exchanged(
-        criterion, choices, duration, wanted, _filled(criterion, choices, duration, wanted, begun)
+    counts = _exchange(
+        criterion, choices, duration, wanted, _fill(criterion, choices, duration, wanted, begun)
     )
     information = choices.of(counts)
     poor = (
@@ -160,7 +160,7 @@ def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArra
     return np.asarray(counts)
 
 
-def _filled(
+def _fill(
     criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray
 ) -> IntArray:
     counts = counts.copy()
@@ -176,7 +176,7 @@ def _filled(
         counts[fit[int(np.argmax(gain))]] += 1
 
 
-def _exchanged(
+def _exchange(
     criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray
 ) -> IntArray:
     value = _values(criterion, choices.of(counts)[None], wanted)[0]
@@ -185,7 +185,7 @@ def _exchanged(
         for number in np.flatnonzero(counts):
             fewer = counts.copy()
             fewer[number] -= 1
-            trials.append(_filled(criterion, choices, duration, wanted, fewer))
+            trials.append(_fill(criterion, choices, duration, wanted, fewer))
         values = _values(criterion, np.stack([choices.of(trial) for trial in trials]), wanted)
         best = int(np.argmin(values))
         if not values[best] < value * (1 - 1e-9):

@@ -149,9 +149,9 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
 
     ConfigError where no crest factor fits.
     """
-    looked = [_looked(rig, lines, wanted, source, 0) for source in _sources(rig, lines, wanted, schemes)]
+    looked = [_look(rig, lines, wanted, source, 0) for source in _sources(rig, lines, wanted, schemes)]
     looked.sort(key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals))
-    close = [_looked(rig, lines, wanted, source, CLOSE_STARTS) for source in looked[:CLOSE]]
+    close = [_look(rig, lines, wanted, source, CLOSE_STARTS) for source in looked[:CLOSE]]
     limit = rig.limits.crest_factor
     if limit is not None:
         crests = [
@@ -209,7 +209,7 @@ def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> 
     )
 
 
-def _balanced(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
+def _balance(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
     """The optimum for shakers that run at once, with a limit each: the price of a shaker's force rises until
     all do the same.
     """
@@ -245,7 +245,7 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
                         floor,
                     )
                 if at_once:
-                    design = _balanced(choices, wanted, criterion, floor, len(rig.shakers))
+                    design = _balance(choices, wanted, criterion, floor, len(rig.shakers))
                     source = design.certificate, _power(choices, design, lines), floor
                     yield from (Source(criterion, share, name, *source) for name in at_once)
     for scheme in schemes:
@@ -265,7 +265,7 @@ def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
     return found.power(design.shares).reshape(lines.size, -1)
 
 
-def _looked(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:
+def _look(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
     entries = {field.name: getattr(source, field.name) for field in fields(Source)}

@@ -108,16 +108,16 @@ def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -
 
     Equation (plan-rank).
     """
-    ranked = _ranked(model, noise, excitation)
+    ranked = _rank(model, noise, excitation)
     if ranked.full:
         return ranked
     remedies = tuple(
-        words for words, changed, other in _changes(model, excitation) if _ranked(changed, noise, other).full
+        words for words, changed, other in _changes(model, excitation) if _rank(changed, noise, other).full
     )
     return Identifiability(ranked.rank, ranked.n_coefficient, ranked.undetermined, remedies)
 
 
-def _ranked(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
+def _rank(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
     sensitivity = sensitivities(model, noise, 2 * np.pi * excitation.frequency)
     change = np.einsum("lnij,lj->lin", sensitivity, excitation.forces).reshape(-1, len(model.names))
     rows = np.concatenate([change.real, change.imag])
@@ -315,7 +315,7 @@ SPARE = 4
 SAMPLES = 2.6
 
 
-def rehearsed(
+def rehearse(
     rig: Rig, test: Multisines, channels: Sequence[Channel], seconds: float, skip: int, highest: int
 ) -> Recording:
     """The recording of *test* by *channels*, its noise that of an average over *seconds* [s], after *skip*
@@ -442,7 +442,7 @@ def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
     return np.asarray(np.where(allowed > 0, allowed, goals.expanded / 10))
 
 
-def predicted(budget: Budget, random: FloatArray) -> Budget:
+def predict(budget: Budget, random: FloatArray) -> Budget:
     """The budget with the predicted standard uncertainties by noise (n_coefficient,) [units of the
     coefficients].
     """
@@ -537,10 +537,10 @@ def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: 
             )
         else:
             share = float(np.sqrt(left / np.sum(changes**2)))
-            yield f"{what}: {_listed(budget, changes)} must all be known {1 / share:.2g} times better."
+            yield f"{what}: {_listing(budget, changes)} must all be known {1 / share:.2g} times better."
 
 
-def _listed(budget: Budget, changes: FloatArray) -> str:
+def _listing(budget: Budget, changes: FloatArray) -> str:
     order = np.argsort(-changes)
     count = int(np.searchsorted(np.cumsum(changes[order] ** 2), 0.95 * np.sum(changes**2))) + 1
     return ", ".join(budget.sources[number].source for number in order[:count])

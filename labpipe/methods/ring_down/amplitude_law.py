@@ -18,7 +18,7 @@ from labpipe.methods.ring_down.likelihood import (
     Decayed,
     Judged,
     Piece,
-    judged,
+    judge,
     maximum_likelihood,
     pieces_of,
     portmanteau,
@@ -64,7 +64,7 @@ def _relative(x: FloatArray) -> FloatArray:
     return np.where(np.abs(x) < 1e-12, 1.0, -np.expm1(-safe) / safe)
 
 
-def travelled(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
+def travel(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
     """The integral of A over *time* (n_sample,) [unit of *first* times s]: ln(1 + z1 A0 (1 - E) / z0) / (w
     z1). Equation (decay-phase).
     """
@@ -130,7 +130,7 @@ class _Problem:
         log_first, phase = parameters[SHARED + 2 * number : SHARED + 2 * number + 2]
         first, piece = float(np.exp(min(log_first, 700.0))), self.pieces[number]
         size = amplitude(piece.time, first, omega, rest, slope)
-        angle = omega * piece.time + turn * travelled(piece.time, first, omega, rest, slope) + phase
+        angle = omega * piece.time + turn * travel(piece.time, first, omega, rest, slope) + phase
         return (
             self._free(number, piece.project((size * np.cos(angle))[:, None])[:, 0]) / self.deviation[number]
         )
@@ -384,14 +384,14 @@ def jump_of(
         return None
     count = decays.decays[0].samples.shape[0]
     places = np.linspace(FIRST * count, LAST * count, PLACES).astype(int)
-    tried = {int(place): _parted(decays, columns, fitted, band, int(place)) for place in places}
+    tried = {int(place): _part(decays, columns, fitted, band, int(place)) for place in places}
     step = int(places[1] - places[0])
     while step > 1:
         step = -(-step // 3)
         near = _best(tried)
         for place in (near - 2 * step, near - step, near + step, near + 2 * step):
             if place not in tried and FIRST * count < place < LAST * count:
-                tried[place] = _parted(decays, columns, fitted, band, place)
+                tried[place] = _part(decays, columns, fitted, band, place)
     place = _best(tried)
     found = tried[place]
     if found is None:
@@ -399,7 +399,7 @@ def jump_of(
     parts, pieces, parted = found
     free = (2 * fitted.poles.size + 1) * len(columns) + 1
     gain = fitted.misfit - parted.misfit - free * np.log(count * len(columns))
-    left = judged(pieces, parted, decays.sample_rate)
+    left = judge(pieces, parted, decays.sample_rate)
     if gain < BETTER or min(left.white, left.amplitude) < MISMATCH_P:
         return None
     return Jump(replace(decays, decays=parts), pieces, parted, _finding(parted, parts, decays.sample_rate))
@@ -408,7 +408,7 @@ def jump_of(
 Parted = tuple[tuple[FreeDecay, ...], tuple[Piece, ...], Decayed]
 
 
-def _parted(
+def _part(
     decays: FreeDecays, columns: Sequence[int], fitted: Decayed, band: tuple[float, float] | None, place: int
 ) -> Parted | None:
     (whole,) = decays.decays

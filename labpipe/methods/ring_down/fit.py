@@ -14,7 +14,7 @@ from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
-from labpipe.estimation.statistics import correlation, derived, estimated, student_limit
+from labpipe.estimation.statistics import correlation, derive, estimated, student_limit
 from labpipe.methods.ring_down.amplitude_law import (
     FittedLaw,
     MissingMode,
@@ -31,7 +31,7 @@ from labpipe.methods.ring_down.likelihood import (
     Judged,
     Piece,
     energies,
-    judged,
+    judge,
     long_enough,
     most_likely,
     pieces_of,
@@ -144,11 +144,7 @@ def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...
         gradient = 2 * np.pi * np.array([-1 / pole.imag, pole.real / pole.imag**2])
         decrement = float(-2 * np.pi * pole.real / pole.imag)
         parameters.extend(
-            (
-                f_n,
-                zeta,
-                derived("log_decrement" + suffix, "1", decrement, _error(gradient, block), fitted.dof),
-            )
+            (f_n, zeta, derive("log_decrement" + suffix, "1", decrement, _error(gradient, block), fitted.dof))
         )
         if mass is not None:
             parameters.extend(
@@ -171,10 +167,10 @@ def _support(
     pole: complex, block: FloatArray, mass: float, suffix: str, dof: int
 ) -> tuple[Parameter, Parameter]:
     stiffness, damping = float(mass * abs(pole) ** 2), float(-2 * mass * pole.real)
-    k = derived(
+    k = derive(
         "k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof
     )
-    return k, derived("c" + suffix, "N.s/m", damping, _error(np.array([-2 * mass, 0.0]), block), dof)
+    return k, derive("c" + suffix, "N.s/m", damping, _error(np.array([-2 * mass, 0.0]), block), dof)
 
 
 def _error(gradient: FloatArray, covariance: FloatArray) -> float:
@@ -244,9 +240,9 @@ def law_parameters(
     law, errors = fitted.law, np.sqrt(np.diag(fitted.covariance))
     per = f"1/{unit}" if "/" not in unit else f"1/({unit})"
     return (
-        derived(f"zeta_rest_{mode + 1}", "1", law.zeta_rest, float(errors[0]), dof),
-        derived(f"zeta_slope_{mode + 1}", per, law.zeta_slope, float(errors[1]), dof),
-        derived(
+        derive(f"zeta_rest_{mode + 1}", "1", law.zeta_rest, float(errors[0]), dof),
+        derive(f"zeta_slope_{mode + 1}", per, law.zeta_slope, float(errors[1]), dof),
+        derive(
             f"f_slope_{mode + 1}",
             f"Hz{per[1:]}",
             law.frequency_slope / (2 * np.pi),
@@ -323,12 +319,12 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
         pieces = tuple(pieces[place] for place in places)
     _check_fitted(pieces, fitted)
-    tested, jump = judged(pieces, fitted, decays.sample_rate), None
+    tested, jump = judge(pieces, fitted, decays.sample_rate), None
     if repeated is None and min(tested.amplitude, tested.white) < MISMATCH_P:
         jump = jump_of(decays, columns, fitted, settings.band)
     if jump is not None:
         decays, pieces, fitted = jump.decays, jump.pieces, jump.fitted
-        tested = judged(pieces, fitted, decays.sample_rate)
+        tested = judge(pieces, fitted, decays.sample_rate)
     strongest = {mode: _strongest(fitted, mode) for mode in range(decay_settings.modes)}
     laws = _laws(pieces, fitted, tested, strongest)
     missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
@@ -346,7 +342,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     findings = decay_findings(fitted, tested, laws, amplitudes, missing)
     if fitted.converged and (laws or any(finding.code == "model-mismatch" for finding in findings)):
         parameters = with_course(parameters, curves, fitted)
-    fit = _reported(decays, settings, pieces, fitted, parameters)
+    fit = _report(decays, settings, pieces, fitted, parameters)
     ports = {mode: decays.outputs[columns[output]] for mode, (_, output) in strongest.items()}
     fit = with_sources(fit, decay_sources(parameters, settings, ports))
     return replace(
@@ -439,7 +435,7 @@ def _missing(
         )
     except FitError:
         return None
-    white = judged(pieces, richer, decays.sample_rate).white >= MISMATCH_P
+    white = judge(pieces, richer, decays.sample_rate).white >= MISMATCH_P
     return missing_mode(pieces, fitted, richer, laws, strongest, white=white)
 
 
@@ -465,7 +461,7 @@ def _parameters(
     )
 
 
-def _reported(
+def _report(
     decays: FreeDecays,
     settings: FitSettings,
     pieces: Sequence[Piece],

@@ -110,7 +110,7 @@ def _piece(samples: FloatArray, rate: float, band: tuple[float, float] | None) -
     return Piece(time, _rows(samples, lines), lines, np.block([[powers, empty], [empty, powers]]))
 
 
-def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:
+def shorten(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:
     """The first samples of a piece without a band.
 
     With one the whole piece, whose lines belong to its length.
@@ -219,7 +219,7 @@ def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
             converged = size < 100 * NEGLIGIBLE
             break
         poles, solved = better
-    return _decayed(poles, solved, converged, steps)
+    return _decay(poles, solved, converged, steps)
 
 
 def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
@@ -234,7 +234,7 @@ def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     return total
 
 
-def _decayed(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps: int) -> Decayed:
+def _decay(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps: int) -> Decayed:
     order = np.argsort(poles.imag)
     variance = _variances(solved, poles.size)
     information, _ = _normal_equations(solved, variance)
@@ -247,13 +247,13 @@ def _decayed(poles: ComplexArray, solved: Sequence[Solved], converged: bool, ste
         covariance[np.ix_(places, places)],
         variance,
         equations - linear - 2 * poles.size,
-        tuple(_sorted(part, order) for part in solved),
+        tuple(_sort(part, order) for part in solved),
         converged,
         steps,
     )
 
 
-def _sorted(solved: Solved, order: IntArray) -> Solved:
+def _sort(solved: Solved, order: IntArray) -> Solved:
     tangent = solved.tangent[:, np.concatenate([order, order + order.size])]
     return Solved(solved.amplitudes[order], solved.residual, solved.range_, tangent)
 
@@ -339,14 +339,14 @@ def most_likely(
         decays, key=lambda decay: -float(np.max(np.var(decay.samples[:, list(columns)], axis=0)))
     )
     series = [decay.samples[:, column] for decay in strongest for column in columns][:MOST_SERIES]
-    thinned, slower = _decimated(series, rate, band, n_mode)
+    thinned, slower = _decimate(series, rate, band, n_mode)
     fits: list[Decayed] = []
     for extra in RANKS:
         start = pencil_poles(thinned, slower, n_mode, 2 * (n_mode + extra), band)
         if start is None:
             continue
         try:
-            fit = _followed(pieces, start, round(MOST_SAMPLES * rate / slower), band)
+            fit = _follow(pieces, start, round(MOST_SAMPLES * rate / slower), band)
         except FitError:
             continue
         if fit.converged and any(other.converged and abs(other.misfit - fit.misfit) < SAME for other in fits):
@@ -360,7 +360,7 @@ def most_likely(
     return min(fits, key=lambda fit: (not fit.converged, fit.misfit))
 
 
-def _followed(
+def _follow(
     pieces: Sequence[Piece], poles: ComplexArray, n_sample: int, band: tuple[float, float] | None
 ) -> Decayed:
     """The fit over pieces of doubling length, so that the phase of a long record is never lost by a whole
@@ -368,7 +368,7 @@ def _followed(
     """
     longest = max(piece.time.size for piece in pieces)
     while band is None and n_sample < longest:
-        poles = maximum_likelihood([shortened(piece, n_sample, band) for piece in pieces], poles).poles
+        poles = maximum_likelihood([shorten(piece, n_sample, band) for piece in pieces], poles).poles
         n_sample *= 2
     return maximum_likelihood(pieces, poles)
 
@@ -416,13 +416,13 @@ def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
     return energy
 
 
-def _decimated(
+def _decimate(
     series: Sequence[FloatArray], rate: float, band: tuple[float, float] | None, n_mode: int
 ) -> tuple[list[FloatArray], float]:
     """The series without offset at the least rate [Hz] that shows their modes, at most MOST_SAMPLES of
     each.
     """
-    centred = [_filtered(samples - np.mean(samples), rate, band) for samples in series]
+    centred = [_filter(samples - np.mean(samples), rate, band) for samples in series]
     factor = max(1, int(rate / (SAMPLES_PER_PERIOD * _highest(centred[0], rate, band, n_mode))))
     if factor == 1:
         return [samples[:MOST_SAMPLES] for samples in centred], rate
@@ -436,7 +436,7 @@ def _decimated(
     return inside, rate / factor
 
 
-def _filtered(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> FloatArray:
+def _filter(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> FloatArray:
     if band is None:
         return samples
     frequency = fft.rfftfreq(samples.size, 1 / rate)
@@ -492,7 +492,7 @@ class Judged:
         return self.ending > GOES_ON
 
 
-def judged(pieces: Sequence[Piece], fitted: Decayed, rate: float) -> Judged:
+def judge(pieces: Sequence[Piece], fitted: Decayed, rate: float) -> Judged:
     """The residuals of all *pieces* at *rate* [Hz] together."""
     rows = [(piece, solved) for piece, solved in zip(pieces, fitted.pieces, strict=True)]
     residuals = [(piece, piece.series(solved.residual)) for piece, solved in rows]

@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.records.fit_details import AmplitudeLaw, FitDetailKind, OverAmplitude, RingDown
 from labpipe.records.identification import Fit
-from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, curve, level, stacked
+from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, curve, level, stack
 from labpipe.report.document import Figure
 from labpipe.report.figures import scale_of
 from labpipe.report.wording import fit_title, unit_text
@@ -55,7 +55,7 @@ def decay_figure(fit: Fit, shown: RingDown) -> Figure:
         "those fitted, and what the fit leaves of it. A residual that swells and fades with the decay shows "
         "that one exponential per mode does not say it all."
     )
-    return Figure(stacked(panels, 4.2), caption, f"Free decay of fit {fit_title(fit)}")
+    return Figure(stack(panels, 4.2), caption, f"Free decay of fit {fit_title(fit)}")
 
 
 def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmplitude) -> Figure:

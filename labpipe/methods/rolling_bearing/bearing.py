@@ -252,7 +252,7 @@ def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> Bearin
     )
 
 
-def _mounted(settings: RollingSettings) -> Bearing:
+def _mount(settings: RollingSettings) -> Bearing:
     for load in ("x", "y"):
         if getattr(settings.loads, load) is not None:
             raise not_on_rotor(f"loads.{load}")
@@ -268,12 +268,12 @@ BALL = BearingKind(
     rolling_coefficients,
     bare_units={"stiffness_constant": "N/m^1.5"},
     response=rolling_response,
-    mount=_mounted,
+    mount=_mount,
 )
 ROLLER = BearingKind(
     RollerBearingSettings,
     rolling_coefficients,
     bare_units={"stiffness_constant": "N/m^(10/9)"},
     response=rolling_response,
-    mount=_mounted,
+    mount=_mount,
 )

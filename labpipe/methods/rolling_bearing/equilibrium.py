@@ -386,7 +386,7 @@ def equilibrium(
                 bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, case_angles, free
             )
         )
-    return _joined(parts)
+    return _join(parts)
 
 
 def _solve_part(
@@ -407,7 +407,7 @@ def _solve_part(
     return u / scale
 
 
-def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
+def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
     at = Contacts(
         *(
             np.concatenate([getattr(part.contacts, field.name) for part in parts])

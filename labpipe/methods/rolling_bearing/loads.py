@@ -214,7 +214,7 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
     if frame.radial.ndim == 3:
         along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial
         across = at.cos[..., None] * frame.axial - at.sin[..., None] * frame.radial
-        return _squared(along, at.slope) + _squared(across, at.turning)
+        return _square(along, at.slope) + _square(across, at.turning)
     weights = (
         at.slope * at.cos**2 + at.turning * at.sin**2,
         (at.slope - at.turning) * at.sin * at.cos,
@@ -224,7 +224,7 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
     return (np.concatenate(weights, axis=1) @ frame.squares).reshape(-1, 5, 5)
 
 
-def _squared(vectors: FloatArray, weights: FloatArray) -> FloatArray:
+def _square(vectors: FloatArray, weights: FloatArray) -> FloatArray:
     """sum_j w_j v_j v_j^T: *vectors* (n_case, z, 5), *weights* (n_case, z) -> (n_case, 5, 5)."""
     return np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
 

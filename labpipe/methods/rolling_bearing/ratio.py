@@ -113,7 +113,7 @@ def match(
 
     measured = np.log([_positive(fit, "k"), _positive(fit, "c")])
     start = np.array([0.0, measured[1] - measured[0]])
-    log, slopes = _solved(lambda u: fitted(u, theory.stiffness, bending), measured, start)
+    log, slopes = _solve(lambda u: fitted(u, theory.stiffness, bending), measured, start)
     inverse = np.linalg.inv(slopes)
     solution = fitted(log, theory.stiffness, bending)
     to_bending = (
@@ -128,7 +128,7 @@ def match(
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
 
-def _solved(
+def _solve(
     function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The root of function(u) = target and the slopes (2, 2) near it."""
@@ -458,7 +458,7 @@ def ratio_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
     if settings.theory is None:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(settings, "k")
-    solved = _matched(campaign, evidence)
+    solved = _match(campaign, evidence)
     return stiffness_ratio(campaign, solved.matched, solved.overlays, _bending_error(settings))
 
 
@@ -467,7 +467,7 @@ def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparis
     campaign = evidence.campaign(settings, "c")
     if settings.theory is None:
         return rayleigh(campaign, None)
-    return rayleigh(campaign, _matched(campaign, evidence).matched, _bending_error(settings))
+    return rayleigh(campaign, _match(campaign, evidence).matched, _bending_error(settings))
 
 
 def _bending_error(settings: CompareSettings) -> float:
@@ -475,7 +475,7 @@ def _bending_error(settings: CompareSettings) -> float:
     return shaft.std_error / shaft.value if shaft else 0.0
 
 
-def _matched(campaign: Campaign, evidence: Evidence) -> _Solved:
+def _match(campaign: Campaign, evidence: Evidence) -> _Solved:
     named = campaign.settings.theory
     assert named is not None
     theory = evidence.theory or theory_of(evidence.folder, named)
@@ -502,13 +502,13 @@ def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named
             theories[key],
             rig,
         )
-        matched.append(_named(observation.fit.test, *inputs))
+        matched.append(_name(observation.fit.test, *inputs))
         if number in (0, last):
             overlays.append(overlay(*inputs, matched[-1]))
     return _Solved(matched, tuple(overlays))
 
 
-def _named(
+def _name(
     test: str, fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig
 ) -> Matched:
     try:

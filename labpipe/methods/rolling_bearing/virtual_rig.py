@@ -22,7 +22,7 @@ from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.settings import Settings, quantity, require_positive, setting
-from labpipe.simulate.linear import line_frequencies, sensed, steady_state
+from labpipe.simulate.linear import line_frequencies, sense, steady_state
 from labpipe.simulate.virtual_rigs import (
     SimulatedRun,
     Truth,
@@ -203,7 +203,7 @@ def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) 
             steady_state(force, -(omega**2) * arms * receptance[:, row, column], n_sample, sampling.periods)
         )
     noise = [rig.noise.force, *[rig.noise.acceleration] * len(FORCES)]
-    recording = sensed(name, _channels(test.force), samples, noise, sampling.rate, rng)
+    recording = sense(name, _channels(test.force), samples, noise, sampling.rate, rng)
     truth = {
         "preload_set": test.preload,
         "preload": preload,

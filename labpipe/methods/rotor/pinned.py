@@ -21,7 +21,7 @@ from scipy import linalg, optimize
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, solved
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, solve
 from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, free_rotor
 
 
@@ -182,7 +182,7 @@ def condensed_rotor(
     free = [dof for dof in range(rotor.n_dof) if dof not in bearing_dofs]
     sides = np.concatenate([forces[:, free, None], -z[:, free][:, :, bearing_dofs]], axis=-1)
     motion = np.zeros((speed.size, rotor.n_dof, 3), np.complex128)
-    motion[:, free] = solved(z[:, free][:, :, free], sides)
+    motion[:, free] = solve(z[:, free][:, :, free], sides)
     motion[:, bearing_dofs, 1:] = np.eye(2)
     to_bearing = z[:, bearing_dofs]
     dofs = [dof for node in outputs for dof in rotor.dofs(node)]

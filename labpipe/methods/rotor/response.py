@@ -143,7 +143,7 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float |
     return static + 1j * w * (matrices.damping + spin * matrices.gyroscopic)
 
 
-def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
+def solve(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
     """Displacements (..., n_dof, n_force) [m] under *forces* [N], same shape; FitError at an undamped
     resonance.
 
@@ -174,7 +174,7 @@ def frequency_response(
     forces = np.zeros((matrices.mass.shape[0], len(inputs)))
     forces[inputs, np.arange(len(inputs))] = 1
     z = dynamic_stiffness(matrices, 2 * np.pi * np.asarray(frequency), speed)
-    return solved(z, np.broadcast_to(forces, (z.shape[0], *forces.shape)))[:, outputs]
+    return solve(z, np.broadcast_to(forces, (z.shape[0], *forces.shape)))[:, outputs]
 
 
 def unbalance_response(
@@ -196,7 +196,7 @@ def unbalance_response(
         y, z = rotor.dofs(node)
         forces[:, y, 0] += amount * speed**2
         forces[:, z, 0] += -1j * amount * speed**2
-    return solved(dynamic_stiffness(matrices, speed, speed), forces)[:, outputs, 0]
+    return solve(dynamic_stiffness(matrices, speed, speed), forces)[:, outputs, 0]
 
 
 def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
@@ -276,7 +276,7 @@ def _bearing_forces(
     for number, support in enumerate(supports):
         place = slice(2 * number, 2 * number + 2)
         loaded[:, place] = (support.stiffness + 1j * omega[:, None, None] * support.damping) @ rows[:, place]
-    return solved(np.eye(len(at)) + loaded[:, :, at], loaded)
+    return solve(np.eye(len(at)) + loaded[:, :, at], loaded)
 
 
 def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, speed: float) -> ReducedRotor:
@@ -293,7 +293,7 @@ def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, spe
     dofs = [4 * kept.index(first // 4) + direction for first, _ in wanted for direction in (0, 1)]
     forces = np.eye(4 * len(kept))[:, dofs]
     return ReducedRotor(
-        nodes, omega, solved(stiffness, np.broadcast_to(forces, (omega.size, *forces.shape)))[:, dofs]
+        nodes, omega, solve(stiffness, np.broadcast_to(forces, (omega.size, *forces.shape)))[:, dofs]
     )
 
 
@@ -314,7 +314,7 @@ def condensed_stiffness(
         place = chain.index(node)
         neighbours = [*chain[max(place - 1, 0) : place], *chain[place + 1 : place + 2]]
         for b in neighbours:
-            moved = solved(z[node, node], z[node, b])
+            moved = solve(z[node, node], z[node, b])
             for a in neighbours:
                 z[a, b] = z.get((a, b), 0) - z[a, node] @ moved
         chain.remove(node)

@@ -216,7 +216,7 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     return tried(make_rig, tree, "", faults)
 
 
-def _listed(node: Marked | None, key: str, faults: Faults) -> list[Marked]:
+def _listing(node: Marked | None, key: str, faults: Faults) -> list[Marked]:
     if node is None:
         return []
     if isinstance(node.content, list):
@@ -231,7 +231,7 @@ def read_entries(
     """The entries of a list that can be read, with their place."""
     pairs = [
         (entry, read_settings(owner, entry, f"{key}.{number}", faults))
-        for number, entry in enumerate(_listed(node, key, faults), 1)
+        for number, entry in enumerate(_listing(node, key, faults), 1)
     ]
     return [(entry, settings) for entry, settings in pairs if settings is not None]
 
@@ -311,7 +311,7 @@ def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> 
 
 def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, BearingPlace]]:
     """The bearings of a rotor file with their entries, named by their number where they have no name."""
-    entries = enumerate(_listed(node, "bearings", faults), 1)
+    entries = enumerate(_listing(node, "bearings", faults), 1)
     places = [(entry, _bearing_place(entry, number, faults)) for number, entry in entries]
     return [(entry, place) for entry, place in places if place is not None]
 

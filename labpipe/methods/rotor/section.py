@@ -39,7 +39,7 @@ from labpipe.report.chart import (
     level,
     look,
     outline,
-    stacked,
+    stack,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 
@@ -288,7 +288,7 @@ def rotor_figure(rig: Mapping[str, Any]) -> Figure:
 def rotor_chart(sketch: RotorSketch) -> Chart:
     """The sketch over the length of the shaft [mm]; parts that lie within others are drawn on them."""
     reach, length = sketch.reach, sketch.stations[-1]
-    series = [curve for ring in sketch.rings for curve in _drawn(ring)]
+    series = [curve for ring in sketch.rings for curve in _draw(ring)]
     numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
     lower = [
         -ODD_NUMBERS * reach if number % 2 == 0 else -EVEN_NUMBERS * reach for number in range(len(numbers))
@@ -309,12 +309,12 @@ def rotor_chart(sketch: RotorSketch) -> Chart:
             labels([x], [(TAIL + 0.15) * reach], [name], PLACES),
         ]
     along = Axis("along the shaft", "mm", -0.03 * length, 1.03 * length)
-    return stacked(
+    return stack(
         [Panel(along, Axis("radius", "mm", -2.3 * reach, 2.1 * reach), tuple(series))], HEIGHT, "above"
     )
 
 
-def _drawn(ring: Ring) -> list[Series]:
+def _draw(ring: Ring) -> list[Series]:
     colour, opacity = LOOKS[ring.part]
     right = ring.left + ring.length
     series = []
@@ -445,9 +445,7 @@ def unbalance_figure(runs: UnbalanceRuns) -> Figure:
         "circle above, backward below."
     )
     return Figure(
-        stacked(panels, 5.0),
-        caption,
-        f"Forward and backward response to unbalance of {runs.rotor} over speed",
+        stack(panels, 5.0), caption, f"Forward and backward response to unbalance of {runs.rotor} over speed"
     )
 
 

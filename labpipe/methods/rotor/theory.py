@@ -128,7 +128,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     each = [
         modes(rig.rotor, support, 2 * np.pi * speed) for support, speed in zip(supports, speeds, strict=True)
     ]
-    order = followed(each)
+    order = follow(each)
     frequency, decrement, whirl = (np.full(order.shape, np.nan) for _ in range(3))
     for number, found in enumerate(each):
         there = order[number] >= 0
@@ -176,7 +176,7 @@ class _SupportsBetween:
         return [Support(node, k, c) for node, (k, c) in zip(self._nodes, values, strict=True)]
 
 
-def followed(each: Sequence[Modes]) -> FloatArray:
+def follow(each: Sequence[Modes]) -> FloatArray:
     """Numbers (n_speed, n_mode) [-] of the modes at every speed so that a column is one mode; -1: it is gone.
 
     Neighbouring speeds are paired by the assurance criterion of their shapes times
@@ -348,7 +348,7 @@ def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
 
 def rotor_document(theory: RotorTheory) -> Document:
     """The result as a report: what was found, Campbell diagram, damping and unbalance response over speed."""
-    from labpipe.report.chart import Axis, Panel, curve, stacked, upright
+    from labpipe.report.chart import Axis, Panel, curve, stack, upright
     from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
     speed, operating = theory.speed, theory.rig.speed
@@ -374,7 +374,7 @@ def rotor_document(theory: RotorTheory) -> Document:
     )
     figures: list[Block] = [
         Figure(
-            stacked([campbell, damping], 5.2),
+            stack([campbell, damping], 5.2),
             "Campbell diagram, modes followed through crossings, and their logarithmic decrements; dashed: "
             "the speed itself; upright: the operating speed.",
             "Natural frequencies and logarithmic decrements over speed",
@@ -389,6 +389,6 @@ def rotor_document(theory: RotorTheory) -> Document:
             across, Axis("major semi-axis", "um", logarithmic=True), (*responses, upright(operating))
         )
         caption = "Response to the unbalances of the file: the major semi-axis of the orbit."
-        figures.append(Figure(stacked([panel], 3.0), caption, "Unbalance response over speed"))
+        figures.append(Figure(stack([panel], 3.0), caption, "Unbalance response over speed"))
     sections = (Section("Result", (*blocks, table)), Section("Over speed", tuple(figures)))
     return Document(theory.rig.name, "Rotor by theory alone", sections, to_sign=False)

@@ -56,7 +56,7 @@ def rotor(
     rig = system.rig
     low, high = _band(speeds, rig.speed)
     if system.is_uncertain:
-        _declared(system, (low, high), json_path, output)
+        _declare(system, (low, high), json_path, output)
         return
     theory = rotor_theory(rig, np.linspace(low, high, steps))
     echo(f"{rig.name}, {60 * rig.speed:g} rpm")
@@ -72,7 +72,7 @@ def rotor(
             path.write_bytes(render(rotor_document(theory)))
 
 
-def _declared(
+def _declare(
     system: RotorSystem, band: tuple[float, float], json_path: Path | None, output: Path | None
 ) -> None:
     """The same of a file whose numbers carry uncertainties, with intervals."""

@@ -41,7 +41,7 @@ from labpipe.methods.rotor_system.posterior import (
     fit_system,
     normality,
     pulls,
-    refitted,
+    refit,
 )
 from labpipe.methods.rotor_system.predictions import (
     DRAWS,
@@ -68,7 +68,7 @@ from labpipe.methods.rotor_system.settings import (
     SystemTest,
     place_of,
 )
-from labpipe.methods.rotor_system.weights import balanced
+from labpipe.methods.rotor_system.weights import balance
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.section import run_as_measured
 from labpipe.project.work import Work
@@ -102,21 +102,21 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemRe
         work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
         out_of_place = list(_interlacing(settings, system, work))
         try:
-            built, posterior = _fitted(settings, system, sensors, work, runs)
+            built, posterior = _fit(settings, system, sensors, work, runs)
         except FitError as error:
             error.hint = "; ".join(each.message for each in out_of_place) or error.hint
             raise
         kinds = {test.name: test.kind for test in settings.tests}
         result = _result(system, built, posterior, settings.band, kinds, settings.draws, settings.seed)
         return replace(
-            result, balance=balanced(settings, built, posterior), findings=(*result.findings, *out_of_place)
+            result, balance=balance(settings, built, posterior), findings=(*result.findings, *out_of_place)
         )
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"
         raise
 
 
-def _fitted(
+def _fit(
     settings: RotorSystemSettings,
     system: RotorSystem,
     sensors: Mapping[str, Sensors],
@@ -160,7 +160,7 @@ def most_probable(
     if doubtful:
         best = best[0], replace(best[1], widened=WIDENED)
     excess, bearable = normality(best[1])
-    return best[0], replace(refitted(best[1]), normal=False) if excess > bearable else best[1]
+    return best[0], replace(refit(best[1]), normal=False) if excess > bearable else best[1]
 
 
 def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
@@ -259,7 +259,7 @@ def _responses(test: SystemTest, response: FrequencyResponse, built: Built, syst
         raise DataError(f"test '{test.name}': the noise of its FRF is not known")
     places = test.read_places
     outputs, inputs = (
-        tuple(_dof(system, _placed(test, places, port.dof, port.label)) for port in ports)
+        tuple(_dof(system, _place(test, places, port.dof, port.label)) for port in ports)
         for ports in (response.outputs, response.inputs)
     )
     low, high = test.band or (0.0, np.inf)
@@ -290,7 +290,7 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
     for test in known:
         if test.kind == MODES or test.free or test.speed:
             continue
-        inputs = [_placed(test, test.read_places, p.dof)[1] for p in _response(test, work).inputs]
+        inputs = [_place(test, test.read_places, p.dof)[1] for p in _response(test, work).inputs]
         planes = 2 if coupled else len(set(inputs))
         bearings, pedestals = len(system.rig.bearings), len(system.pedestals)
         for other in free:
@@ -308,7 +308,7 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
                 )
 
 
-def _placed(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str) -> tuple[int, str]:
+def _place(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str) -> tuple[int, str]:
     """Where a dof or plane is: as `places` says, else as its name does ("3y", "node 3")."""
     for name in names:
         if name in places:
@@ -330,7 +330,7 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
     noise: list[FloatArray] = []
     error = np.sqrt((run.amplitude_error**2 + (np.abs(run.response) * run.phase_error) ** 2) / 2)
     for number, plane in enumerate(run.planes):
-        y, z = system.rig.rotor.dofs(_placed(test, places, plane)[0])
+        y, z = system.rig.rotor.dofs(_place(test, places, plane)[0])
         # x along the load is -z, and y a quarter turn further with the spin is y.
         along_load = ((z, -1.0), (y, 1.0)) if test.axes == "load" else ((y, 1.0), (z, 1.0))
         for axis, (dof, sign) in enumerate(along_load):
@@ -341,7 +341,7 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
         raise DataError(f"test '{test.name}': a shaker excites this run", hint="give it as an FRF")
     turned = -1j if test.axes == "load" else 1.0
     added = tuple(
-        (system.rig.rotor.dofs(_placed(test, places, plane)[0])[0], turned * amount)
+        (system.rig.rotor.dofs(_place(test, places, plane)[0])[0], turned * amount)
         for plane, amount in run.unbalance.items()
         if amount
     )

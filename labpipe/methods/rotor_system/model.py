@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from labpipe.methods.rotor.response import LEAST_OSCILLATION, solved
+from labpipe.methods.rotor.response import LEAST_OSCILLATION, solve
 from labpipe.methods.rotor.shaft import RotorMatrices
 
 # The matrices with the powers of (j w) and of Omega that they have in D.
@@ -176,7 +176,7 @@ class SystemModel:
             )
         return tuple(stacks)
 
-    def _curved(self, supported: bool) -> Iterator[tuple[int, Term]]:
+    def _curve(self, supported: bool) -> Iterator[tuple[int, Term]]:
         """Terms that depend on the spin speed, with their numbers."""
         return (
             (number, term)
@@ -238,7 +238,7 @@ class SystemModel:
         """The matrices at *values* (n_unknown,) and a *spin* speed [rad/s]."""
         weights, _ = self._weights(values)
         whole = dict(zip(POWERS, self._constant(weights, supported), strict=True))
-        for number, term in self._curved(supported):
+        for number, term in self._curve(supported):
             whole[term.matrix][np.ix_(term.dofs, term.dofs)] += weights[number] * term.at(spin)
         return SystemMatrices(**whole)
 
@@ -265,7 +265,7 @@ class SystemModel:
                 (factors @ of).reshape(whole.shape)
                 for factors, of in ((of_real, kept[:3]), (of_imaginary, kept[3:]))
             )
-            for number, term in self._curved(supported):
+            for number, term in self._curve(supported):
                 power, turns = POWERS[term.matrix]
                 at = np.flatnonzero(np.isin(part, term.dofs))
                 if at.size:
@@ -311,7 +311,7 @@ class SystemModel:
             parts = rows @ blocks @ columns
             parts *= factor(stack.powers[kept].reshape(ones), stack.turns[kept].reshape(ones))
             whole += np.tensordot(slopes[:, stack.numbers[kept]], parts, axes=1)
-        for number, term in self._curved(supported):
+        for number, term in self._curve(supported):
             if acting[number]:
                 dofs = list(term.dofs)
                 part = left[..., dofs] @ term.at(spin) @ right[..., dofs, :] * factor(*POWERS[term.matrix])
@@ -343,11 +343,11 @@ class SystemModel:
             loads[:, :, n_force:] = part[:, None] == np.asarray(outputs)
             if np.array_equal(block, block.swapaxes(1, 2)):
                 # Nothing turns and no bearing couples one way alone: one factorisation is both.
-                both = solved(block, loads)
+                both = solve(block, loads)
                 right[:, part], turned = both[:, :, :n_force], both[:, :, n_force:]
             else:
-                right[:, part] = solved(block, loads[:, :, :n_force])
-                turned = solved(block.swapaxes(1, 2), loads[:, :, n_force:])
+                right[:, part] = solve(block, loads[:, :, :n_force])
+                turned = solve(block.swapaxes(1, 2), loads[:, :, n_force:])
             left[:, :, part] = turned.swapaxes(1, 2)
         slopes = -self.slopes(values, spin, left, right, 1j * np.asarray(omega), supported)
         return right[:, list(outputs)], slopes, left

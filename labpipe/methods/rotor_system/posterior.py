@@ -198,7 +198,7 @@ def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes:
     the declared size and six times it. Equation (system-sizes).
     """
     errors = model.errors.copy()
-    values = _begun(model, tests, errors)
+    values = _begin(model, tests, errors)
     sizes: dict[str, float] = {}
     for unknown in model.unknowns:
         if unknown.group:
@@ -206,7 +206,7 @@ def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes:
     groups = {g: np.array([u.group == g for u in model.unknowns]) for g in sizes}
     declared = dict(sizes)
     for _ in range(ROUNDS if estimate_sizes else 1):
-        values = _descended(model, tests, errors, values)
+        values = _descend(model, tests, errors, values)
         posterior = _posterior(model, tests, errors, values, sizes)
         before = errors.copy()
         if estimate_sizes:
@@ -223,11 +223,11 @@ def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes:
         errors[far] = np.sqrt((STUDENT * model.errors[far] ** 2 + off[far] ** 2) / (STUDENT + 1))
         if np.all(np.abs(errors / before - 1) < SETTLED):
             break
-    values = _descended(model, tests, errors, values)
+    values = _descend(model, tests, errors, values)
     return _posterior(model, tests, errors, values, sizes)
 
 
-def _begun(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) -> FloatArray:
+def _begin(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) -> FloatArray:
     """Values at a minimum: from the middle of the priors, and where that ends in none or in one that no test
     fits, from draws about it as well; the least of them.
     """
@@ -239,8 +239,8 @@ def _begun(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) ->
         try:
             # A prior that is far off needs longer to come near under enlarged noise.
             steps = STEPS * (1 + 2 * attempt)
-            begun = _started(model, tests, errors, model.means + moved, steps)
-            values = _descended(model, tests, errors, begun)
+            begun = _start(model, tests, errors, model.means + moved, steps)
+            values = _descend(model, tests, errors, begun)
         except FitError as error:
             reason = error
             continue
@@ -256,7 +256,7 @@ def _begun(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) ->
     return best[1]
 
 
-def _started(
+def _start(
     model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray, steps: int
 ) -> FloatArray:
     """Values near the minimum: modes and deflections, then responses, then all, noise enlarged less and
@@ -266,27 +266,27 @@ def _started(
     standing = [test for test in tests if isinstance(test, FreeModes | Deflections | Responses)]
     unbalance = np.array([unknown.unit == "kg.m" for unknown in model.unknowns])
     if early:
-        values = _descended(model, early, errors, values)
+        values = _descend(model, early, errors, values)
     if len(early) < len(standing):
-        values = _tempered(model, standing, errors, values, steps)
+        values = _temper(model, standing, errors, values, steps)
     if len(standing) < len(tests):
         # The unbalance alone first, in which the vectors are linear.
         loosened = [test.loosened(model, values, SLACK[0]) for test in tests]
-        values = _descended(model, loosened, errors, values, unbalance, steps)
-        values = _tempered(model, tests, errors, values, steps)
+        values = _descend(model, loosened, errors, values, unbalance, steps)
+        values = _temper(model, tests, errors, values, steps)
     return values
 
 
-def _tempered(
+def _temper(
     model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray, steps: int
 ) -> FloatArray:
     for share in SLACK:
         loosened = [test.loosened(model, values, share) for test in tests]
-        values = _descended(model, loosened, errors, values, most_steps=steps)
+        values = _descend(model, loosened, errors, values, most_steps=steps)
     return values
 
 
-def _descended(
+def _descend(
     model: SystemModel,
     tests: Sequence[Evidence],
     errors: FloatArray,
@@ -390,7 +390,7 @@ def _problem(posterior: Posterior) -> _Problem:
     return _Problem(model, posterior.tests, model.means, posterior.errors, whole, posterior.values)
 
 
-def refitted(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Posterior:
+def refit(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Posterior:
     """The posterior by randomised maximum likelihood where the normal approximation fails: data and prior
     means are moved by their own standard uncertainties and fitted again, *n_draw* times (Chen and Oliver
     2012). Equation (system-draws).

@@ -12,7 +12,7 @@ from scipy import linalg, optimize, stats
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.rotor.response import Modes
-from labpipe.methods.rotor.theory import Critical, followed, peaks
+from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.model import Curve, SystemModel
 from labpipe.methods.rotor_system.posterior import Posterior
@@ -71,7 +71,7 @@ def campbell(posterior: Posterior, speeds: FloatArray) -> Campbell:
         shaft = solution.shapes[: model.n_shaft].reshape(-1, 4, solution.values.size)
         each.append(Modes(2 * np.pi * float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
         roots.append(solution)
-    order = followed(each)
+    order = follow(each)
     frequency, f_error, decrement, d_error, whirl = (np.full(order.shape, np.nan) for _ in range(5))
     for number, (solution, modes) in enumerate(zip(roots, each, strict=True)):
         there = order[number] >= 0
@@ -139,15 +139,13 @@ class _Reduced:
         self.basis = basis[:, size > 1e-8 * size[0]]
         terms = tuple(
             replace(
-                term,
-                dofs=tuple(range(self.basis.shape[1])),
-                block=self._projected(term.block, list(term.dofs)),
+                term, dofs=tuple(range(self.basis.shape[1])), block=self._project(term.block, list(term.dofs))
             )
             for term in model.terms
         )
         self.model = SystemModel(model.unknowns, terms, self.basis.shape[1], 0)
 
-    def _projected(self, block: FloatArray | Curve, dofs: list[int]) -> FloatArray | Curve:
+    def _project(self, block: FloatArray | Curve, dofs: list[int]) -> FloatArray | Curve:
         rows = self.basis[dofs]
         if callable(block):
             curve: Curve = block

@@ -24,7 +24,7 @@ from labpipe.records.finding import NORMAL, WARNING, Finding, Parameter, of_leve
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
 from labpipe.registry import nearest
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stacked, upright
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stack, upright
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 
 NAME = "rotor_system"
@@ -110,7 +110,7 @@ def lines(result: RotorSystemResult) -> Iterator[str]:
     for unknown in result.unknowns:
         if not unknown.group and not unknown.name.startswith(("gain", "phase")):
             mark = "" if unknown.told else "   (no test tells)"
-            yield f"  {unknown.name:<28} {_shown(unknown.value, unknown.error, unknown.unit)}{mark}"
+            yield f"  {unknown.name:<28} {_text(unknown.value, unknown.error, unknown.unit)}{mark}"
     yield from sentences(result)
 
 
@@ -230,7 +230,7 @@ def _margin(critical: CriticalResult) -> str:
     return f"margin {there:.1f} %, {asked:.1f} % asked for: {sure}"
 
 
-def _shown(value: float, error: float, unit: str) -> str:
+def _text(value: float, error: float, unit: str) -> str:
     """A value with its error; unbalance as balancers write it."""
     return with_error(UM * value, UM * error, "g mm") if unit == "kg.m" else amount_text(value, error, unit)
 
@@ -240,8 +240,8 @@ def unknown_table(result: RotorSystemResult) -> Table:
     rows = tuple(
         (
             unknown.name,
-            _shown(unknown.value, unknown.error, unknown.unit),
-            _shown(unknown.prior, unknown.prior_error, unknown.unit),
+            _text(unknown.value, unknown.error, unknown.unit),
+            _text(unknown.prior, unknown.prior_error, unknown.unit),
             number(unknown.error / unknown.prior_error, 2) + ("" if unknown.told else " (no test tells)"),
         )
         for unknown in result.unknowns
@@ -301,9 +301,7 @@ def vibration_figure(vibration: VibrationResult) -> Figure:
         "Vibration that is expected over speed, as it is and with the weights, the latter with its 95 % band."
     )
     return Figure(
-        stacked([Panel(Axis("speed", "rpm"), axis, series)], 3.0),
-        caption,
-        "Vibration before and after weights",
+        stack([Panel(Axis("speed", "rpm"), axis, series)], 3.0), caption, "Vibration before and after weights"
     )
 
 
@@ -343,7 +341,7 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
         "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed."
     )
     return Figure(
-        stacked(panels, 5.6), caption, "Natural frequencies and log decrements over speed, with bands"
+        stack(panels, 5.6), caption, "Natural frequencies and log decrements over speed, with bands"
     )
 
 
@@ -351,7 +349,7 @@ def unknown_figure(result: RotorSystemResult) -> Figure:
     """How far each unknown has moved from what was declared, in units of that uncertainty."""
     own = [unknown for unknown in result.unknowns if not unknown.group]
     place = np.arange(len(own), dtype=float)
-    moved, error = np.array([_moved(unknown) for unknown in own]).T
+    moved, error = np.array([_move(unknown) for unknown in own]).T
     bars = (moved - NORMAL * error, moved + NORMAL * error)
     series = (curve("all tests", place, moved, 0, "", marker="o", bars=bars), level(0.0))
     ticks = tuple((float(n), unknown.name) for n, unknown in enumerate(own))
@@ -359,10 +357,10 @@ def unknown_figure(result: RotorSystemResult) -> Figure:
         Axis("", ticks=ticks, low=-0.7, high=len(own) - 0.3), Axis("moved by, in declared errors"), series
     )
     caption = "How far the tests move the unknowns, in declared standard uncertainties; bars: 95 %."
-    return Figure(stacked([panel], 3.4), caption, "Unknowns relative to their declared values")
+    return Figure(stack([panel], 3.4), caption, "Unknowns relative to their declared values")
 
 
-def _moved(unknown: UnknownResult) -> tuple[float, float]:
+def _move(unknown: UnknownResult) -> tuple[float, float]:
     return (unknown.value - unknown.prior) / unknown.prior_error, unknown.error / unknown.prior_error
 
 

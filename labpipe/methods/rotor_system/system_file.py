@@ -70,17 +70,17 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
         set_entry(tree, assignment)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
-    taken = {key: _taken(entries.get(key), key, name, unit, faults) for key, name, unit in UNCERTAIN}
+    taken = {key: _take(entries.get(key), key, name, unit, faults) for key, name, unit in UNCERTAIN}
     pedestals = _pedestals(entries.get("pedestals"), faults)
     internal = _internal(entries.get("damping"), faults)
-    estimated = _estimated(entries.get("estimate"), faults)
+    estimated = _estimates(entries.get("estimate"), faults)
     plain = {key: node for key, node in entries.items() if key not in ("pedestals", "estimate")}
     if "damping" in plain and isinstance(plain["damping"].content, dict):
         rest = {key: node for key, node in plain["damping"].content.items() if key != "internal"}
         plain["damping"] = Marked(rest, plain["damping"].where, plain["damping"].key_where)
     rig = read_rotor(Marked(plain, tree.where), path.stem, faults)
     if rig is not None:
-        for pedestal, node in zip(pedestals, _listed(entries.get("pedestals")), strict=False):
+        for pedestal, node in zip(pedestals, _listing(entries.get("pedestals")), strict=False):
             if pedestal.bearing not in [place.name for place in rig.bearings]:
                 hint = nearest(pedestal.bearing, [place.name for place in rig.bearings])
                 faults.add(node, "pedestals", f"no bearing '{pedestal.bearing}'", hint)
@@ -89,11 +89,11 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     return _system(rig, entries, taken, pedestals, internal, estimated)
 
 
-def _listed(node: Marked | None) -> list[Marked]:
+def _listing(node: Marked | None) -> list[Marked]:
     return list(node.content) if node is not None and isinstance(node.content, list) else []
 
 
-def _taken(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -> dict[str, Uncertain]:
+def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -> dict[str, Uncertain]:
     """Numbers with an uncertainty, by the name or number (from 1) of their entry; in the tree their values
     stand alone after that.
     """
@@ -123,7 +123,7 @@ def _pedestals(node: Marked | None, faults: Faults) -> list[Pedestal]:
     if node is not None and not isinstance(node.content, list):
         faults.add(node, "pedestals", "a list is needed", "each entry begins with '- '")
     pedestals = []
-    for number, entry in enumerate(_listed(node), 1):
+    for number, entry in enumerate(_listing(node), 1):
         settings = read_settings(PedestalSettings, entry, f"pedestals.{number}", faults)
         if settings is not None:
             stiffness = settings.stiffness
@@ -143,7 +143,7 @@ def _internal(node: Marked | None, faults: Faults) -> tuple[float, float]:
     return (0.0, 0.0) if settings is None else (settings.internal.value, _relative(settings.internal))
 
 
-def _estimated(node: Marked | None, faults: Faults) -> tuple[str, ...]:
+def _estimates(node: Marked | None, faults: Faults) -> tuple[str, ...]:
     if node is None:
         return ()
     names = [entry.text for entry in node.content] if isinstance(node.content, list) else [node.text]
@@ -214,7 +214,7 @@ def _sleeves(
 ) -> dict[str, tuple[tuple[int, ...], float, float]]:
     """Sleeves by name, their elements, ln of the stiffening and its uncertainty."""
     sleeves: dict[str, tuple[tuple[int, ...], float, float]] = {}
-    for number, (entry, ring) in enumerate(zip(_listed(node), rig.rotor.sleeves, strict=True), 1):
+    for number, (entry, ring) in enumerate(zip(_listing(node), rig.rotor.sleeves, strict=True), 1):
         name = entry.content["name"].text if "name" in entry.content else str(number)
         error = _relative(taken[str(number)]) if str(number) in taken else default
         elements, _, before = sleeves.get(name, ((), 0.0, 0.0))

@@ -20,7 +20,7 @@ from labpipe.methods.rotor_system.settings import RotorSystemSettings
 LOOKED, SPEEDS = 60, 61
 
 
-def balanced(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
+def balance(settings: RotorSystemSettings, built: Built, posterior: Posterior) -> BalanceResult | None:
     """Weights in the planes of the unbalances, what they leave, and what one more run would change."""
     runs = [test for test in posterior.tests if isinstance(test, RunUpVectors)]
     if not settings.balance_speeds or not runs:

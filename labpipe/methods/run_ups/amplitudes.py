@@ -121,7 +121,7 @@ def compass_search(
     ConfigError where a start lies outside its box.
     """
     limits = limits or SearchLimits()
-    values, width = _checked(start, lower, upper)
+    values, width = _check(start, lower, upper)
     n_problem, n_parameter = values.shape
     problems = np.arange(n_problem)
     lowest = objective(values[None], problems)[0]
@@ -161,7 +161,7 @@ def cobyqa_search(
     installed scipy.
     """
     limits = limits or SearchLimits()
-    values, width = _checked(start, lower, upper)
+    values, width = _check(start, lower, upper)
     traces = [_trace(objective, n, values[n], lower[n], width[n], limits) for n in range(values.shape[0])]
     length = max(trace.objective.size for trace in traces)
     best = np.array([trace.points[np.argmin(trace.objective)] for trace in traces])
@@ -234,7 +234,7 @@ def search_named(name: str) -> Callable[..., SearchResult]:
     return SEARCHES[name]
 
 
-def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _check(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
     if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
         raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")
     return np.array(start, np.float64), upper - lower

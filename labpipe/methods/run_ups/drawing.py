@@ -7,13 +7,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from mpl_toolkits.mplot3d import Axes3D
 
-from labpipe.document.charts import styled
+from labpipe.document.charts import style
 from labpipe.methods.run_ups.figures import CoefficientSurfaces
 
 
 def surface_canvas(surfaces: CoefficientSurfaces, size: tuple[float, float]) -> Canvas:
     """Four surfaces side by side on a canvas of *size* [in]."""
-    with styled():
+    with style():
         canvas = Canvas(figsize=size)
         for place, title in enumerate(surfaces.titles):
             axes = canvas.add_subplot(2, 2, place + 1, projection=Axes3D.name)

@@ -39,7 +39,7 @@ from labpipe.report.chart import (
     dots,
     level,
     named_ticks,
-    stacked,
+    stack,
     upright,
 )
 from labpipe.report.document import Figure
@@ -254,7 +254,7 @@ def speeds_figure(result: RunUpResult) -> Figure:
         f"bars: 95 % intervals.{remark}"
     )
     return Figure(
-        stacked(panels, 5.4),
+        stack(panels, 5.4),
         caption,
         "Critical speed and threshold over the load, measured and by every method",
     )
@@ -298,7 +298,7 @@ def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
     ends = np.array([speed.min(), speed.max()])
     orders = [curve(f"{order}x", order * ends, ends, 1, "--", width=0.9) for order in (1, 2)]
     x = Axis("frequency", "cycles/min", 0.0, float(min(frequency[-1], HIGHEST_ORDER * speed.max())))
-    chart = stacked([Panel(x, SPEED, (*spectra, *orders))], 5.0)
+    chart = stack([Panel(x, SPEED, (*spectra, *orders))], 5.0)
     highest = f"the highest line is {amplitude.max():.3g} um, 0-to-peak"
     caption = f"{run.name}: cascade of {cascade.label}; {highest}. Lines below 1x warn of whirl."
     return Figure(
@@ -415,7 +415,7 @@ def spread_figure(method: RunUpMethod, spread: StartSpread) -> Figure:
         f"{method.title}: final factors of {len(factors)} starts at {spread.where}; {spread_text(spread)}."
     )
     return Figure(
-        stacked([_factors((starts, mean))], 2.9),
+        stack([_factors((starts, mean))], 2.9),
         caption,
         f"Spread of the factors over {len(factors)} starts at {spread.where}",
     )

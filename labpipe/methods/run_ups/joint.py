@@ -350,9 +350,7 @@ class JointFit(RunUpFit[FilmFamily]):
         """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
         named.
         """
-        return self._predicted(
-            lambda values: self.rig.critical_speed(self.family.at_load(values, load), plane)
-        )
+        return self._predict(lambda values: self.rig.critical_speed(self.family.at_load(values, load), plane))
 
     def threshold(self, load: float) -> Uncertain | None:
         """Onset speed of instability [rad/s].
@@ -361,7 +359,7 @@ class JointFit(RunUpFit[FilmFamily]):
         """
         if self.rig.threshold(self.at_load(load)) is None:
             return None
-        return self._predicted(lambda values: self._threshold_or_error(values, load))
+        return self._predict(lambda values: self._threshold_or_error(values, load))
 
     def _threshold_or_error(self, values: FloatArray, load: float) -> float:
         speed = self.rig.threshold(self.family.at_load(values, load))
@@ -387,7 +385,7 @@ class JointFit(RunUpFit[FilmFamily]):
             )
         return "; ".join(parts)
 
-    def _predicted(self, predict: Callable[[FloatArray], float]) -> Uncertain:
+    def _predict(self, predict: Callable[[FloatArray], float]) -> Uncertain:
         """A prediction with its standard error: central differences along the axes of the covariance."""
         sizes, axes = np.linalg.eigh(self.whole_covariance)
         variance = 0.0

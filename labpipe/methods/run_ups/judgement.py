@@ -112,7 +112,7 @@ class Judgement:
         return f"critical speeds from {top:.0f} to {asked:.0f} rpm, beyond the run, are not judged"
 
 
-def judged(
+def judge(
     track: OrderTrack,
     *,
     slow_roll: tuple[float, float] | None = None,
@@ -281,7 +281,7 @@ def _peaks(
         rows = [_peak(fine, row, first, last) for row in amplitude]
         coarse = _peak(fine, halved, first, last)
         if rows[0] is not None:
-            yield rows[0], [_moved(row, rows[0], coarse, n) for n, row in enumerate(rows[1:]) if row]
+            yield rows[0], [_move(row, rows[0], coarse, n) for n, row in enumerate(rows[1:]) if row]
 
 
 def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Critical | None:
@@ -350,7 +350,7 @@ def _one_mode(
     return None if critical[0] is None else (critical[0], [each for each in critical[1:] if each is not None])
 
 
-def _moved(peak: Critical, middle: Critical, coarse: Critical | None, number: int) -> Critical:
+def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int) -> Critical:
     """A draw's peak, moved to one side or the other by the error of the curve between readings."""
     if coarse is None:
         return peak

@@ -431,13 +431,13 @@ def leave_one_load_out(
     for load in grid.loads:
         training = grid.without(load) if len(grid.loads) > 1 else grid
         for kind in kinds:
-            rows.append(_validated(kind, grid, load, partial(fit_metamodel, kind, training, seed)))
+            rows.append(_validate(kind, grid, load, partial(fit_metamodel, kind, training, seed)))
         if physical is not None:
-            rows.append(_validated(PhysicalFit.kind, grid, load, partial(physical, load)))
+            rows.append(_validate(PhysicalFit.kind, grid, load, partial(physical, load)))
     return rows
 
 
-def _validated(kind: str, grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
+def _validate(kind: str, grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
     beyond, points = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
     try:
         errors = coefficient_errors(fitted().predict(points.load, points.speed), points.eight)

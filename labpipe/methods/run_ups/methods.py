@@ -92,12 +92,12 @@ def predict(
         return RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
     critical = (
-        _tried(lambda: _critical(rig, solution, plane), "no critical speed", notes)
+        _try(lambda: _critical(rig, solution, plane), "no critical speed", notes)
         if run.shaker is None
         else None
     )
     before = len(notes)
-    threshold = _tried(lambda: _threshold(rig, solution), "no threshold", notes)
+    threshold = _try(lambda: _threshold(rig, solution), "no threshold", notes)
     stable = f"no threshold below {rig.search.highest / RPM:.0f} rpm"
     notes += [stable] if threshold is None and len(notes) == before else []
     speed = _drawn_speeds(run, threshold, critical)
@@ -115,7 +115,7 @@ def predict(
     )
 
 
-def _tried(give: Callable[[], Amount | None], title: str, notes: list[str]) -> Amount | None:
+def _try(give: Callable[[], Amount | None], title: str, notes: list[str]) -> Amount | None:
     try:
         return give()
     except FitError as error:
@@ -344,12 +344,12 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
     method = RunUpMethod(
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
-        _determined(fits),
+        _determination(fits),
         predictions=(),
         **_of_points(fits),
         convergence=(Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),),
         spreads=_spreads(rig, unbalanced, settings),
-        remarks=(f"{perfect_but_wrong(fits)}.", *_capped(fits)),
+        remarks=(f"{perfect_but_wrong(fits)}.", *_cap(fits)),
     )
     return Solved(method, _points_at(fits), tuple(fits))
 
@@ -363,7 +363,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
     method = RunUpMethod(
         "points",
         "(b) complex, point by point",
-        _determined(fits),
+        _determination(fits),
         predictions=(),
         **_of_points(fits),
         remarks=(remark,),
@@ -521,11 +521,11 @@ def _of_points(fits: PointFits) -> dict[str, Any]:
     }
 
 
-def _determined(fits: PointFits) -> str:
+def _determination(fits: PointFits) -> str:
     return "determined" if min(int(fit.rank.min()) for fit in fits) == 8 else "not determined"
 
 
-def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
+def _cap(fits: Sequence[AmplitudeFit]) -> list[str]:
     capped, most = sum(int(fit.capped.sum()) for fit in fits), max(int(fit.evaluations.max()) for fit in fits)
     every = sum(fit.speed.size for fit in fits)
     return (

@@ -46,15 +46,15 @@ class ExcitedRun:
 
         Equation (run-weights).
         """
-        return self._weighted(self.condensed.response(*as_matrices(coefficients)) - self._measured)
+        return self._weight(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N
         s/m].
         """
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
-        return self._weighted(response - self._measured), np.moveaxis(
-            self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1
+        return self._weight(response - self._measured), np.moveaxis(
+            self._weight(np.moveaxis(slopes, -1, 0)), 0, -1
         )
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
@@ -63,16 +63,14 @@ class ExcitedRun:
         """
         changes = self.run.changes()
         none = np.zeros_like(self.run.response)
-        rows = [
-            self._weighted(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources
-        ]
+        rows = [self._weight(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
         return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
 
     @property
     def _measured(self) -> ComplexArray:
         return self.run.response.reshape(self.run.n_speed, -1)
 
-    def _weighted(self, difference: ComplexArray) -> FloatArray:
+    def _weight(self, difference: ComplexArray) -> FloatArray:
         """Along the measured phasor over the error of its amplitude, across it over the amplitude times the
         error of its phase.
         """
@@ -120,17 +118,17 @@ def sources_of(groups: Iterable[LoadRuns]) -> tuple[Uncertainty, ...]:
 
 def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
     """The runs grouped by load, in order; DataError where runs of one load share no speed."""
-    return _grouped(rig, runs, lambda run: (run.load,))
+    return _group(rig, runs, lambda run: (run.load,))
 
 
 def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
     """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share
     none.
     """
-    return _grouped(rig, runs, lambda run: (run.load, run.speed.tobytes()))
+    return _group(rig, runs, lambda run: (run.load, run.speed.tobytes()))
 
 
-def _grouped(rig: RunUpRotor, runs: Iterable[RunUp], key: Callable[[RunUp], Hashable]) -> list[LoadRuns]:
+def _group(rig: RunUpRotor, runs: Iterable[RunUp], key: Callable[[RunUp], Hashable]) -> list[LoadRuns]:
     groups: dict[Hashable, list[RunUp]] = {}
     for run in runs:
         groups.setdefault(key(run), []).append(run)

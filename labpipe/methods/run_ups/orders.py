@@ -16,7 +16,7 @@ from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
 from labpipe.cli.output import echo
 from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
-from labpipe.methods.run_ups.judgement import Estimate, Judgement, judged
+from labpipe.methods.run_ups.judgement import Estimate, Judgement, judge
 from labpipe.methods.run_ups.measured import run_up_of
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.ingest import ingest, is_recording
@@ -34,7 +34,7 @@ from labpipe.report.chart import (
     curve,
     dots,
     level,
-    stacked,
+    stack,
     upright,
 )
 from labpipe.report.document import Figure
@@ -84,7 +84,7 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
     meaning = "shaded: two standard deviations; dashed: half of the whole motion's peak-to-peak value"
     caption = f"{name}: order {track.order:g}, 0-to-peak, and phase against the tacho; {meaning}."
     return Figure(
-        stacked(panels, 2.2 * len(panels)), caption, f"Amplitude and phase of order {track.order:g} of {name}"
+        stack(panels, 2.2 * len(panels)), caption, f"Amplitude and phase of order {track.order:g} of {name}"
     )
 
 
@@ -137,7 +137,7 @@ def gap_figure(
         f"{name}: largest distance of the shaft from the middle of its orbit, against the gap of "
         f"{to_display(gap, 'um'):g} um."
     )
-    return Figure(stacked([panel], 3.2), caption, f"Orbit size of {name} against the gap")
+    return Figure(stack([panel], 3.2), caption, f"Orbit size of {name} against the gap")
 
 
 def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure:
@@ -195,7 +195,7 @@ def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
         f"and critical speeds; shaded and bars: 95 % intervals.{shade}"
     )
     panel = Panel(Axis("speed", "rpm"), axis, tuple(series))
-    return Figure(stacked([panel], 3.2), caption, f"Amplitude of {name} over speed with its critical speeds")
+    return Figure(stack([panel], 3.2), caption, f"Amplitude of {name} over speed with its critical speeds")
 
 
 Column = tuple[str, FloatArray]
@@ -405,7 +405,7 @@ def track_and_write(
         if any((*bands, baseline)):
             added = _added(unbalance, baseline is not None)
             slow, operating = bands
-            verdict = judged(
+            verdict = judge(
                 run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
             )
             folder.write_path("judgement.json").write_text(

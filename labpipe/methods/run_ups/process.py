@@ -296,7 +296,7 @@ def fit_with_process(
     for _ in range(ROUNDS):
         linear = LinearData.at(problem, values, places)
         problem = problem_of(_likeliest(linear, places, ranges))
-        values, more = _minimum(problem, _carried(values, linear.field, problem.family.field))
+        values, more = _minimum(problem, _carry(values, linear.field, problem.family.field))
         steps += more
     fields, scaled = posterior(problem, values, steps)
     return ProcessFit(**fields, n_determined=int(np.sum(np.linalg.svd(scaled, compute_uv=False) > 1)))
@@ -317,7 +317,7 @@ def _minimum(problem: RunUpProblem[ProcessFamily], start: FloatArray) -> tuple[F
     return minimum.values, minimum.steps
 
 
-def _carried(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
+def _carry(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
     """The same fields in another basis, by least squares at the places of the data."""
     n = len(PARAMETERS)
     field = old.basis(old.places) @ values[n:].reshape(8, -1).T

@@ -83,7 +83,7 @@ def metamodels(
     left_out = leave_one_load_out(grid, kinds, refitted, settings.seed)
     results = []
     for name in settings.metamodels:
-        model = _fitted(name, grid, joint, settings.seed)
+        model = _fit(name, grid, joint, settings.seed)
         rows = tuple(
             LeftOut(method.load, column(method.errors), method.beyond, method.failed)
             for method in left_out
@@ -125,7 +125,7 @@ def _grid(method: Solved, trained: Sequence[RunUp]) -> Grid:
     return Grid.sampled(method.anywhere, dict.fromkeys(run.load for run in trained), longest.speed)
 
 
-def _fitted(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
+def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
     try:
         if name == "physical":
             assert isinstance(joint, JointFit)
@@ -171,7 +171,7 @@ def run_up_result(
     solved = []
     for name in [START, *(name for name in METHODS if name in settings.methods)]:
         tell(f"run-ups   {name}")
-        solved.append(_solved(name, rig, trained, settings))
+        solved.append(_solve(name, rig, trained, settings))
     methods = [
         replace(
             item.method,
@@ -205,7 +205,7 @@ def run_up_result(
     return _with_findings(result, [reason for _, reason in measured if reason], read)
 
 
-def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+def _solve(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     try:
         solve = solve_start if name == START else METHODS[name]
         return solve(rig, trained, settings)

@@ -87,7 +87,7 @@ class FilmFamily:
         """
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
-        return self._joined(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
+        return self._join(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
 
     def coefficients_and_slopes(
         self, values: FloatArray, load: FloatArray, speed: FloatArray
@@ -95,8 +95,8 @@ class FilmFamily:
         """`coefficients` [N/m, N s/m] and their derivatives by PARAMETERS, (n_point, 8, 12)."""
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         scale = self._scale(values, load, speed)
-        eight = self._joined(curve_values.stiffness, curve_values.damping) * scale
-        by_place = self._joined(curve_values.stiffness_slope, curve_values.damping_slope) * scale
+        eight = self._join(curve_values.stiffness, curve_values.damping) * scale
+        by_place = self._join(curve_values.stiffness_slope, curve_values.damping_slope) * scale
         slopes = np.zeros((*eight.shape, len(PARAMETERS)))
         slopes[..., 0] = by_place
         slopes[..., 1] = by_place * np.log(speed / self.speed)[:, None]
@@ -116,7 +116,7 @@ class FilmFamily:
         return both * np.exp(values[4:])
 
     @staticmethod
-    def _joined(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
+    def _join(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
         return np.concatenate(
             [stiffness.reshape(*stiffness.shape[:-2], 4), damping.reshape(*damping.shape[:-2], 4)], axis=-1
         )
@@ -130,7 +130,7 @@ def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
     """The eight COEFFICIENTS (..., 8) from K [N/m] and C [N s/m], (..., 2, 2)."""
-    return FilmFamily._joined(np.asarray(stiffness), np.asarray(damping))
+    return FilmFamily._join(np.asarray(stiffness), np.asarray(damping))
 
 
 def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:

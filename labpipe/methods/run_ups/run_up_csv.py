@@ -216,10 +216,10 @@ def _value(head: dict[str, tuple[str, str]], key: str, unit: str, path: Path) ->
         raise DataError(
             f"the {key} is missing", where=str(path), hint=f"a line '# {key}: ... {unit}' above the table"
         )
-    return _parsed(*head[key], key, unit)
+    return _parse(*head[key], key, unit)
 
 
-def _parsed(text: str, where: str, key: str, unit: str) -> float:
+def _parse(text: str, where: str, key: str, unit: str) -> float:
     try:
         return parse_value(text, unit)
     except UnitError as error:
@@ -235,7 +235,7 @@ def _threshold(head: dict[str, tuple[str, str]]) -> Uncertain | None:
         raise DataError(
             "threshold: its uncertainty is missing", where=where, hint="for example 2772 rpm +- 6 rpm"
         )
-    hertz = [_parsed(part.strip(), where, "threshold", "Hz") for part in (value, error)]
+    hertz = [_parse(part.strip(), where, "threshold", "Hz") for part in (value, error)]
     return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
 
 
@@ -251,7 +251,7 @@ def _unbalances(head: dict[str, tuple[str, str]]) -> dict[str, complex]:
                 where=where,
                 hint="for example 50 g.mm at 0 deg",
             )
-        size, angle = _parsed(match["size"], where, key, "kg.m"), _parsed(match["angle"], where, key, "rad")
+        size, angle = _parse(match["size"], where, key, "kg.m"), _parse(match["angle"], where, key, "rad")
         unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
     return unbalances
 
@@ -276,8 +276,8 @@ def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
         )
     return Shaker(
         match["plane"],
-        _parsed(match["x"], where, "shaker", "N"),
-        _parsed(match["y"], where, "shaker", "N"),
+        _parse(match["x"], where, "shaker", "N"),
+        _parse(match["y"], where, "shaker", "N"),
         ratio,
     )
 

@@ -74,18 +74,20 @@ def run_as_measured(
     settings: RunSettings, output: OutputFolder, folder: Path, probes: ProbeUncertainties = NO_UNCERTAINTIES
 ) -> ReadRun:
     """The run of an entry, a table or a recording, on whatever rotor."""
-    return _recorded(settings, output, folder) if settings.recording else _tabled(settings, probes)
+    return _record(settings, output, folder) if settings.recording else _tabulate(settings, probes)
 
 
-def _tabled(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
-    run = _stated(settings, read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None))
+def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
+    run = _statement(
+        settings, read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None)
+    )
     run = replace(run, uncertainties=probes.errors(run.planes))
     if settings.subtracted is not None:
         run = difference(run, read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}))
     return ReadRun(settings, run)
 
 
-def _stated(settings: RunSettings, run: RunUp) -> RunUp:
+def _statement(settings: RunSettings, run: RunUp) -> RunUp:
     threshold = settings.threshold
     return replace(
         run,
@@ -97,16 +99,16 @@ def _stated(settings: RunSettings, run: RunUp) -> RunUp:
     )
 
 
-def _recorded(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRun:
+def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRun:
     lines = ShaftLines(tacho=settings.tacho, pulses=settings.pulses, harmonics=settings.harmonics)
-    recording = _opened(settings.path, settings, output, folder)
-    run = _tracked(recording, lines, settings, dict(settings.unbalance))
+    recording = _open(settings.path, settings, output, folder)
+    run = _track(recording, lines, settings, dict(settings.unbalance))
     if settings.subtracted is not None:
-        residual = _opened(settings.subtracted, settings, output, folder)
+        residual = _open(settings.subtracted, settings, output, folder)
         # Nothing was added before the residual run, where the run has its weights.
         still = dict.fromkeys(dict(settings.unbalance), 0j)
-        run = _without_residual(run, _tracked(residual, lines, settings, still))
-    return ReadRun(settings, _stated(settings, run), _cascades(recording, lines))
+        run = _without_residual(run, _track(residual, lines, settings, still))
+    return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
 
 
 def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
@@ -114,7 +116,7 @@ def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
     return difference(run, at_speeds(residual, inside))
 
 
-def _opened(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
+def _open(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
     if settings.recorded_by is None and not is_recording(path):
         raise DataError("a raw file needs its rig file", where=str(path), hint="add rig: FILE to the entry")
     return ingest(
@@ -122,7 +124,7 @@ def _opened(path: Path, settings: RunSettings, output: OutputFolder, folder: Pat
     )
 
 
-def _tracked(
+def _track(
     recording: StoredRecording, lines: ShaftLines, settings: RunSettings, unbalance: dict[str, complex]
 ) -> RunUp:
     track = track_order(recording, lines, revolutions=settings.revolutions)

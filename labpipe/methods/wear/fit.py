@@ -23,7 +23,7 @@ from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import (
     Estimate,
-    derived,
+    derive,
     determination,
     estimated,
     inflation_factors,
@@ -40,12 +40,12 @@ from labpipe.methods.wear.search import (
     healthy_minimum,
     healthy_probability,
     joint_region,
-    merged,
+    merge,
     minima,
     profile_interval,
-    refined,
+    refine,
     start_mesh,
-    widened,
+    widen,
     widened_region,
 )
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
@@ -188,7 +188,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     measured = worn_receptance(response, settings, wear)
     solved = _solve(measured, wear)
     estimate = _estimate(solved)
-    parameters, findings = _reported(solved, estimate)
+    parameters, findings = _report(solved, estimate)
     frequency = measured.frequency
     lines = np.isin(response.frequency, frequency)
     band = settings.band or (float(frequency[0]), float(frequency[-1]))
@@ -257,7 +257,7 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
         )
     candidates = minima(misfit, start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
-        refined_misfit, ranked = _ranked(misfit, candidates[:1])
+        refined_misfit, ranked = _rank(misfit, candidates[:1])
         residual = refined_misfit.residual(ranked[0].parameters)[: -refined_misfit.n_prior or None]
         n_free = len(refined_misfit.model.names) - refined_misfit.n_prior
         ratio = max(float(np.sqrt(residual @ residual / (residual.size - n_free))), 1e-12)
@@ -266,13 +266,13 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
             candidates = [replace(minimum, chi2=minimum.chi2 / ratio**2) for minimum in candidates]
             break
         candidates = minima(misfit, start_mesh(wear, misfit))
-    misfit, ranked = _ranked(misfit, candidates)
+    misfit, ranked = _rank(misfit, candidates)
     healthy_chi2 = None
     if DEPTH in misfit.model.names:
         without, healthy = healthy_minimum(misfit, ranked[0])
         healthy_chi2 = healthy.chi2
         if healthy.chi2 < ranked[0].chi2 + ALIKE:
-            misfit, ranked = without, merged([healthy, *ranked])
+            misfit, ranked = without, merge([healthy, *ranked])
     jacobian = misfit.jacobian(ranked[0].parameters)
     covariance = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
     return _Solved(
@@ -284,16 +284,16 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     )
 
 
-def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
+def _rank(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
     near = [
         candidate
         for candidate in candidates[:MOST_RIVALS]
         if candidate.converged and candidate.chi2 <= candidates[0].chi2 + NEAR * (candidates[0].chi2 + 100)
     ]
-    pairs = [refined(misfit, candidate) for candidate in near] or [refined(misfit, candidates[0])]
+    pairs = [refine(misfit, candidate) for candidate in near] or [refine(misfit, candidates[0])]
     pairs.sort(key=lambda pair: (not pair[1].converged, pair[1].chi2))
     others = [candidate for candidate in candidates if not any(candidate is other for other in near)]
-    return pairs[0][0], merged([*(pair[1] for pair in pairs), *others])
+    return pairs[0][0], merge([*(pair[1] for pair in pairs), *others])
 
 
 def _estimate(solved: _Solved) -> Estimate:
@@ -318,7 +318,7 @@ def _estimate(solved: _Solved) -> Estimate:
     )
 
 
-def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...], list[Finding]]:
+def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...], list[Finding]]:
     misfit, best = solved.misfit, solved.best
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
@@ -337,7 +337,7 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
     if solved.healthy_chi2 is None:
         return tuple(plain), findings
     probability = healthy_probability(misfit, best, solved.healthy_chi2)
-    plain.append(derived("healthy_probability", "1", probability, 0.0, solved.dof))
+    plain.append(derive("healthy_probability", "1", probability, 0.0, solved.dof))
     plain[-1] = replace(plain[-1], std_error=None, ci95=None)
     mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < MISMATCH_P
     return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
@@ -352,7 +352,7 @@ def _intervals(solved: _Solved) -> dict[str, Interval]:
     for number, name in enumerate(model.names):
         if name in (DEPTH, ANGLE):
             interval = profile_interval(solved.misfit, solved.best, number, float(noise[number]), limit)
-            intervals[name] = widened(
+            intervals[name] = widen(
                 interval, parameters[number], limit * film[number], model.low[number], model.high[number]
             )
     return intervals

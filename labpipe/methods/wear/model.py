@@ -27,7 +27,7 @@ from labpipe.methods.wear.tables import (
     VaryingSupport,
     forward_backward,
     response_with_slopes,
-    tabled,
+    tabulate,
 )
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import MatrixError
@@ -146,12 +146,12 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
         raise FitError("no rotor was read for this fit", hint="name it with wear.rotor")
     prior = settings.nuisance_prior
     centre = {**settings.fixed_values, **dict(zip(prior.names, prior.mean, strict=True))}
-    rig = _centred(settings.rig, centre)
+    rig = _centre(settings.rig, centre)
     worn = "" if settings.healthy else rig.place(settings.bearing).name
     ranges, box = _reach(settings, prior, rig)
     loads, mesh = rig.static_loads(), FilmMesh(settings.cells_around, settings.cells_across)
     bearings = tuple(
-        tabled(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh)
+        tabulate(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh)
         for place in rig.bearings
     )
     nuisances = tuple(name for name in prior.names if name not in SCALES)
@@ -173,7 +173,7 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     )
 
 
-def _centred(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
+def _centre(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
     """The rig with bearings and shaft damping at the prior means, around which the tables are made."""
     film_values: dict[str, float] = {
         name: value for name, value in centre.items() if name != "beta" and name not in SCALES

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.records.fit_details import FitDetailKind, Region
 from labpipe.records.identification import Fit
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, outline, stacked, upright
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, outline, stack, upright
 from labpipe.report.document import Figure
 from labpipe.report.figures import scale_of
 from labpipe.report.wording import fit_title, unit_text
@@ -31,7 +31,7 @@ def region_figure(fit: Fit, region: Region) -> Figure:
         "Dashed: the 95 % interval of each alone, which is narrower than the region."
     )
     return Figure(
-        stacked([Panel(axes[0], axes[1], tuple(series))], 3.6),
+        stack([Panel(axes[0], axes[1], tuple(series))], 3.6),
         caption,
         f"Joint confidence region of {' and '.join(region.names)} of fit {fit_title(fit)}",
     )

@@ -108,25 +108,25 @@ def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
 
     FitError when no start leads to a finite misfit.
     """
-    rough = _ranked([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
-    candidates = _ranked([_continued(misfit, minimum) for minimum in merged(rough)])
+    rough = _rank([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
+    candidates = _rank([_continue(misfit, minimum) for minimum in merge(rough)])
     if not np.isfinite(candidates[0].chi2):
         raise FitError("no start leads to a finite misfit", hint="check the rotor file and the response")
-    return merged(candidates)
+    return merge(candidates)
 
 
-def _ranked(candidates: Sequence[Minimum]) -> list[Minimum]:
+def _rank(candidates: Sequence[Minimum]) -> list[Minimum]:
     return sorted(candidates, key=lambda minimum: (not minimum.converged, minimum.chi2))
 
 
-def _continued(misfit: Misfit, minimum: Minimum) -> Minimum:
+def _continue(misfit: Misfit, minimum: Minimum) -> Minimum:
     if not minimum.converged:
         return minimum
     end = descend(misfit, minimum.parameters)
     return replace(end, starts=minimum.starts, evaluations=minimum.evaluations + end.evaluations)
 
 
-def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
+def merge(candidates: Sequence[Minimum]) -> list[Minimum]:
     distinct: list[Minimum] = []
     for candidate in candidates:
         near = next(
@@ -149,7 +149,7 @@ def _is_same(first: FloatArray, second: FloatArray) -> bool:
     return bool(apart[0] < SAME and (np.max(apart) < SAME or max(first[0], second[0]) < SHALLOW))
 
 
-def refined(
+def refine(
     misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None, hopeless: float = np.inf
 ) -> tuple[Misfit, Minimum]:
     """Minimum on the films instead of the tables: correct the tables at the minimum and descend, repeatedly.
@@ -288,7 +288,7 @@ def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
     """
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
-    refined_misfit, healthy = refined(misfit, healthy, nuisances, best.chi2 + HOPELESS)
+    refined_misfit, healthy = refine(misfit, healthy, nuisances, best.chi2 + HOPELESS)
     return refined_misfit, replace(healthy, starts=0)
 
 
@@ -360,7 +360,7 @@ def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArr
     return total
 
 
-def widened(interval: Interval, best: float, distance: float, low: float, high: float) -> Interval:
+def widen(interval: Interval, best: float, distance: float, low: float, high: float) -> Interval:
     """A profile interval about *best* with each half-width w replaced by sqrt(w^2 + *distance*^2), within
     *low* and *high*; all scaled.
     """

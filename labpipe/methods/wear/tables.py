@@ -341,7 +341,7 @@ class TabledBearing:
         return replace(self.place.film("wear"), **varied)
 
 
-def tabled(
+def tabulate(
     place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh
 ) -> TabledBearing:
     """A bearing of the rig with its table.

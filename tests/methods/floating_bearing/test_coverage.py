@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.estimation.statistics import student_limit
-from labpipe.methods.floating_bearing.fit import compared, least_squares
+from labpipe.methods.floating_bearing.fit import compare, least_squares
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
 from labpipe.methods.floating_bearing.likelihood import Noise, estimate
 from labpipe.methods.floating_bearing.settings import Baseline, Given, balance_of
@@ -221,7 +221,7 @@ def test_the_right_form_is_chosen(form: str, bearing) -> None:
     """20 draws, 1 % noise of an averaged line; all right (720 of 720 at 0.2, 1 and 3 %, see the page)."""
     rng, rig = np.random.default_rng(8), FloatingRig(bearing, baseline=EVEN, excitation="zipper")
     chosen = [
-        compared(balance(rig.draw(rng)), "none", Noise(), ("kc", "kcm", "relaxation", "pad"))[0][0]
+        compare(balance(rig.draw(rng)), "none", Noise(), ("kc", "kcm", "relaxation", "pad"))[0][0]
         for _ in range(20)
     ]
     assert Counter(candidate.name for candidate in chosen) == {form: 20}

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.floating_bearing.forms import FORMS, SYMMETRIES, StiffnessModel, banded
+from labpipe.methods.floating_bearing.forms import FORMS, SYMMETRIES, StiffnessModel, banded_form
 from labpipe.methods.floating_bearing.likelihood import ErrorsInVariables, Noise, estimate
 from labpipe.methods.floating_bearing.settings import Baseline, Given, balance_of
 from labpipe.methods.floating_bearing.stator import stator_of
 from labpipe.records.uncertain import Uncertain
 from tests.methods.floating_bearing.floating_rig import JOURNAL, SEAL, FloatingRig, complex_normal, kcm
 
-FORM_CASES = [*FORMS.values(), banded(np.linspace(20.0, 60.0, 4))]
+FORM_CASES = [*FORMS.values(), banded_form(np.linspace(20.0, 60.0, 4))]
 OMEGA = 2 * np.pi * np.arange(20.0, 60.0, 5.0)
 
 
@@ -64,12 +64,12 @@ def test_forms_are_those_of_their_formulas() -> None:
 
 
 def test_bands_have_names_and_values_of_their_own() -> None:
-    model = StiffnessModel(banded(np.array([20.0, 40.0, 60.0])), "direct")
+    model = StiffnessModel(banded_form(np.array([20.0, 40.0, 60.0])), "direct")
     assert model.names == ("k_xx_1", "k_yy_1", "k_xx_2", "k_yy_2", "c_xx_1", "c_yy_1", "c_xx_2", "c_yy_2")
     h = model.stiffness(np.array([1.0, 2, 3, 4, 5, 6, 7, 8]), 2 * np.pi * np.array([20.0, 39.0, 40.0, 60.0]))
     assert h[:, 0, 0].real.tolist() == [1, 1, 3, 3] and h[:, 1, 1].real.tolist() == [2, 2, 4, 4]
     with pytest.raises(ConfigError, match="25 bands are too many"):
-        banded(np.linspace(20.0, 60.0, 26))
+        banded_form(np.linspace(20.0, 60.0, 26))
 
 
 def rig() -> FloatingRig:
@@ -144,7 +144,7 @@ def test_noise_that_is_not_known_or_hardly_is_refused() -> None:
     with pytest.raises(FitError, match="3 degrees of freedom only"):
         estimate(balance, StiffnessModel(FORMS["kc"], "none"), Noise(3.0))
     with pytest.raises(FitError, match="80 real equations cannot determine 96"):
-        estimate(balance, StiffnessModel(banded(np.linspace(20.0, 80.0, 13)), "none"), Noise())
+        estimate(balance, StiffnessModel(banded_form(np.linspace(20.0, 80.0, 13)), "none"), Noise())
 
 
 def test_corrections_for_a_covariance_from_few_periods() -> None:

@@ -12,7 +12,7 @@ from labpipe.bearings.kinds import PressureField
 from labpipe.document.charts import canvas_of
 from labpipe.methods.journal_bearing.drawing import contour_levels
 from labpipe.methods.journal_bearing.kind import JournalFile, film_figure, journal_coefficients
-from labpipe.project.bearing import evaluated, write_bearing
+from labpipe.project.bearing import evaluate, write_bearing
 from labpipe.project.bearing_file import open_bearing
 
 MENDES = JournalFile(
@@ -91,6 +91,6 @@ def test_bearing_with_a_film_writes_its_pressure_and_one_without_none(tmp_path: 
     for name in ("mendes-journal", "nsk-6208"):
         file = open_bearing(configs / f"{name}.yaml")
         with output_folder(tmp_path / name) as folder:
-            written[name] = write_bearing(file, name, evaluated(file), folder)
+            written[name] = write_bearing(file, name, evaluate(file), folder)
     assert "pressure.svg" in written["mendes-journal"] and "pressure.svg" not in written["nsk-6208"]
     assert "<svg" in (tmp_path / "mendes-journal" / "pressure.svg").read_text(encoding="utf-8")

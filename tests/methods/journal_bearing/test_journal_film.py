@@ -16,7 +16,7 @@ from labpipe.methods.journal_bearing.film import (
     Film,
     FilmMesh,
     band_room,
-    factored,
+    factorise,
     film_equations,
     film_grid,
     interpolation,
@@ -49,7 +49,7 @@ def test_banded_factors_equal_dense_algebra(
     film = Film.of(MESH, 1.7, 0.3, 0.2, cavitation)
     pressure = np.full((48, 4), cavitation) if not folded else rng.uniform(0, 0.1, (48, 4))
     equations = film_equations(film, np.array([0.2, -0.3]), np.zeros(2), pressure)
-    factors = factored(equations, film.grid.curvature, band_room(MESH))
+    factors = factorise(equations, film.grid.curvature, band_room(MESH))
     assert (factors.columns.size == 48) == folded
     sides = np.concatenate([equations.residual[None], equations.by_displacement])
     sides[:, equations.cavitated] = 0
@@ -61,7 +61,7 @@ def test_a_film_that_is_not_positive_definite_is_refused() -> None:
     film = Film.of(MESH, 1.7)
     equations = film_equations(film, np.array([0.0, -1.5]), np.zeros(2), np.zeros((48, 4)))
     with pytest.raises(FitError, match="singular"):
-        factored(equations, film.grid.curvature, band_room(MESH))
+        factorise(equations, film.grid.curvature, band_room(MESH))
 
 
 @pytest.mark.parametrize("axis", [0, 1])

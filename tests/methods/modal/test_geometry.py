@@ -13,7 +13,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import Modes
 from labpipe.records.rig import Geometry
-from labpipe.report.shapes import REACH, projected, shape_figures
+from labpipe.report.shapes import REACH, project, shape_figures
 from tests.methods.modal.structures import beam, beam_geometry, beam_shapes
 
 PAIR = Geometry(("1", "gyz"), np.zeros((2, 3)), np.array([[0, 1]]))
@@ -75,6 +75,6 @@ def test_a_point_that_the_geometry_lacks_is_named() -> None:
 def test_views_are_turned_as_an_eye_sees() -> None:
     """From the front x goes right and z up, from above y goes up, after a quarter turn y goes right."""
     points = np.eye(3)
-    np.testing.assert_allclose(projected(points, 0.0, 0.0), [[1, 0], [0, 0], [0, 1]], atol=1e-15)
-    np.testing.assert_allclose(projected(points, 0.0, np.pi / 2), [[1, 0], [0, 1], [0, 0]], atol=1e-15)
-    np.testing.assert_allclose(projected(points, np.pi / 2, 0.0), [[0, 0], [1, 0], [0, 1]], atol=1e-15)
+    np.testing.assert_allclose(project(points, 0.0, 0.0), [[1, 0], [0, 0], [0, 1]], atol=1e-15)
+    np.testing.assert_allclose(project(points, 0.0, np.pi / 2), [[1, 0], [0, 1], [0, 0]], atol=1e-15)
+    np.testing.assert_allclose(project(points, np.pi / 2, 0.0), [[0, 0], [1, 0], [0, 1]], atol=1e-15)

@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.ring_down.amplitude_law import amplitude, fitted_law, over_amplitude, travelled
+from labpipe.methods.ring_down.amplitude_law import amplitude, fitted_law, over_amplitude, travel
 from labpipe.methods.ring_down.fit import peak_decrement, trace
-from labpipe.methods.ring_down.likelihood import judged, most_likely, pieces_of, portmanteau
+from labpipe.methods.ring_down.likelihood import judge, most_likely, pieces_of, portmanteau
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from tests.methods.ring_down.records_of_decay import RATE, motion, record, times
 
@@ -25,7 +25,7 @@ TURN = -0.5
 
 def slipping(first: float, phase: float) -> np.ndarray:
     t = times()
-    return amplitude(t, first, *LAW) * np.cos(OMEGA * t + TURN * travelled(t, first, *LAW) + phase)
+    return amplitude(t, first, *LAW) * np.cos(OMEGA * t + TURN * travel(t, first, *LAW) + phase)
 
 
 def noisy(columns: list[np.ndarray], seed: int, sigma: float = 0.01) -> list[np.ndarray]:
@@ -52,7 +52,7 @@ def test_the_law_solves_its_equation(rest: float, slope: float) -> None:
         atol=1e-12,
     ).y
     np.testing.assert_allclose(amplitude(t, 0.8, OMEGA, rest, slope), exact[0], rtol=1e-7)
-    np.testing.assert_allclose(travelled(t, 0.8, OMEGA, rest, slope), exact[1], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(travel(t, 0.8, OMEGA, rest, slope), exact[1], rtol=1e-7, atol=1e-9)
 
 
 def test_damping_over_amplitude_is_seen_and_its_law_found() -> None:
@@ -60,7 +60,7 @@ def test_damping_over_amplitude_is_seen_and_its_law_found() -> None:
     and holds the truth.
     """
     pieces, fit = fit_of(noisy([slipping(1.0, 0.3), slipping(0.6, 2.0)], 1))
-    tested = judged(pieces, fit, RATE)
+    tested = judge(pieces, fit, RATE)
     assert tested.amplitude < 1e-6 and tested.white < 1e-6 and abs(tested.strongest - 40) < 0.5
     law = fitted_law(pieces, fit, 0, 0)
     values = np.array([law.law.zeta_rest, law.law.zeta_slope, law.law.frequency_slope, law.law.omega])
@@ -121,7 +121,7 @@ def alarms(modes: tuple[tuple[float, float, float, float], ...], draws: int) -> 
     chances = []
     for seed in range(draws):
         pieces, fit = fit_of(noisy([motion(modes, times())], seed), len(modes))
-        tested = judged(pieces, fit, RATE)
+        tested = judge(pieces, fit, RATE)
         chances.append((tested.amplitude, tested.white))
     return np.array(chances)
 
@@ -139,7 +139,7 @@ def test_white_noise_seldom_alarms() -> None:
 def test_hum_is_seen_at_its_frequency() -> None:
     hum = 0.004 * np.cos(2 * np.pi * 50 * times())
     pieces, fit = fit_of(noisy([motion(((40.0, 0.005, 1.0, 0.3),), times()) + hum], 3))
-    tested = judged(pieces, fit, RATE)
+    tested = judge(pieces, fit, RATE)
     assert tested.white < 1e-6 and tested.strongest == pytest.approx(50, abs=0.3) and tested.amplitude > 0.01
 
 

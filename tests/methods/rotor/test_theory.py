@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.rotor.theory import followed, margin_above, margin_below, peaks, rotor_theory
+from labpipe.methods.rotor.theory import follow, margin_above, margin_below, peaks, rotor_theory
 
 LAVAL = Path(__file__).parents[3] / "configs/rotors/laval.yaml"
 
@@ -51,7 +51,7 @@ def test_modes_are_followed_through_a_crossing():
         roots = np.array([-1 + 1j * (100 + speed), -1 + 1j * (106 - speed / 2)])
         order = np.argsort(roots.imag)
         each.append(Modes(speed, roots[order], shapes[order]))
-    order = followed(each)
+    order = follow(each)
     first = [modes.eigenvalues[n].imag for modes, n in zip(each, order[:, 0], strict=True)]
     np.testing.assert_allclose(first, 100 + np.linspace(0, 10, 11))
 

@@ -16,7 +16,7 @@ from labpipe.methods.rotor_system import posterior
 from labpipe.methods.rotor_system.build import PEDESTALS
 from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order
 from labpipe.methods.rotor_system.model import SystemModel, Unknown
-from labpipe.methods.rotor_system.posterior import common_changes, fit_system, normality, pulls, refitted
+from labpipe.methods.rotor_system.posterior import common_changes, fit_system, normality, pulls, refit
 from labpipe.methods.rotor_system.predictions import (
     at_speed,
     campbell,
@@ -162,7 +162,7 @@ def test_a_posterior_that_is_not_normal_is_fitted_to_moved_data() -> None:
     density /= density.sum()
     mean = float(density @ grid)
     true = np.sqrt(density @ (grid - mean) ** 2 + (found.values[0] - mean) ** 2)
-    by_fits = refitted(found, 2000)
+    by_fits = refit(found, 2000)
     assert abs(found.standard_errors[0] / true - 1) > 0.15
     assert by_fits.standard_errors[0] == pytest.approx(true, rel=0.1)
     assert np.array_equal(by_fits.draws(5), by_fits.refits[:5])
@@ -181,7 +181,7 @@ def test_fits_of_moved_data_that_lose_the_rotor_are_left_out(monkeypatch, lost_i
         return replace(end, values=end.values + 5.0) if next(count) % lost_in == 0 else end
 
     monkeypatch.setattr(posterior, "minimise", sometimes_lost)
-    by_fits = refitted(found, 300)
+    by_fits = refit(found, 300)
     if lost_in == 2:
         assert by_fits.refits is None
     else:

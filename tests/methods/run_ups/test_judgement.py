@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rotor.theory import BROKEN, KEPT, UNDECIDED, decision, margin_below
-from labpipe.methods.run_ups.judgement import judged
+from labpipe.methods.run_ups.judgement import judge
 from labpipe.methods.run_ups.orders import judged_figure
 from labpipe.records.response import Port
 from labpipe.spectra.orders import OrderTrack
@@ -53,7 +53,7 @@ def half_power(zeta: float) -> tuple[float, float, float]:
 
 def test_the_figure_shows_curve_peak_and_operating_speeds() -> None:
     """The closed form lies in the band in 9 of 10 places; units are those of people."""
-    verdict = judged(track(laval(SPEED, 0.05)), slow_roll=(8.0, 14.0), speed_range=(60.0, 70.0))
+    verdict = judge(track(laval(SPEED, 0.05)), slow_roll=(8.0, 14.0), speed_range=(60.0, 70.0))
     (panel,) = judged_figure("run", verdict, "displacement").graphic.panels
     line = panel.series[0]
     true = 1e6 * np.abs(laval(line.x / 60, 0.05))
@@ -70,13 +70,13 @@ def test_the_figure_shows_curve_peak_and_operating_speeds() -> None:
 def test_slow_roll_above_a_critical_speed_is_taken_as_it_is_asked_for() -> None:
     """A band that no slow roll has, and one whose first readings rise to the peak: a vector, no error."""
     for band in ((60.0, 90.0), (30.0, 44.0)):
-        assert np.isfinite(judged(track(laval(SPEED, 0.05)), slow_roll=band).slow_roll).all()
+        assert np.isfinite(judge(track(laval(SPEED, 0.05)), slow_roll=band).slow_roll).all()
 
 
 @pytest.mark.parametrize("zeta", [0.02, 0.05, 0.12])
 def test_peak_amplification_and_slow_roll_of_one_mode(zeta: float) -> None:
     """Within .5 %, 3 % and 3 %, and in an interval of twice the width: one draw of noise."""
-    verdict = judged(track(laval(SPEED, zeta)), slow_roll=(8.0, 14.0), speed_range=(60.0, 70.0))
+    verdict = judge(track(laval(SPEED, zeta)), slow_roll=(8.0, 14.0), speed_range=(60.0, 70.0))
     (peak,) = verdict.peaks
     speed, amplitude, amplification = half_power(zeta)
     for found, true, rel in (
@@ -98,27 +98,27 @@ def test_decisions_by_the_interval() -> None:
     edge = speed / (1 - margin_below(amplification) / 100)
     run = track(laval(SPEED, 0.05))
     outcomes = {
-        share: judged(run, slow_roll=(8.0, 14.0), speed_range=(share * edge, 80.0)).peaks[0].outcome
+        share: judge(run, slow_roll=(8.0, 14.0), speed_range=(share * edge, 80.0)).peaks[0].outcome
         for share in (0.97, 1.0, 1.03)
     }
     assert outcomes == {0.97: BROKEN, 1.0: UNDECIDED, 1.03: KEPT}
-    within = judged(run, slow_roll=(8.0, 14.0), speed_range=(40.0, 60.0))
+    within = judge(run, slow_roll=(8.0, 14.0), speed_range=(40.0, 60.0))
     assert within.peaks[0].outcome == BROKEN and within.peaks[0].margin.value == 0 and not within.accepted
-    assert "beyond the run, are not judged" in judged(run, speed_range=(60.0, 80.0)).not_run
-    assert not judged(run, speed_range=(60.0, 100.0)).accepted
+    assert "beyond the run, are not judged" in judge(run, speed_range=(60.0, 80.0)).not_run
+    assert not judge(run, speed_range=(60.0, 100.0)).accepted
 
 
 def test_a_fast_run_and_a_peak_at_its_end_are_undecided() -> None:
-    fast = judged(track(laval(SPEED, 0.02), rate=5.0), speed_range=(60.0, 70.0)).peaks[0]
+    fast = judge(track(laval(SPEED, 0.02), rate=5.0), speed_range=(60.0, 70.0)).peaks[0]
     assert fast.fast and fast.outcome == UNDECIDED
     cut = SPEED[SPEED < 45.8]
-    last = judged(track(laval(cut, 0.02), speed=cut), speed_range=(40.0, 45.0)).peaks[0]
+    last = judge(track(laval(cut, 0.02), speed=cut), speed_range=(40.0, 45.0)).peaks[0]
     assert last.amplification is None and last.outcome == UNDECIDED
 
 
 def test_sensitivity_to_an_added_unbalance() -> None:
     """Twice 20 um of eccentricity by 5 g mm more: the difference of the two runs over it."""
-    verdict = judged(
+    verdict = judge(
         track(laval(SPEED, 0.1, 40e-6), 2),
         unbalance=5e-6,
         baseline=track(laval(SPEED, 0.1), 3),
@@ -134,9 +134,9 @@ def test_sensitivity_to_an_added_unbalance() -> None:
 def test_too_few_speeds_are_refused() -> None:
     few = SPEED[::20]
     with pytest.raises(DataError, match="too few"):
-        judged(track(laval(few, 0.1), speed=few))
+        judge(track(laval(few, 0.1), speed=few))
     with pytest.raises(ConfigError, match="--slow-roll: 0 stretches"):
-        judged(track(laval(SPEED, 0.1)), slow_roll=(1.0, 2.0))
+        judge(track(laval(SPEED, 0.1)), slow_roll=(1.0, 2.0))
 
 
 RIG = """name: Run-up rig

@@ -47,8 +47,8 @@ def test_the_residual_of_a_recorded_run_has_no_weights(monkeypatch: pytest.Monke
             unbalance=unbalance,
         )
 
-    monkeypatch.setattr(run_ups_reading, "_opened", lambda path, *_: path)
-    monkeypatch.setattr(run_ups_reading, "_tracked", tracked)
+    monkeypatch.setattr(run_ups_reading, "_open", lambda path, *_: path)
+    monkeypatch.setattr(run_ups_reading, "_track", tracked)
     monkeypatch.setattr(run_ups_reading, "_cascades", lambda *_: ())
     settings = RunSettings(
         recording="run.parquet", tacho="n", load=8.0, unbalance=(("disc 2", 2e-5 + 0j),),

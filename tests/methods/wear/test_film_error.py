@@ -17,11 +17,11 @@ from labpipe.methods.wear.search import (
     descend,
     film_covariance,
     minima,
-    refined,
-    widened,
+    refine,
+    widen,
     widened_region,
 )
-from labpipe.methods.wear.tables import Ranges, tabled
+from labpipe.methods.wear.tables import Ranges, tabulate
 from tests.methods.wear.worn_cases import (
     COARSE,
     FINE,
@@ -42,7 +42,7 @@ def minimum() -> tuple[Misfit, Minimum]:
     response = measured(worn_rig(30.0, 8.0))
     assert response.covariance is not None
     misfit = misfit_of(replace(response, covariance=1e8 * response.covariance), **NUISANCES)
-    return refined(misfit, minima(misfit, [np.array([30.0, 8.0, 34.8, 50.0])])[0])
+    return refine(misfit, minima(misfit, [np.array([30.0, 8.0, 34.8, 50.0])])[0])
 
 
 def noise_of(misfit: Misfit, parameters: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Mini
 def test_the_mesh_error_is_a_third_of_the_change_from_half_the_cells() -> None:
     """And of the size of the error that a far finer film shows."""
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
-    bearing = tabled(place, load, RIG.omega, True, Ranges(50e-6, 0.3, 1.05, 1.05), FilmMesh(*COARSE))
+    bearing = tabulate(place, load, RIG.omega, True, Ranges(50e-6, 0.3, 1.05, 1.05), FilmMesh(*COARSE))
     error = bearing.mesh_error(VALUES, FINE)
     worn = replace(place.film("a test"), **VALUES)
     fine, half, finest = (
@@ -85,7 +85,7 @@ def test_a_shifted_bearing_has_other_coefficients_and_the_same_slopes() -> None:
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
     change = np.arange(8.0).reshape(2, 2, 2)
     for worn, ranges in ((True, Ranges(50e-6, 0.3, 1.05, 1.05)), (False, Ranges(50e-6, 0.3))):
-        bearing = tabled(place, load, RIG.omega, worn, ranges, FilmMesh(*COARSE)).refined(
+        bearing = tabulate(place, load, RIG.omega, worn, ranges, FilmMesh(*COARSE)).refined(
             VALUES if worn else {}, FilmMesh(96, 16), False
         )
         before, after = (one.support(VALUES, ("wear_depth",)) for one in (bearing, bearing.shifted(change)))
@@ -105,7 +105,7 @@ def test_a_shifted_bearing_has_other_coefficients_and_the_same_slopes() -> None:
     ],
 )
 def test_half_widths_add_by_their_squares_within_the_bounds(interval: Interval, expected: Interval) -> None:
-    found = widened(interval, 10.0, 4.0, 0.0, 30.0)
+    found = widen(interval, 10.0, 4.0, 0.0, 30.0)
     np.testing.assert_allclose([found.low, found.high], [expected.low, expected.high])
     assert (found.open_low, found.open_high) == (expected.open_low, expected.open_high)
 

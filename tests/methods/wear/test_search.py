@@ -17,11 +17,11 @@ from labpipe.methods.wear.search import (
     healthy_minimum,
     healthy_probability,
     joint_region,
-    merged,
+    merge,
     minima,
     profile_distance,
     profile_interval,
-    refined,
+    refine,
     start_mesh,
 )
 from labpipe.methods.wear.settings import Gaussian
@@ -34,7 +34,7 @@ TRUTH = np.array([22.27, 11.0])
 def noisy() -> tuple[Misfit, Minimum]:
     """Complex misfit with 2 % noise and nuisances, refined at its minimum."""
     misfit = misfit_of(measured(worn_rig(*TRUTH), 0.02, np.random.default_rng(4)), **NUISANCES)
-    return refined(misfit, minima(misfit, start_mesh(wear_settings(**NUISANCES), misfit))[0])
+    return refine(misfit, minima(misfit, start_mesh(wear_settings(**NUISANCES), misfit))[0])
 
 
 @pytest.mark.parametrize("objective", ["complex", "log"])
@@ -96,7 +96,7 @@ def test_wear_is_found_again_without_noise(objective: str, truth: tuple[float, f
     misfit = misfit_of(measured(worn_rig(*truth)), objective=objective, response="dFRF")
     found = minima(misfit, start_mesh(wear_settings(), misfit))
     assert sum(one.starts for one in found) == 20
-    _, best = refined(misfit, found[0])
+    _, best = refine(misfit, found[0])
     assert best.converged and best.starts >= 10
     np.testing.assert_allclose(best.parameters, truth, atol=0.01)
 
@@ -114,11 +114,11 @@ def test_minima_at_one_place_are_one() -> None:
         Minimum(np.array(p), c, 1, True, 3)
         for p, c in (([20.0, 5.0], 1.0), ([20.05, 5.02], 1.1), ([40.0, 5.0], 2.0))
     ]
-    joined = merged(ones)
+    joined = merge(ones)
     assert [one.starts for one in joined] == [2, 1] and joined[0].chi2 == 1.0 and joined[0].evaluations == 6
     # The angle of hardly any wear means nothing.
     shallow = [Minimum(np.array(p), 1.0, 1, True, 1) for p in ([0.01, -20.0], [0.03, 14.0])]
-    assert len(merged(shallow)) == 1
+    assert len(merge(shallow)) == 1
 
 
 def test_profile_interval_of_a_nearly_straight_model_is_the_usual_one(noisy: tuple[Misfit, Minimum]) -> None:
@@ -169,7 +169,7 @@ def test_probability_of_no_wear_moves_from_one_to_zero() -> None:
     found = []
     for depth in (0.0, 2.0, 6.0, 22.0):
         misfit = misfit_of(measured(worn_rig(depth, 5.0), 0.02, np.random.default_rng(8)))
-        misfit, best = refined(misfit, minima(misfit, start_mesh(wear_settings(), misfit))[0])
+        misfit, best = refine(misfit, minima(misfit, start_mesh(wear_settings(), misfit))[0])
         _, healthy = healthy_minimum(misfit, best)
         found.append(healthy_probability(misfit, best, healthy.chi2))
     assert found[0] > 0.9 and found[2] < 0.05 and found[3] < 1e-10
@@ -179,7 +179,7 @@ def test_probability_of_no_wear_moves_from_one_to_zero() -> None:
 def test_no_wear_that_is_out_of_the_question_is_not_refined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hardly any noise, much wear: the probability is zero, and one film per bearing says so."""
     misfit = misfit_of(measured(worn_rig(*TRUTH), 1e-3, np.random.default_rng(8)))
-    misfit, best = refined(misfit, minima(misfit, start_mesh(wear_settings(), misfit))[0])
+    misfit, best = refine(misfit, minima(misfit, start_mesh(wear_settings(), misfit))[0])
     refinements: list[bool] = []
     films = WornModel.refined
     monkeypatch.setattr(

@@ -19,7 +19,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.wear.model import MISFITS, worn_model, worn_receptance
-from labpipe.methods.wear.search import minima, refined, start_mesh
+from labpipe.methods.wear.search import minima, refine, start_mesh
 from labpipe.methods.wear.settings import WearSettings, posterior
 from labpipe.methods.wear.virtual_rig import receptance
 from labpipe.records.identification import Fit
@@ -87,7 +87,7 @@ def test_noise_free_recovery(wear: tuple[float, float]) -> None:
     misfit = MISFITS["complex"](worn_model(settings, SEVEN), data)
     found = minima(misfit, start_mesh(settings, misfit))
     assert found[0].starts >= 10 and sum(one.starts for one in found) == 20
-    _, best = refined(misfit, found[0])
+    _, best = refine(misfit, found[0])
     np.testing.assert_allclose(best.parameters, wear, atol=0.01)
 
 
