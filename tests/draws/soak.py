@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
-from tests.methods.live.test_live import PIPELINE, RIG, killed_and_taken_up, samples, write_csv
+from tests.methods.live.test_live import PIPELINE, RIG, N, killed_and_taken_up, samples, write_csv
 
 RATE, CHANNELS = 51200, 8
 
@@ -174,7 +174,8 @@ def kills_of_frames(folder: Path, count: int, rng: np.random.Generator) -> None:
     rows, out = samples(40), folder / "out"
     lines_equal = frames_equal = fits_equal = 0
     for _ in range(count):
-        before, lines, _ = killed_and_taken_up(folder, rows, rng.uniform(0.05, 4.0))
+        # What is left is long enough for a recording of its own.
+        before, lines = killed_and_taken_up(folder, rows, int(rng.integers(0, len(rows) - 3 * N)))
         lines_equal += lines[: max(len(before) - 1, 0)] == before[:-1]
         files = sorted(out.glob("recording*.parquet"))
         stored = np.concatenate([np.stack([c.to_numpy() for c in pq.read_table(f)], axis=1) for f in files])

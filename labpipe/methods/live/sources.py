@@ -324,13 +324,17 @@ class Frames:
         check_names(Path("standard input"), self.columns, self.channels)
         self._picked = [self.channels.index(name) for name in self.columns]
         self._frame = self._kind.itemsize * len(self.channels)
-        self.files = [] if keep is None else sorted(keep.glob("*.frames"))
+        # A process that was killed before it read a frame leaves at most the head.
+        least = len(self._head) + self._frame
+        every = [] if keep is None else sorted(keep.glob("*.frames"))
+        self.files = [path for path in every if path.stat().st_size >= least]
         self.n_earlier = sum((path.stat().st_size - len(self._head)) // self._frame for path in self.files)
         self._streams = [*(self._reopened(path) for path in self.files), stream]
         self.kept: Kept | None = None
         if keep is not None:
             keep.mkdir(parents=True, exist_ok=True)
-            self.files.append(keep / f"{len(self.files) + 1:04}.frames")
+            number = int(self.files[-1].stem) + 1 if self.files else 1
+            self.files.append(keep / f"{number:04}.frames")
             self.kept = Kept(self.files[-1], self._frame, self._head)
 
     def _reopened(self, path: Path) -> BinaryIO:
@@ -342,6 +346,7 @@ class Frames:
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        self.restarted = False
         stream = self._streams[0]
         if len(self._streams) > 1:
             text = stream.read(1 << 20)
@@ -374,8 +379,10 @@ class Frames:
     def recordings(self, write_path: Callable[[str], Path]) -> list[Path]:
         """What is on disk as Parquet files, one for each process, where *write_path* of their names says."""
         schema, paths = pa.schema([(name, pa.float64()) for name in self.columns]), []
-        for number, path in enumerate(self.files, 1):
-            paths.append(write_path(f"recording{f'-{number}' if len(self.files) > 1 else ''}.parquet"))
+        # Where all had been read before the kill, nothing comes behind it.
+        files = self.files[:-1] if self.kept and not self.kept.n_frame and self.n_earlier else self.files
+        for number, path in enumerate(files, 1):
+            paths.append(write_path(f"recording{f'-{number}' if len(files) > 1 else ''}.parquet"))
             self._rest = b""
             with self._reopened(path) as stream, pq.ParquetWriter(paths[-1], schema) as writer:
                 while text := stream.read(1 << 22):

@@ -707,34 +707,35 @@ def test_killed_at_any_moment_and_taken_up_again_it_gives_the_same(bench):
     assert subprocess.run(command, capture_output=True, check=True).stdout == whole
 
 
-def killed_and_taken_up(folder: Path, rows: np.ndarray, after: float) -> tuple[list[bytes], list[bytes], int]:
-    """The lines of `labpipe live` on frames that come as fast as they are read and of which it is killed
-    *after* [s]; those of the same command on the frames that it had not read; how many it had.
+def killed_and_taken_up(folder: Path, rows: np.ndarray, n_read: int) -> tuple[list[bytes], list[bytes]]:
+    """The lines of `labpipe live` on frames of which it is killed when it has kept *n_read*, at once for 0;
+    those of the same command on the frames that it had not read.
     """
     head = b'{"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}\n'
     out = folder / "out"
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "labpipe", "live", str(folder / "pipeline.yaml"), "-", "--json"]
     command += ["-o", str(out), "--set", "report.formats=[md]"]
+    frames = out / "frames" / "0001.frames"
     # Without a buffer nothing waits to be written once the process is killed.
     with subprocess.Popen(command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         assert child.stdin is not None and child.stdout is not None
-        killer = threading.Timer(after, child.kill)
-        killer.start()
-        try:
+        # Lines that nobody reads would end in a full pipe.
+        lines: list[bytes] = []
+        reader = threading.Thread(target=lambda: lines.extend(child.stdout or ()))
+        reader.start()
+        if n_read:
             child.stdin.write(head)
-            for piece in np.array_split(rows, 100):
+            for piece in np.array_split(rows[:n_read], 50):
                 child.stdin.write(piece.astype("<f8").tobytes())
-                child.stdin.flush()
+            while not frames.exists() or frames.stat().st_size < len(head) + 16 * n_read:
+                assert child.poll() is None
                 time.sleep(0.01)
-            child.wait()
-        except BrokenPipeError:
-            pass
-        before = child.stdout.read().splitlines()
-    kept = sum((path.stat().st_size - len(head)) // 16 for path in (out / "frames").glob("*"))
-    rest = rows[kept:].astype("<f8").tobytes()
+        child.kill()
+        reader.join()
+    rest = rows[n_read:].astype("<f8").tobytes()
     ran = subprocess.run(command, input=head + rest, capture_output=True, check=True)
-    return before, ran.stdout.splitlines(), kept
+    return lines, ran.stdout.splitlines(keepends=True)
 
 
 @pytest.mark.long
@@ -743,13 +744,13 @@ def test_frames_that_were_read_outlast_a_kill(bench):
     with the others as another recording, and all that came is in the recordings at the end.
     """
     rows = samples(40)
-    for after in (0.3, 1.5, 1.8, 2.1):
-        before, lines, kept = killed_and_taken_up(bench, rows, after)
+    for n_read in (0, 12 * N, 24 * N, len(rows)):
+        before, lines = killed_and_taken_up(bench, rows, n_read)
         # The last line may have been cut off.
         assert lines[: max(len(before) - 1, 0)] == before[:-1]
         files = sorted((bench / "out").glob("recording*.parquet"))
         stored = np.concatenate([np.stack([c.to_numpy() for c in pq.read_table(f)], axis=1) for f in files])
         np.testing.assert_array_equal(stored, rows)
-        parts = [n // N - SKIPPED for n in (kept, len(rows) - kept) if n]
+        parts = [n // N - SKIPPED for n in (n_read, len(rows) - n_read) if n]
         assert json.loads(lines[-1])["averages"] == sum(max(part, 0) for part in parts)
         assert not (bench / "out" / "frames").exists()
