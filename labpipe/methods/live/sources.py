@@ -325,16 +325,14 @@ class Frames:
         self._picked = [self.channels.index(name) for name in self.columns]
         self._frame = self._kind.itemsize * len(self.channels)
         # A process that was killed before it read a frame leaves at most the head.
-        least = len(self._head) + self._frame
         every = [] if keep is None else sorted(keep.glob("*.frames"))
-        self.files = [path for path in every if path.stat().st_size >= least]
+        self.files = [path for path in every if path.stat().st_size >= len(self._head) + self._frame]
         self.n_earlier = sum((path.stat().st_size - len(self._head)) // self._frame for path in self.files)
         self._streams = [*(self._reopened(path) for path in self.files), stream]
         self.kept: Kept | None = None
         if keep is not None:
             keep.mkdir(parents=True, exist_ok=True)
-            number = int(self.files[-1].stem) + 1 if self.files else 1
-            self.files.append(keep / f"{number:04}.frames")
+            self.files.append(keep / f"{int(self.files[-1].stem) + 1 if self.files else 1:04}.frames")
             self.kept = Kept(self.files[-1], self._frame, self._head)
 
     def _reopened(self, path: Path) -> BinaryIO:
@@ -346,8 +344,7 @@ class Frames:
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
-        self.restarted = False
-        stream = self._streams[0]
+        stream, self.restarted = self._streams[0], False
         if len(self._streams) > 1:
             text = stream.read(1 << 20)
             if not text:

@@ -70,7 +70,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
     amounts = [
         Parameter(f"share_{letter}{fitted}", _share(of, name), "1", derived=True)
-        for of, fitted in ((bands, ""), (after, "_fit"))
+        for of, fitted in ((bands, ""), (after, "_fitted"))
         if of
         for letter, name in zip(LETTERS, names, strict=True)
     ]
