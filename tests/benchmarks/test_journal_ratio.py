@@ -165,13 +165,13 @@ def test_an_equilibrium_in_factorisations(mesh: FilmMesh, capsys) -> None:  # ty
 def test_a_whole_fit_in_factorisations(capsys, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     """A wear with two more parameters, from tables to intervals, over all its bare factorisations."""
     shapes: list[tuple[int, int]] = []
-    factored = equilibria.factored
+    factored = equilibria.factorise
 
     def counted(equations, curvature, room):  # type: ignore[no-untyped-def]
         shapes.append(equations.diagonal.shape)
         return factored(equations, curvature, room)
 
-    monkeypatch.setattr(equilibria, "factored", counted)
+    monkeypatch.setattr(equilibria, "factorise", counted)
     response = measured(worn_rig(22.27, 11.0), 0.02, np.random.default_rng(3), np.linspace(10, 100, 359))
     known = {"viscosity": Uncertain(0.1044, 0.0004), "clearance": Uncertain(90e-6, 0.1e-6)}
     settings = fit_settings(cells_around=120, cells_across=30, **known)
