@@ -59,7 +59,7 @@ def handed_over(values: NDArray[Any]) -> NDArray[Any]:
     return values
 
 
-def similarity(a: ComplexArray, b: ComplexArray) -> FloatArray:
+def modal_assurance(a: ComplexArray, b: ComplexArray) -> FloatArray:
     """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1]
     (0 where one vanishes; Allemang and Brown 1982).
 

@@ -26,10 +26,10 @@ from labpipe.estimation.mode_model import (
     MOVED,
     SECOND,
     Fitted,
-    both,
     extensions,
     half_width,
     is_extension,
+    second_beside_moving,
 )
 
 # Priors of the members.
@@ -359,7 +359,7 @@ def mixture(base: Fitted) -> Mixture:
     if not found:
         raise FitError("no course of a model error continues the fit")
     best = int(np.argmax([component.log_weight for component in found]))
-    together = both(base, fits) if found[best].amplitude > 0 or found[best].member else None
+    together = second_beside_moving(base, fits) if found[best].amplitude > 0 or found[best].member else None
     if together is not None:
         ladder[together.model.member] = LADDER[SECOND] ** 2
         add(together.model.member, together)

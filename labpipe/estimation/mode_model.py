@@ -257,14 +257,14 @@ class ModeModel:
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             try:
-                found = optimize.least_squares(
+                minimum = optimize.least_squares(
                     residual, theta, jac=jacobian, x_scale="jac", method="lm", max_nfev=60
                 )
             except (ValueError, np.linalg.LinAlgError) as error:
                 raise FitError(f"the fit has no minimum ({error})") from None
-        if not np.all(np.isfinite(found.x)):
+        if not np.all(np.isfinite(minimum.x)):
             raise FitError("the fit has no minimum")
-        return Fitted(self, np.asarray(found.x), float(2 * found.cost))
+        return Fitted(self, np.asarray(minimum.x), float(2 * minimum.cost))
 
 
 def _pair(a: ComplexArray, b: ComplexArray) -> ComplexArray:
@@ -308,13 +308,13 @@ class Fitted:
 
 def extensions(base: Fitted) -> Iterator[Fitted]:
     """The ordinary fits of the named extensions that have one: a second mode, and a resonance that moves."""
-    found = second_mode(base)
-    if found is not None:
-        yield found
-    yield from move(base)
+    second = second_mode(base)
+    if second is not None:
+        yield second
+    yield from moving_resonances(base)
 
 
-def move(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fitted]:
+def moving_resonances(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fitted]:
     """The ordinary fits of a resonance that moves by each of the *laws* beside what *base* holds."""
     zeta = base.model.frequency_and_damping(base.theta)[1]
     n = base.model.n_interest
@@ -332,15 +332,16 @@ def move(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fitted]:
             yield replace(best, occam=base.occam + 0.5 * np.log(2 * np.pi) - np.log(3.5))
 
 
-def both(base: Fitted, fits: Mapping[str, Fitted]) -> Fitted | None:
+def second_beside_moving(base: Fitted, fits: Mapping[str, Fitted]) -> Fitted | None:
     """The ordinary fit of a second mode beside a resonance that moves, from either of these in *fits* by
     member; None where neither leads to one.
     """
     moving = [fit for fit in fits.values() if fit.model.law]
     likely = min(moving, key=lambda fit: fit.chi2, default=base)
-    found = [second_mode(likely)] if moving else []
-    found += move(fits[SECOND], (likely.model.law,) if moving else MOVED) if SECOND in fits else []
-    usable = [fit for fit in found if fit is not None and is_extension(base, fit.model, fit.theta)]
+    candidates = [second_mode(likely)] if moving else []
+    if SECOND in fits:
+        candidates += moving_resonances(fits[SECOND], (likely.model.law,) if moving else MOVED)
+    usable = [fit for fit in candidates if fit is not None and is_extension(base, fit.model, fit.theta)]
     return min(usable, key=lambda fit: fit.chi2, default=None)
 
 
@@ -356,10 +357,10 @@ def is_extension(base: Fitted, model: ModeModel, theta: FloatArray) -> bool:
         return False
     if not model.has_second:
         return True
-    own, damping = model.to_resonance @ theta[:n] + model.offset
+    frequency, damping = model.to_resonance @ theta[:n] + model.offset
     f_2, zeta_2 = theta[model.n_shape - 2 : model.n_shape]
     like = abs(zeta_2 - damping) < np.log(LIKE_DAMPING)
-    return bool(band[0] <= f_2 <= band[1] and like and abs(own - f_n) < 2 * np.exp(zeta))
+    return bool(band[0] <= f_2 <= band[1] and like and abs(frequency - f_n) < 2 * np.exp(zeta))
 
 
 def half_width(model: ModeModel, q: FloatArray) -> float:
@@ -404,12 +405,12 @@ def second_mode(base: Fitted) -> Fitted | None:
         return None
     best = min(fits, key=lambda fit: fit.chi2)
     f_2 = np.exp(best.theta[n])
-    own = (
+    residue = (
         1 / (2 * np.sqrt(_k_and_m(model, best.theta)))
         if model.coefficients
         else abs(complex(*best.theta[n + 2 : n + 4]))
     )
-    t2 = (0.3 * own) ** 2 / 2
+    t2 = (0.3 * residue) ** 2 / 2
     size = abs(complex(*best.theta[-2:])) ** 2
     occam = (
         2 * np.log(2 * np.pi)
@@ -435,9 +436,9 @@ def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
     first, second = np.log(model.frequency_and_damping(theta)), theta[model.n_shape - 2 : model.n_shape]
     if abs(second[0] - np.log(f_n)) >= abs(first[0] - np.log(f_n)):
         return fit
-    own = second
+    shape = second
     if model.coefficients:
         w, zeta = 2 * np.pi * np.exp(second[0]), np.exp(second[1])
         m = model.mass or 1 / (2 * w * abs(complex(*theta[-2:])))
-        own = np.log([m * w**2, 2 * zeta * m * w, m][:n])
-    return model.fitted(model.started(np.concatenate([own, theta[n : model.n_shape - 2], first])))
+        shape = np.log([m * w**2, 2 * zeta * m * w, m][:n])
+    return model.fitted(model.started(np.concatenate([shape, theta[n : model.n_shape - 2], first])))

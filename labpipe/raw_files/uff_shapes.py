@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, handed_over, similarity
+from labpipe.arrays import ComplexArray, FloatArray, handed_over, modal_assurance
 from labpipe.errors import DataError
 from labpipe.raw_files.uff import records_55
 
@@ -34,7 +34,7 @@ class FileShapes:
     @property
     def mac(self) -> FloatArray:
         """Modal assurance criterion (n_mode, n_mode) [1], |a^H b|^2 / (a^H a b^H b)."""
-        return similarity(self.shapes.T, self.shapes.T)
+        return modal_assurance(self.shapes.T, self.shapes.T)
 
 
 def read_shapes_uff(path: Path) -> FileShapes | None:

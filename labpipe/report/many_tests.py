@@ -40,8 +40,8 @@ BANDS = "shaded: half and 95 % of the tests"
 def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     """The values in the order of dates and names, with centre and control limits."""
     there = np.isfinite(columns.values)
-    values, unit = _show(columns, columns.values[there])
-    centre, low, high = _show(columns, np.array([limits.centre, limits.low, limits.high]))[0]
+    values, unit = _in_unit(columns, columns.values[there])
+    centre, low, high = _in_unit(columns, np.array([limits.centre, limits.low, limits.high]))[0]
     x = np.arange(1.0, values.size + 1)
     lines = (level(float(centre), width=0.9), *(level(float(end), 1, "--", width=1.0) for end in (low, high)))
     drawn, how = _draw(x, values, columns, there)
@@ -64,7 +64,7 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
     """The values over a condition."""
     unit, amounts = columns.amounts[condition]
     there = np.isfinite(columns.values) & np.isfinite(amounts)
-    values, shown = _show(columns, columns.values[there])
+    values, shown = _in_unit(columns, columns.values[there])
     below = readable_unit(unit, amounts[there])
     x = np.array([to_display(amount, below) for amount in amounts[there]])
     drawn, how = _draw(x, values, columns, there)
@@ -78,7 +78,7 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
     )
 
 
-def _show(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
+def _in_unit(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
     """Values (n,) [SI] in the unit that suits them all."""
     unit = readable_unit(columns.unit, columns.values) if columns.unit != "1" else unit_text("1")
     return (np.array([to_display(value, unit) for value in values]) if unit else values), unit
@@ -92,7 +92,7 @@ def _draw(
     And how the caption says it.
     """
     if values.size <= MOST_POINTS:
-        low, high = (_show(columns, end[there])[0] for end in (columns.low, columns.high))
+        low, high = (_in_unit(columns, end[there])[0] for end in (columns.low, columns.high))
         return (dots("tests", x, values, size=3.0, bars=(low, high)),), ", with 95 % intervals"
     order = np.argsort(x, kind="stable")
     groups = _groups(x[order])

@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 from scipy import integrate, special, stats
 from scipy.optimize import fsolve
 
-from labpipe.arrays import FloatArray, similarity
+from labpipe.arrays import FloatArray, modal_assurance
 from labpipe.distributions import coverage_factor
 from labpipe.methods.journal_bearing.bearing import (
     JournalBearing,
@@ -147,7 +147,7 @@ def test_resonances() -> None:
     assert peak.damping_ratio == pytest.approx(0.02, rel=2e-3)
     a, b = np.random.default_rng(12).standard_normal((2, 10)).view(np.complex128)
     mac = abs(a.conj() @ b) ** 2 / (np.sum(abs(a) ** 2) * np.sum(abs(b) ** 2))
-    assert similarity(a[None], b[None])[0, 0] == pytest.approx(mac)  # modal-mac
+    assert modal_assurance(a[None], b[None])[0, 0] == pytest.approx(mac)  # modal-mac
     xx, yy, xy = np.sum(a.real**2), np.sum(a.imag**2), np.sum(a.real * a.imag)
     assert phase_collinearity(a[:, None])[0] == pytest.approx(
         ((xx - yy) ** 2 + 4 * xy**2) / (xx + yy) ** 2

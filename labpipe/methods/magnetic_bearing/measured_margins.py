@@ -231,10 +231,10 @@ def factor(name: str, value: float, error: float, quantile: float) -> Parameter:
     plain = from_log(name, "1", float(np.log(value)), error / value, quantile)
     assert plain.ci95 is not None
     size, limit = (quantile / -np.expm1(-quantile * share) for share in (error / value, 1 / TELLING))
-    told = normal_tail(quantile)
+    chance = normal_tail(quantile)
     smaller = np.linspace(limit - SELDOM, size - quantile, PLACES)
-    chances = (normal_tail(size - one) / normal_tail(limit - one) for one in smaller)
-    least = next((one for one, chance in zip(smaller, chances, strict=True) if chance >= told), smaller[-1])
+    chances = (normal_tail(size - loop) / normal_tail(limit - loop) for loop in smaller)
+    least = next((loop for loop, p in zip(smaller, chances, strict=True) if p >= chance), smaller[-1])
     return replace(plain, ci95=(plain.ci95[0], max(plain.ci95[1], float(value * size / least))))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, similarity
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, modal_assurance
 from labpipe.errors import FitError
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settle
@@ -51,7 +51,7 @@ def shape_record(
         references=tuple(port.label for port in references),
         dofs=tuple(port.dof for port in points),
         forces_move=forces_move,
-        mac=similarity(shapes.T, shapes.T),
+        mac=modal_assurance(shapes.T, shapes.T),
         collinearity=phase_collinearity(shapes),
         lower=terms.lower,
         upper=terms.upper,

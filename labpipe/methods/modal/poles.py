@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, similarity
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, modal_assurance
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
@@ -251,7 +251,7 @@ def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> Bo
     """Whether each of *values* (n,) is the mode of each pole, (n, n_pole)."""
     limit = SHARE_OF_DECAY * np.abs(values.real) + SHARE_OF_FREQUENCY * np.abs(values)
     return (np.abs(values[:, None] - poles.values) < limit[:, None]) & (
-        similarity(participation, poles.participation) > ALIKE
+        modal_assurance(participation, poles.participation) > ALIKE
     )
 
 
@@ -573,5 +573,7 @@ def _distinct(refined: Refined) -> bool:
     to lambda.
     """
     apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
-    is_same = (apart < DISTINCT) & (similarity(refined.participation, refined.participation) > ALIKE_MODES)
+    is_same = (apart < DISTINCT) & (
+        modal_assurance(refined.participation, refined.participation) > ALIKE_MODES
+    )
     return bool(np.count_nonzero(is_same) == refined.poles.size)

@@ -152,8 +152,8 @@ def most_probable(
     doubtful = best is None or best[1].misfits or best[1].enlarged
     for alternative in alternatives if doubtful else ():
         with suppress(FitError):
-            other = fitted(alternative)
-            best = other if best is None or other[1].ln_evidence > best[1].ln_evidence else best
+            candidate = fitted(alternative)
+            best = candidate if best is None or candidate[1].ln_evidence > best[1].ln_evidence else best
     if best is None:
         assert reason is not None
         raise reason
@@ -282,19 +282,19 @@ def _responses(test: SystemTest, response: FrequencyResponse, built: Built, syst
 
 def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work) -> Iterator[Finding]:
     """Natural frequencies in the bearings that no bearing can give the rotor that was on strings."""
-    known = [test for test in settings.tests if test.fit or test.frequencies]
-    free = [test for test in known if test.kind == MODES or test.free]
+    with_modes = [test for test in settings.tests if test.fit or test.frequencies]
+    free = [test for test in with_modes if test.kind == MODES or test.free]
     coupled = any(np.any(b.stiffness[[0, 1], [1, 0]]) for b in system.linear.values()) or len(
         system.linear
     ) < len(system.rig.bearings)
-    for test in known:
+    for test in with_modes:
         if test.kind == MODES or test.free or test.speed:
             continue
         inputs = [_place(test, test.read_places, p.dof)[1] for p in _response(test, work).inputs]
         planes = 2 if coupled else len(set(inputs))
         bearings, pedestals = len(system.rig.bearings), len(system.pedestals)
-        for other in free:
-            modes = _modes(other, work), _modes(test, work)
+        for hung in free:
+            modes = _modes(hung, work), _modes(test, work)
             for place, number, below in out_of_order(*modes, planes, bearings, pedestals):
                 rotor, stands = (m.frequency[n - 1] for m, n in zip(modes, (number, place), strict=True))
                 side, what = (
@@ -303,7 +303,7 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
                 yield Finding(
                     "interlacing",
                     f"test '{test.name}': mode {place} at {stands:.4g} Hz lies {side} bending mode {number} "
-                    f"of test '{other.name}', {rotor:.4g} Hz, as no {what} to ground can make it: another "
+                    f"of test '{hung.name}', {rotor:.4g} Hz, as no {what} to ground can make it: another "
                     "assembly, other masses or joints, or a negative stiffness (of a controller)",
                 )
 

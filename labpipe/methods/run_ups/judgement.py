@@ -356,8 +356,8 @@ def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int
         return peak
     by = (1 if number % 2 else -1) / HALVED
 
-    def off(mine: float | None, its: float | None, other: float | None) -> float | None:
-        return mine if mine is None or its is None or other is None else mine * (other / its) ** by
+    def off(at_peak: float | None, fine: float | None, rough: float | None) -> float | None:
+        return at_peak if at_peak is None or fine is None or rough is None else at_peak * (rough / fine) ** by
 
     return Critical(
         float(off(peak.speed, middle.speed, coarse.speed) or 0.0),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from labpipe.arrays import similarity
+from labpipe.arrays import modal_assurance
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, refine
 from labpipe.methods.modal.model_error import modal_parameters
 from labpipe.methods.modal.poles import normal_equations, refine_with_terms, stabilisation
@@ -131,7 +131,7 @@ def test_draws_reach_the_bound(level: float) -> None:
         parameters = modal_parameters(refined, 10**6, None, (), None)
         truth = np.stack([FREQUENCIES, DAMPING], -1).ravel()
         errors.append([(p.value - t) / p.std_error for p, t in zip(parameters, truth, strict=True)])
-        alike.append(np.diag(similarity(refined.shapes.T, structure.shapes)).min())
+        alike.append(np.diag(modal_assurance(refined.shapes.T, structure.shapes)).min())
     scaled = np.array(errors)
     assert np.sqrt(np.mean(scaled**2)) < 1.11
     assert 0.916 < np.mean(np.abs(scaled) < 1.96) < 0.984

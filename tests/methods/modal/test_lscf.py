@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.arrays import similarity
+from labpipe.arrays import modal_assurance
 from labpipe.methods.modal.poles import normal_equations, stabilisation
 from tests.methods.modal.structures import chain, chain_response, nine_modes
 
@@ -78,7 +78,7 @@ def test_participation_is_the_shape_at_the_forces() -> None:
     for w2, shape in zip(square, shapes.T, strict=True):
         nearest = np.argmin(np.abs(np.abs(poles.values) - np.sqrt(w2)))
         assert (
-            similarity(poles.participation[nearest : nearest + 1], shape[None].astype(complex))[0, 0]
+            modal_assurance(poles.participation[nearest : nearest + 1], shape[None].astype(complex))[0, 0]
             > 1 - 1e-8
         )
 
