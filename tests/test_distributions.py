@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -44,11 +41,3 @@ def test_printed_values() -> None:
 
 def test_quantiles_take_numpy_numbers() -> None:
     assert d.student_quantile(np.float64(0.975), np.int64(10)) == pytest.approx(2.2281388519649385)
-
-
-def test_a_run_imports_neither_scipy_stats_nor_scipy_signal() -> None:
-    """They would take longer to import than everything else."""
-    loaded = "[m for m in ('scipy.stats', 'scipy.signal') if m in sys.modules]"
-    code = f"import sys, labpipe.cli.run, labpipe.project.pipeline_file; print({loaded})"
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ended.stdout.strip() == "[]"

@@ -25,6 +25,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import amount_text, change_text, difference_in, shown_unit
@@ -217,9 +218,8 @@ def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> fl
     """The least |whiten (off - x)|^2 [1] of shifts x (n_mass,) [kg] within +- *limits* [kg]."""
     if off.size == 1:
         return float((whiten[0, 0] * max(abs(off[0]) - limits[0], 0.0)) ** 2)
-    from scipy import optimize  # takes a third of a second
 
-    return 2 * float(optimize.lsq_linear(whiten, whiten @ off, (-limits, limits)).cost)
+    return 2 * float(scipy.optimize.lsq_linear(whiten, whiten @ off, (-limits, limits)).cost)
 
 
 def _p_value(fit: _FreeFit, given: FloatArray) -> float:

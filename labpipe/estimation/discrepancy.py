@@ -17,7 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy import linalg, optimize, special
+import scipy
+from scipy import linalg, special
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
@@ -314,7 +315,9 @@ def _quantiles(weights: FloatArray, means: FloatArray, deviations: FloatArray) -
         margin = 1e-12 + 1e-6 * float(np.max(deviations))
         low, high = float(np.min(means + reach)) - margin, float(np.max(means + reach)) + margin
         # A component that ran away is as far as numbers reach: bisection comes back from there.
-        end = optimize.brentq(above, low, high, args=(p,), xtol=1e-14, rtol=1e-13, maxiter=MOST_BISECTIONS)
+        end = scipy.optimize.brentq(
+            above, low, high, args=(p,), xtol=1e-14, rtol=1e-13, maxiter=MOST_BISECTIONS
+        )
         ends.append(float(end))
     return ends[0], ends[1]
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
+import scipy
 from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
@@ -286,12 +287,11 @@ class Leakage:
     @cached_property
     def _weights(self) -> Any:
         """Weights of the points of every line as a sparse matrix (n_line, n_every) [1]."""
-        from scipy import sparse
 
         omega, place = self.grid
         n_line, n_point = place.shape
         weights = (self.kernel.weights * self._factors).ravel()
-        return sparse.csr_array(
+        return scipy.sparse.csr_array(
             (weights, place.ravel(), np.arange(0, n_line * n_point + 1, n_point)), shape=(n_line, omega.size)
         )
 

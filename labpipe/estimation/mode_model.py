@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
@@ -257,7 +257,7 @@ class ModeModel:
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             try:
-                minimum = optimize.least_squares(
+                minimum = scipy.optimize.least_squares(
                     residual, theta, jac=jacobian, x_scale="jac", method="lm", max_nfev=60
                 )
             except (ValueError, np.linalg.LinAlgError) as error:

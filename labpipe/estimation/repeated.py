@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
@@ -121,7 +122,6 @@ def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
 
     A repeat may not show all of them. Modes far from all lose their parameters.
     """
-    from scipy.optimize import linear_sum_assignment
 
     values = {parameter.name: parameter.value for parameter in pooled.parameters}
     ours, theirs = (
@@ -132,7 +132,7 @@ def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
         return fit
     distance = np.abs(np.log(np.array(list(theirs.values()))[:, None] / np.array(list(ours.values()))))
     numbers = {}
-    for place, other in zip(*linear_sum_assignment(distance), strict=True):
+    for place, other in zip(*scipy.optimize.linear_sum_assignment(distance), strict=True):
         number = list(ours)[other]
         if distance[place, other] < max(NEAR_WIDTHS * 2 * abs(values.get(f"zeta_{number}", 0.0)), NEAR):
             numbers[list(theirs)[place]] = number

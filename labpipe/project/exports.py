@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
-from scipy.io import wavfile
+import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.identification_file import read_identification
@@ -395,7 +395,6 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
 
     DataError for several such fits, of which a file holds one.
     """
-    from scipy.io import savemat
 
     fits = robust_fits(artefact)
     if len(fits) > 1:
@@ -407,7 +406,7 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
         )
     plant = fits[0].detail(RobustPlant)
     assert plant is not None
-    savemat(
+    scipy.io.savemat(
         target,
         {
             "A": plant.a,
@@ -474,4 +473,4 @@ def _write_wav(path: Path, samples: FloatArray, sample_rate: float) -> None:
             f"a WAV file cannot hold the sampling rate {sample_rate:g} Hz",
             hint="choose a whole number of hertz",
         )
-    wavfile.write(path, round(sample_rate), (samples / np.max(np.abs(samples))).astype(np.float32))
+    scipy.io.wavfile.write(path, round(sample_rate), (samples / np.max(np.abs(samples))).astype(np.float32))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
+import scipy
 
 from labpipe.errors import DataError
 from labpipe.raw_files.hdf5_variables import has_hdf5_variables, load_hdf5_variables
@@ -36,7 +36,7 @@ def write_frf_mat(path: Path, response: FrequencyResponse) -> None:
         **_port_variables("input", response.inputs),
     }
     variables |= {name: values for name in _OPTIONAL if (values := getattr(response, name)) is not None}
-    savemat(path, variables, do_compression=True, appendmat=False)
+    scipy.io.savemat(path, variables, do_compression=True, appendmat=False)
 
 
 def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def write_recording_mat(path: Path, recording: Recording) -> None:
         )
     variables: dict[str, Any] = {name: recording.samples[:, n : n + 1] for n, name in enumerate(names)}
     units = {name: channel.unit for name, channel in zip(names, recording.channels, strict=True)}
-    savemat(
+    scipy.io.savemat(
         path,
         {**variables, "fs": recording.sample_rate, "units": units},
         do_compression=True,

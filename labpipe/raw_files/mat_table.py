@@ -13,7 +13,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.io import loadmat
+import scipy
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from labpipe.errors import DataError
@@ -124,7 +124,7 @@ def load_variables(path: Path) -> dict[str, Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             check_elements(path)
-            variables = loadmat(str(path), chars_as_strings=True, appendmat=False)
+            variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
     except _BROKEN as error:
         reason = (str(error).splitlines() or ["damaged"])[0].rstrip(".")
         raise DataError(f"is not a readable MATLAB file ({reason[:80]})", where=str(path)) from None

@@ -5,6 +5,7 @@ n_input + input).
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray, handed_over
 from labpipe.records.response import FactoredCovariance
@@ -143,7 +144,6 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
     """a + b |H|^2 (n_frequency,) of a residual's *variance* where b is SIGNIFICANT times its standard error,
     else 1; |H|^2 = *power*.
     """
-    from scipy.optimize import nnls  # takes a third of a second, and is for impacts only
 
     shape = np.ones_like(variance)
     columns = np.column_stack([shape, power / np.max(power)])
@@ -151,7 +151,7 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
     variance = variance / np.max(variance) if np.max(variance) > 0 else shape
     for _ in range(REWEIGHTED):
         weighted = columns / shape[:, None]
-        values = nnls(weighted, variance / shape)[0]
+        values = scipy.optimize.nnls(weighted, variance / shape)[0]
         shape = np.maximum(columns @ values, np.finfo(float).eps)
     # As many lines as are averaged have ENOUGH_DOF degrees of freedom together.
     covariance = np.linalg.pinv(weighted.T @ weighted) * (2 * half_width + 1) / ENOUGH_DOF

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from scipy import fft
 
 from labpipe.arrays import FloatArray
@@ -174,10 +175,9 @@ def _rest(samples: FloatArray, length: int) -> FloatArray:
     """
     if samples.shape[0] <= length:
         return np.mean(samples, axis=0, keepdims=True)
-    from scipy import ndimage
 
     half = length // 2
-    inner = ndimage.uniform_filter1d(samples, length, axis=0)[half : samples.shape[0] - half]
+    inner = scipy.ndimage.uniform_filter1d(samples, length, axis=0)[half : samples.shape[0] - half]
     return np.pad(inner, ((half, half), (0, 0)), mode="edge")
 
 

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import interpolate, stats
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
@@ -401,7 +401,7 @@ class LeftOutLines:
             return 0.0 if np.any(self.level > 0) else 1.0
         logarithms = self.dof * np.log1p(self.level**2 / self.noise**2 / self.dof)
         n = self.dof.size
-        of_all, of_one = stats.chi2.sf(2 * np.sum(logarithms), 2 * n), n * np.exp(-np.max(logarithms))
+        of_all, of_one = chi2_tail(2 * np.sum(logarithms), 2 * n), n * np.exp(-np.max(logarithms))
         return float(min(2 * of_all, 2 * of_one, 1.0))
 
 
@@ -443,7 +443,9 @@ def _left_out_notes(
     largest: dict[tuple[str, str], tuple[float, float]] = {}
     frequency = spectra[0].frequency
     whole = (
-        interpolate.make_interp_spline(frequency[lines], matrix, 1)(frequency) if lines.sum() > 1 else None
+        np.apply_along_axis(lambda each: np.interp(frequency, frequency[lines], each), 0, matrix)
+        if lines.sum() > 1
+        else None
     )
     for number, spectrum in enumerate(spectra):
         columns = [column for column in layout.input_columns[number] if column >= 0]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
@@ -85,9 +86,8 @@ def rising_crossings(force: FloatArray) -> FloatArray:
     """Times [samples] at which a *force* (n_sample,) [N] of mean zero rises through zero, between samples by
     a straight line.
     """
-    from scipy import ndimage
 
-    peak = ndimage.maximum_filter1d(np.abs(force), _longest_period(force))
+    peak = scipy.ndimage.maximum_filter1d(np.abs(force), _longest_period(force))
     low, high = force < -HYSTERESIS * peak, force > HYSTERESIS * peak
     marks = np.flatnonzero(low | high)
     rises = np.flatnonzero(low[marks[:-1]] & high[marks[1:]])

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy import fft
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
@@ -231,10 +232,9 @@ def _driven_lines(forces: ComplexArray) -> BoolArray:
     """Lines (n_line,) at which every force of (n_block, n_line, n_input) [N] has its usual level of the lines
     around, or not much less.
     """
-    from scipy import ndimage
 
     level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
-    usual = ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
+    usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
     return np.asarray(np.all(level >= LEAST_SHARE * usual, axis=1))
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
@@ -49,12 +50,11 @@ def window_values(name: str, n_sample: int) -> FloatArray:
     if name == "hann":
         return hann(n_sample)
     # Only rare windows are worth the time of this import.
-    from scipy import signal
 
     kind, *parameters = name.split()
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
-        values: FloatArray = signal.get_window(chosen, n_sample, fftbins=True)
+        values: FloatArray = scipy.signal.get_window(chosen, n_sample, fftbins=True)
     except (ValueError, TypeError):
         raise ConfigError(
             f"unknown window '{name}'",

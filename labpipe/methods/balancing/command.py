@@ -11,6 +11,7 @@ import click
 
 from labpipe.cli import options
 from labpipe.cli.output import echo
+from labpipe.distributions import chi2_tail
 
 if TYPE_CHECKING:
     from labpipe.methods.balancing.balance_file import Balanced
@@ -43,7 +44,6 @@ def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ..
 def sentences(result: Balanced) -> Iterator[str]:
     """The result in lines."""
     import numpy as np
-    from scipy import stats
 
     from labpipe.display import plain_text
 
@@ -71,7 +71,7 @@ def sentences(result: Balanced) -> Iterator[str]:
             f"{1e6 * result.permissible:.3g} g mm of G {1e3 * (file.settings.grade or 0):g}"
         )
     known = result.known
-    if known.dof and stats.chi2.sf(known.misfit, known.dof) < UNLIKELY:
+    if known.dof and chi2_tail(known.misfit, known.dof) < UNLIKELY:
         yield (
             "warning: the readings scatter more than was stated (chi-square "
             f"{known.misfit:.3g} of {known.dof}): the rig is not linear, changed between runs, or repeats "

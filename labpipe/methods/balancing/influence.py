@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
@@ -197,7 +197,7 @@ def placed_weights(known: Influence, places: Sequence[Places]) -> list[FloatArra
     rows, side = root @ onto, -np.linalg.solve(root.conj().T, linear)
     largest = np.concatenate([np.full(place.angles.size, place.largest) for place in places])
     scale = float(np.max(np.abs(rows)))
-    reached = optimize.lsq_linear(
+    reached = scipy.optimize.lsq_linear(
         np.concatenate([rows.real, rows.imag]) / scale,
         np.concatenate([side.real, side.imag]) / scale,
         (0.0, largest),
@@ -210,7 +210,7 @@ def placed_weights(known: Influence, places: Sequence[Places]) -> list[FloatArra
     for plane, (direction, place) in enumerate(zip(directions, places, strict=True)):
         target = direction @ reached[ends[plane] : ends[plane + 1]]
         ends_of_mass = (0.0, place.largest if np.isfinite(place.largest) else None)
-        least = optimize.linprog(
+        least = scipy.optimize.linprog(
             np.ones(direction.size),
             A_eq=np.array([direction.real, direction.imag]) / place.radius,
             b_eq=np.array([target.real, target.imag]) / place.radius,

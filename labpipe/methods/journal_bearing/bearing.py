@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
@@ -480,7 +480,9 @@ def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float
             "a journal bearing needs a load for its equilibrium", hint="give the static load in newtons"
         )
     e = float(
-        brentq(lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14)
+        scipy.optimize.brentq(
+            lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14
+        )
     )
     return e, float(np.arctan2(np.pi * np.sqrt(1 - e**2), 4 * e))
 

@@ -19,7 +19,7 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from scipy.interpolate import BSpline, NdBSpline, make_interp_spline
+import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
@@ -63,8 +63,8 @@ class JournalCurve:
 
     length_over_diameter: float
     groove_width: float
-    spline: BSpline
-    slope: BSpline
+    spline: scipy.interpolate.BSpline
+    slope: scipy.interpolate.BSpline
 
     def coefficients(self, sommerfeld: FloatArray) -> ScaledCoefficients:
         """Scaled coefficients [-] at Sommerfeld numbers (...) [-]; FitError outside the table."""
@@ -130,7 +130,7 @@ def journal_curve(
     )
     places = np.linspace(np.log(LOWEST_SOMMERFELD), np.log(HIGHEST_SOMMERFELD), nodes)
     fine, coarse = (_rows(bearing, places, cells) for cells in (mesh, half))
-    spline = make_interp_spline(places, (4 * fine - coarse) / 3, 3)
+    spline = scipy.interpolate.make_interp_spline(places, (4 * fine - coarse) / 3, 3)
     return JournalCurve(length_over_diameter, groove_width, spline, spline.derivative())
 
 
@@ -219,7 +219,7 @@ class JournalTable:
     active: tuple[int, ...]
     low: FloatArray
     high: FloatArray
-    spline: NdBSpline
+    spline: scipy.interpolate.NdBSpline
 
     def coefficients(
         self, bearing: JournalBearing, speed: float, size: float | None = None
@@ -385,9 +385,14 @@ def _fit(
         values = np.concatenate([values[:0:-1], values])
     knots, degrees = [], tuple(min(CUBIC, place.size - 1) for place in places)
     for number, (place, degree) in enumerate(zip(places, degrees, strict=True)):
-        along = make_interp_spline(place, np.moveaxis(values, number, 0), degree)
+        along = scipy.interpolate.make_interp_spline(place, np.moveaxis(values, number, 0), degree)
         knots.append(along.t)
         values = np.moveaxis(along.c, 0, number)
     return JournalTable(
-        bearing, load, active, low, high, NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees)
+        bearing,
+        load,
+        active,
+        low,
+        high,
+        scipy.interpolate.NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees),
     )

@@ -13,9 +13,11 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy import optimize, special, stats
+import scipy
+from scipy import special
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.running_fit import (
@@ -58,7 +60,7 @@ def cusum_limit(alarm: float, horizon: int = HORIZON, slack: float = SLACK) -> f
     def excess(b: float) -> float:
         return (np.expm1(2 * slack * b) - 2 * slack * b) / (2 * slack**2) - 2 * horizon / alarm
 
-    return float(optimize.brentq(excess, 0.1, 60.0)) - OVERSHOOT
+    return float(scipy.optimize.brentq(excess, 0.1, 60.0)) - OVERSHOOT
 
 
 @dataclass
@@ -155,10 +157,8 @@ class Charts:
         raised = float((np.log(energy) - np.log(expected) + variance / 2) / np.sqrt(variance))
         values = [raised, *(float(value) for value in whitened)]
         scores = [series.score(value) for series, value in zip(self._all, values, strict=True)]
-        jump = 2 * stats.norm.sf(abs(scores[0])) < ENERGY_JUMP * ALPHA / HORIZON
-        jump |= (
-            stats.chi2.sf(sum(score**2 for score in scores[1:]), n_parameter) < SCORE_JUMP * ALPHA / HORIZON
-        )
+        jump = 2 * normal_tail(abs(scores[0])) < ENERGY_JUMP * ALPHA / HORIZON
+        jump |= chi2_tail(sum(score**2 for score in scores[1:]), n_parameter) < SCORE_JUMP * ALPHA / HORIZON
         return values, scores, bool(jump)
 
     def jumps(self, z: ComplexArray, sums: Sums, others: Estimate) -> bool:
@@ -194,10 +194,10 @@ class Charts:
         if np.ptp(levels) == 0:
             return False
         limit = LEVEL * ALPHA / (len(LEVEL_LOOKS) * scores.shape[1])
-        return any(stats.pearsonr(levels, column).pvalue < limit for column in scores.T)
+        return any(scipy.stats.pearsonr(levels, column).pvalue < limit for column in scores.T)
 
 
-BAND = float(stats.norm.ppf(0.9))
+BAND = normal_quantile(0.9)
 # Averages beyond which a goal counts as out of reach.
 FAR = 10**6
 # Squared variation of the information of single hits, worth so many hits before any was seen.
@@ -253,7 +253,7 @@ def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale:
         return n
     if not goal > 0 or half(FAR) > goal:
         return None
-    return math.ceil(optimize.brentq(lambda averages: half(averages) - goal, n, FAR))
+    return math.ceil(scipy.optimize.brentq(lambda averages: half(averages) - goal, n, FAR))
 
 
 def forecast(

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, stats
+from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.distributions import f_tail
 from labpipe.errors import DataError
 from labpipe.estimation.model import DynamicModel
 from labpipe.records.recording import Channel
@@ -320,7 +321,7 @@ class RunningFit:
         dof = np.asarray(2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0))
         freedom = 2 * residual.size - n_parameter
         reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
-        misfit = bool(stats.f.sf(reduced, freedom, smoothed) < MISFIT_P)
+        misfit = bool(f_tail(reduced, freedom, smoothed) < MISFIT_P)
         of_fit = (reduced, misfit, identifiable, information, covariance_of_values)
         return Estimate(n, least, values, std_error, dof, *of_fit)
 

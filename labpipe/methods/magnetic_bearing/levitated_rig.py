@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy
 from scipy import fft
 
 from labpipe.arrays import FloatArray
@@ -147,12 +148,11 @@ def _log(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -
     one filter without delay.
     """
     # Loading scipy.signal takes longer than most runs.
-    from scipy import signal
 
     before = round(MARGIN * rig.sample_rate)
     steps = rig.decimation * per_step
     steady = signals[round(SETTLING * rig.control.rate) * per_step - before * steps :]
-    filtered = steady if steps == 1 else signal.resample_poly(steady, 1, steps, axis=0)
+    filtered = steady if steps == 1 else scipy.signal.resample_poly(steady, 1, steps, axis=0)
     return np.array(filtered[before : before + n_sample])
 
 

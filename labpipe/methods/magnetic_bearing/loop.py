@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
@@ -288,7 +288,9 @@ def _roots(
     places = np.flatnonzero((values[:-1] * values[1:] < 0) & (omega[:-1] > 0))
     return [
         float(
-            optimize.brentq(lambda w: float(function(np.array([w]))[0]), omega[n], omega[n + 1], rtol=1e-12)
+            scipy.optimize.brentq(
+                lambda w: float(function(np.array([w]))[0]), omega[n], omega[n + 1], rtol=1e-12
+            )
         )
         for n in places
     ]
@@ -301,7 +303,7 @@ def _largest(
     if top in (0, omega.size - 1):
         return float(values[top]), float(omega[top])
     ends, accuracy = (omega[top - 1], omega[top + 1]), {"xatol": 1e-9 * omega[top]}
-    maximum = optimize.minimize_scalar(
+    maximum = scipy.optimize.minimize_scalar(
         lambda w: -float(function(np.array([w]))[0]), bounds=ends, method="bounded", options=accuracy
     )
     return float(-maximum.fun), float(maximum.x)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
@@ -217,11 +218,10 @@ def sampled_law(
             "controller: more zeros than poles cannot be sampled", hint=hint, field="controller"
         )
     # A second of imports that few runs need.
-    from scipy import signal
 
-    zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
+    zeros, poles, gain = scipy.signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
     zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
-    sections = signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)
+    sections = scipy.signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)
     # Where zeros are fewer than poles, scipy puts others at z = 0, which takes as many sampling intervals of
     # delay away: [z^-1] each.
     late = [[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]] * (len(poles) - len(zeros))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
@@ -234,16 +235,14 @@ def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) ->
     wanders.
     """
     # Loading scipy.signal takes longer than most runs.
-    from scipy import signal
 
-    b, a = signal.butter(1, HOVER_CORNER, fs=rate)
-    return np.asarray(signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
+    b, a = scipy.signal.butter(1, HOVER_CORNER, fs=rate)
+    return np.asarray(scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
 
 
 def _log(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
-    from scipy import signal
 
-    return signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
+    return scipy.signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
 
 
 LOOP_RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]] = {

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, student_quantile
@@ -265,7 +265,7 @@ def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexAr
         return float(np.sum(np.log(_squares(_solve(s, data, poles(moves))[1])))) * 2 * s.size / data.shape[1]
 
     steps = np.vstack([np.zeros(2 * start.size), 0.3 * np.eye(2 * start.size)])
-    best = optimize.minimize(
+    best = scipy.optimize.minimize(
         cost, steps[0], method="Nelder-Mead", options={"initial_simplex": steps, "xatol": 1e-4, "fatol": 1e-3}
     )
     return poles(best.x)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, modal_assurance
 from labpipe.distributions import chi2_tail
@@ -219,7 +220,6 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
 
     FitError where no order has a pole.
     """
-    from scipy.optimize import linear_sum_assignment
 
     of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
     poles = next((poles for poles in of_orders if poles.values.size), None)
@@ -232,7 +232,7 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
     index = np.argmin(distance, axis=1)
     apart = frequencies.size <= poles.values.size and np.all(np.diff(np.log(np.sort(frequencies))) > APART)
     if apart and np.unique(index).size < index.size:
-        index = linear_sum_assignment(distance)[1]
+        index = scipy.optimize.linear_sum_assignment(distance)[1]
     return Poles(poles.values[index], poles.participation[index], poles.orders[index])
 
 

@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy import fft
 from scipy.linalg import expm
-from scipy.optimize import minimize
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
@@ -212,7 +212,9 @@ class _Problem:
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
         options = {"maxiter": steps}
         return np.asarray(
-            minimize(self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options).x
+            scipy.optimize.minimize(
+                self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options
+            ).x
         )
 
 

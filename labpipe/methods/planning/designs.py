@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog, minimize
+import scipy
 
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
@@ -101,7 +101,7 @@ def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArra
     bounds = np.hstack([gains / unit.max() / v.max(), -np.ones((len(gains), 1))])
     cost = np.zeros(active.size + 1)
     cost[-1] = 1.0
-    solved = linprog(cost, bounds, np.zeros(len(bounds)), np.append(unit, 0.0)[None], [1.0])
+    solved = scipy.optimize.linprog(cost, bounds, np.zeros(len(bounds)), np.append(unit, 0.0)[None], [1.0])
     q = np.zeros(v.size)
     q[active] = np.maximum(solved.x[:-1], 0.0) if solved.x is not None else 1.0 / active.size
     return q
@@ -221,7 +221,7 @@ def _least_smooth(
         ) / scale
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}
-    solved = minimize(
+    solved = scipy.optimize.minimize(
         value,
         begin,
         jac=True,
@@ -263,7 +263,7 @@ def _least_largest(
     }
     bounds = [(0, 1)] * begin.size + [(None, None)]
     begun = np.append(begin, 0.0)
-    solved = minimize(
+    solved = scipy.optimize.minimize(
         lambda unknowns: (unknowns[-1], unit),
         begun,
         jac=True,

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy import fft
 from scipy.linalg import solve_triangular
 
@@ -427,9 +428,8 @@ def _decimate(
     if factor == 1:
         return [samples[:MOST_SAMPLES] for samples in centred], rate
     # Imported here, since scipy.signal brings scipy.stats along: half a second.
-    from scipy import signal
 
-    slow = [signal.resample_poly(samples, 1, factor) for samples in centred]
+    slow = [scipy.signal.resample_poly(samples, 1, factor) for samples in centred]
     inside = [
         samples[FILTER:-FILTER][:MOST_SAMPLES] if samples.size > 4 * FILTER else samples for samples in slow
     ]

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy import optimize, special
+import scipy
+from scipy import special
 
 from labpipe.errors import ConfigError
 from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing
@@ -144,7 +145,7 @@ def ellipse_ratio(curvature_ratio: float) -> float:
             np.log(special.elliprd(0, square, 1) / special.elliprd(0, 1, square)) - np.log(curvature_ratio)
         )
 
-    return float(np.exp(optimize.brentq(mismatch, -18.0, 0.0, xtol=1e-14)))
+    return float(np.exp(scipy.optimize.brentq(mismatch, -18.0, 0.0, xtol=1e-14)))
 
 
 def line_contact(length: float) -> float:

@@ -17,7 +17,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, optimize
+import scipy
+from scipy import linalg
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
@@ -313,7 +314,7 @@ def threshold_speed(
         place = np.array([speed])
         return float(stability.growth(place, *coefficients(place))[0]) - GROWTH_TOLERANCE
 
-    return float(optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
+    return float(scipy.optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
 
 
 def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: FloatArray) -> None:
@@ -357,7 +358,7 @@ def _crossing(
     low, high = between
     if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
         return float(
-            optimize.brentq(
+            scipy.optimize.brentq(
                 lambda value: _detuning(stability, coefficients, value), low, high, xtol=RESONANCE_TOLERANCE
             )
         )

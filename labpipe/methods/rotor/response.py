@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, optimize
+import scipy
+from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
@@ -126,7 +127,7 @@ def onset_speed(
                     f"the rotor is unstable already at {speed:g} rad/s",
                     hint="start the search at a lower speed",
                 )
-            return float(optimize.brentq(excess, stable, speed, xtol=tolerance))
+            return float(scipy.optimize.brentq(excess, stable, speed, xtol=tolerance))
         stable = speed
     return None
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import interpolate, optimize
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
@@ -169,7 +169,7 @@ class _SupportsBetween:
     def __init__(self, speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> None:
         self._nodes = [support.node for support in supports[0]]
         coefficients = np.array([[(s.stiffness, s.damping) for s in row] for row in supports])
-        self._spline = interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
+        self._spline = scipy.interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
 
     def __call__(self, speed: float) -> list[Support]:
         values = self._spline(speed)
@@ -189,7 +189,7 @@ def follow(each: Sequence[Modes]) -> FloatArray:
     for number, now in enumerate(each[1:], 1):
         flat = now.shapes.reshape(now.eigenvalues.size, -1)
         likeness = np.array([_likeness(shape, root, flat, now.eigenvalues) for shape, root in last])
-        rows, columns = optimize.linear_sum_assignment(-likeness)
+        rows, columns = scipy.optimize.linear_sum_assignment(-likeness)
         for row, column in zip(rows, columns, strict=True):
             if likeness[row, column] > 1e-3:
                 order[number, row] = column
@@ -229,10 +229,10 @@ def _with_response(theory: RotorTheory, at: _SupportsBetween) -> RotorTheory:
 
 def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Critical]:
     """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds."""
-    curve = interpolate.CubicSpline(speed, amplitude**-2.0)
+    curve = scipy.interpolate.CubicSpline(speed, amplitude**-2.0)
     criticals = []
     for n in np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1:
-        least = optimize.minimize_scalar(
+        least = scipy.optimize.minimize_scalar(
             curve, bounds=(speed[n - 1], speed[n + 1]), method="bounded", options={"xatol": 1e-9 * speed[n]}
         )
         if least.fun <= 0 or amplitude[n] < HALF_POWER * least.fun**-0.5:
@@ -243,11 +243,11 @@ def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Criti
         below = np.flatnonzero(amplitude[:n] < HALF_POWER * height)
         above = np.flatnonzero(amplitude[n:] < HALF_POWER * height)
         low = high = None
-        crossing = interpolate.CubicSpline(speed, amplitude**-2.0 - 2 * float(least.fun))
+        crossing = scipy.interpolate.CubicSpline(speed, amplitude**-2.0 - 2 * float(least.fun))
         if below.size:
-            low = float(optimize.brentq(crossing, speed[below[-1]], speed[below[-1] + 1]))
+            low = float(scipy.optimize.brentq(crossing, speed[below[-1]], speed[below[-1] + 1]))
         if above.size:
-            high = float(optimize.brentq(crossing, speed[n + above[0] - 1], speed[n + above[0]]))
+            high = float(scipy.optimize.brentq(crossing, speed[n + above[0] - 1], speed[n + above[0]]))
         criticals.append(Critical(top, height, node, low, high))
     return criticals
 

@@ -9,9 +9,9 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail, normal_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
 from labpipe.methods.rotor.theory import LEAST_DECREMENT
 from labpipe.methods.rotor_system.build import (
@@ -406,7 +406,7 @@ def _result(
                 pull.test,
                 kinds[pull.test],
                 *posterior.chi2[pull.test],
-                float(stats.chi2.sf(*posterior.chi2[pull.test])),
+                chi2_tail(*posterior.chi2[pull.test]),
                 pull.unknown,
                 pull.z,
             )
@@ -417,7 +417,7 @@ def _result(
             for group, size in posterior.sizes.items()
         ),
         campbell=_campbell_rows(diagram),
-        decrement=(least, error, float(stats.norm.sf((LEAST_DECREMENT - least) / error)) if error else 1.0),
+        decrement=(least, error, float(normal_tail((LEAST_DECREMENT - least) / error)) if error else 1.0),
         criticals=tuple(_critical(each) for each in criticals),
         onset=onset(posterior, max(low, 0.05 * operating)),
         next_tests=_next_tests(posterior, operating, criticals),

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg, sparse
+import scipy
+from scipy import linalg
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.methods.rotor.response import LEAST_OSCILLATION, solve
@@ -196,7 +197,9 @@ class SystemModel:
                     shape = (len(term.dofs),) * 2
                     couples = np.ones(shape, bool) if callable(term.block) else term.block != 0
                     coupled[np.ix_(term.dofs, term.dofs)] |= couples
-            number, of_dof = sparse.csgraph.connected_components(sparse.csr_array(coupled), directed=False)
+            number, of_dof = scipy.sparse.csgraph.connected_components(
+                scipy.sparse.csr_array(coupled), directed=False
+            )
             parts = (np.flatnonzero(of_dof == n) for n in range(number))
             self._known_parts[key] = tuple(part for part in parts if coupled[part].any())
         return self._known_parts[key]
@@ -206,7 +209,7 @@ class SystemModel:
         return {}
 
     @cached_property
-    def _spread(self) -> dict[bool, sparse.csr_array]:
+    def _spread(self) -> dict[bool, scipy.sparse.csr_array]:
         """From what multiplies the terms (n_term,) to the constant matrices in the order of POWERS, supported
         (True) and free: (5 n_dof^2, n_term).
         """
@@ -223,10 +226,10 @@ class SystemModel:
         shape = (len(order) * n * n, len(self.terms))
         standing = np.array([not term.support for term in self.terms])
         if not rows:
-            return dict.fromkeys((True, False), sparse.csr_array(shape))
+            return dict.fromkeys((True, False), scipy.sparse.csr_array(shape))
         at, of, values = (np.concatenate(each) for each in (rows, columns, entries))
         return {
-            supported: sparse.coo_array((values * (supported | standing[of]), (at, of)), shape).tocsr()
+            supported: scipy.sparse.coo_array((values * (supported | standing[of]), (at, of)), shape).tocsr()
             for supported in (True, False)
         }
 

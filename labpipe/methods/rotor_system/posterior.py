@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from labpipe.arrays import BoolArray, FloatArray
+from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise, sum_of_squares
 from labpipe.methods.rotor_system.evidence import Deflections, Evidence, FreeModes, Responses
@@ -161,7 +162,7 @@ class Posterior:
     @property
     def misfits(self) -> dict[str, float]:
         """Tests whose chi-square has a probability below .001, with it."""
-        tails = {name: float(stats.chi2.sf(chi2, n)) for name, (chi2, n) in self.chi2.items()}
+        tails = {name: chi2_tail(chi2, n) for name, (chi2, n) in self.chi2.items()}
         return {name: tail for name, tail in tails.items() if tail < MISFIT}
 
     @property
@@ -401,7 +402,7 @@ def refit(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Posterio
     problem, rng = _problem(posterior), np.random.default_rng(seed)
     residual, jacobian = problem.residual(posterior.values), problem.jacobian(posterior.values)
     least, dof = float(residual @ residual), residual.size - posterior.values.size
-    highest = float(stats.ncx2.isf(LOST, dof, least))
+    highest = float(scipy.stats.ncx2.isf(LOST, dof, least))
     fits = []
     for _ in range(n_draw):
         moved = rng.standard_normal(residual.size)

@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, optimize, stats
+import scipy
+from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import normal_quantile
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import RUNNING, Built
@@ -28,7 +30,7 @@ AROUND, STEP, SCATTERED, WIDE = 0.15, 0.0033, 0.4, 0.7
 GROWTH, MOST_STEPS = 1.25, 30
 # Draws from which percentiles are steadier than the spread of logarithms, since peaks may split.
 ENOUGH = 100
-NORMAL = float(stats.norm.ppf(0.975))
+NORMAL = normal_quantile(0.975)
 
 
 def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
@@ -110,7 +112,7 @@ def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
         return None
     if growth(low) > 0:
         return lowest, 0.0
-    speed = float(optimize.brentq(growth, low, high, rtol=1e-9))
+    speed = float(scipy.optimize.brentq(growth, low, high, rtol=1e-9))
     roots = model.roots(values, 2 * np.pi * speed)
     mode = int(np.argmax(roots.values.real))
     step = 1e-4

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
-from scipy import interpolate
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
@@ -156,7 +156,7 @@ def _run_up(world: World, rng: np.random.Generator) -> Recording:
     turned = low * time + rate * time**2 / 2
     speed = low + rate * time
     grid = np.linspace(low, high, 200)
-    course = interpolate.CubicSpline(grid, _vectors(world, grid))(speed)
+    course = scipy.interpolate.CubicSpline(grid, _vectors(world, grid))(speed)
     motion = (course * np.exp(1j * turned)[:, None]).real
     motion = motion + rig.probe_noise * rng.standard_normal(motion.shape)
     share = (turned / (2 * np.pi) + 0.5) % 1 - 0.5

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
@@ -210,9 +210,9 @@ def _trace(
 
     radii = {"initial_tr_radius": limits.first_mesh, "final_tr_radius": limits.smallest_mesh}
     options: Any = {**radii, "maxfev": limits.most_evaluations, "f_target": limits.target_share}
-    bounds = optimize.Bounds(np.zeros(start.size), np.ones(start.size))
+    bounds = scipy.optimize.Bounds(np.zeros(start.size), np.ones(start.size))
     try:
-        outcome = optimize.minimize(
+        outcome = scipy.optimize.minimize(
             scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options
         )
     except ValueError as error:

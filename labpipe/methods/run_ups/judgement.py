@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import interpolate, signal
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
@@ -139,7 +139,9 @@ def judge(
     rolled = None
     if slow_roll is not None:
         whole = np.abs(smooth.fitted)
-        tops = [at for each in whole.T for at in signal.find_peaks(each, prominence=SMALL * each.max())[0]]
+        tops = [
+            at for each in whole.T for at in scipy.signal.find_peaks(each, prominence=SMALL * each.max())[0]
+        ]
         offsets = _slow_roll(speed, readings, slow_roll, smooth.fine[min(tops, default=-1)], rng)
         rolled, curves = offsets[0], curves - offsets[:, None, :]
     amplitude = np.abs(curves)
@@ -185,7 +187,7 @@ class _Smooth:
     ) -> None:
         self.fine = np.linspace(speed[0], speed[-1], FINE) if fine is None else fine
         n, n_probe = readings.shape
-        between = interpolate.CubicSpline(speed, np.eye(n), bc_type="natural")(self.fine)
+        between = scipy.interpolate.CubicSpline(speed, np.eye(n), bc_type="natural")(self.fine)
         rough = _roughness((speed - speed[0]) / np.ptp(speed))
         rows = np.empty((n_probe, n, n))
         for probe in range(n_probe):
@@ -273,7 +275,7 @@ def _peaks(
     """
     spread = float(np.median(np.std(amplitude[1:], axis=0)))
     clear = max(CLEAR * spread, SMALL * float(amplitude[0].max()))
-    tops, sizes = signal.find_peaks(amplitude[0], prominence=clear)
+    tops, sizes = scipy.signal.find_peaks(amplitude[0], prominence=clear)
     for top, left, right in zip(tops, sizes["left_bases"], sizes["right_bases"], strict=True):
         # Between the dips, and no further than the next peak's.
         first = max([int(left), *((a + top) // 2 for a in tops if a < top)])

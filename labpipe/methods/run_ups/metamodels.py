@@ -21,7 +21,7 @@ from functools import partial
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
@@ -178,7 +178,7 @@ def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) 
         parts = (theta - middle) / spread
         return float(value + parts @ parts / 2), slope + parts / spread
 
-    search: Any = optimize.minimize(with_priors, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    search: Any = scipy.optimize.minimize(with_priors, start, jac=True, method="L-BFGS-B", bounds=bounds)
     return search.x, search.fun
 
 

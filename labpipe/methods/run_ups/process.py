@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize
+import scipy
+from scipy import linalg
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
@@ -407,6 +408,6 @@ def _likeliest(linear: LinearData, places: FloatArray, ranges: FloatArray) -> Sq
         return float(parts @ parts) / 2 - linear.log_likelihood(field)
 
     options: Any = {"initial_simplex": np.concatenate([np.zeros((1, 3)), np.eye(3)]), **SEARCH}
-    search = optimize.minimize(cost, np.zeros(3), method="Nelder-Mead", options=options)
+    search = scipy.optimize.minimize(cost, np.zeros(3), method="Nelder-Mead", options=options)
     likeliest = _kernel(np.log(median) + deviation * search.x, ranges)
     return SquaredExponential(likeliest.size, CAUTION * likeliest.load, CAUTION * likeliest.speed)

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.integrate import trapezoid
-from scipy.optimize import least_squares
+import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_quantile
@@ -90,7 +89,7 @@ def descend(
         return misfit.jacobian(full(moved))[:, moving]
 
     inward = 1e-6 * (high - low)
-    solution = least_squares(
+    solution = scipy.optimize.least_squares(
         residual,
         np.clip(whole[moving], low + inward, high - inward),
         jacobian,
@@ -330,10 +329,10 @@ def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
     along_angle = np.zeros(depths.size)
     for row, depth in enumerate(depths):
         distances = [profile_distance(misfit, best, {0: float(depth), 1: float(angle)}) for angle in angles]
-        along_angle[row] = trapezoid(np.exp(-np.square(distances) / 2), angles)
+        along_angle[row] = scipy.integrate.trapezoid(np.exp(-np.square(distances) / 2), angles)
         if depth > best.parameters[0] and along_angle[row] < 1e-6 * along_angle.max():
             break
-    return float(trapezoid(along_angle, depths)) / float(np.prod(high - low))
+    return float(scipy.integrate.trapezoid(along_angle, depths)) / float(np.prod(high - low))
 
 
 def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> FloatArray:
