@@ -71,10 +71,10 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
 
 @pytest.mark.long
 def test_sound_runs_are_left_alone() -> None:
-    """Drift, mass and model-mismatch are tests of 1 % each: of 40 runs at most two, which 1 % exceeds once in
-    130 and 10 % in 78 of 100.
+    """Drift, mass and model-mismatch are tests of 1 % each: of 20 runs at most one, which 1 % exceeds once in
+    60 and 10 % in 61 of 100.
     """
-    runs = 40
+    runs = 20
     codes, _, error = counted(range(1000, 1000 + runs))
     assert error < 2
     for code in ("drift", "mass", "model-mismatch"):
@@ -117,31 +117,23 @@ def test_a_mode_just_above_the_band_is_a_mismatch() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("cubic", "least", "most"), [(5e8, 0.9, 1.0), (0.0, 0.0, 0.05)], ids=["cubic", "linear"]
-)
-def test_cubic_springs_are_named_between_two_levels(cubic: float, least: float, most: float) -> None:
+def test_cubic_springs_are_named_between_two_levels() -> None:
     """Springs to ground with 5e8 N/m^3: about 3 % more stiffness at 10 N than at 5 N.
 
-    One level alone looks like noise.
+    One level alone looks like noise. Linear springs are among the rates of test_warning_rates.
     """
     conditions = {"quiet": {"level": "5 N"}, "loud": {"level": "10 N"}}
-    # Nine of ten named, or at most one of ten: rates of 70 and of 30 % pass once in seven.
+    # Nine of ten: a rate of 70 % passes once in seven.
     runs = 10
-    quiet, loud = (fits(range(runs), cubic=cubic, force=force, length=100.0) for force in (5.0, 10.0))
+    quiet, loud = (fits(range(runs), cubic=5e8, force=force, length=100.0) for force in (5.0, 10.0))
     named = [
         _level_finding(replace(low, test="quiet"), replace(high, test="loud"), conditions)
         for low, high in zip(quiet, loud, strict=True)
     ]
-    assert (
-        least * runs
-        <= len([message for message in named if message])
-        <= max(most * runs, 1 if most < 1 else 0)
-    )
-    if cubic:
-        assert np.mean(
-            [float(message.split("stiffness by ")[1].split()[0]) for message in named]
-        ) == pytest.approx(3, abs=0.5)
+    assert len([message for message in named if message]) >= 0.9 * runs
+    assert np.mean(
+        [float(message.split("stiffness by ")[1].split()[0]) for message in named if message]
+    ) == pytest.approx(3, abs=0.5)
 
 
 def _level_finding(low: Fit, high: Fit, conditions: dict[str, dict[str, str]]) -> str:
