@@ -51,12 +51,15 @@ class Start:
     chi2: float
 
 
-def starts(problem: OutputError[ResponseModel]) -> list[Start]:
+def starts(
+    problem: OutputError[ResponseModel], p_value: Callable[[float], float] | None = None
+) -> list[Start]:
     """The start of the lowest chi-square, then others: the last pass, plain least squares, the first pass.
 
     Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate
     (Sanathanan and Koerner 1963) makes it nearly an output error and needs no good start. It ends after two
-    successive passes with hardly lower chi-square.
+    successive passes with hardly lower chi-square, or where by the *p_value* of chi-square, of a known noise,
+    noise explains the residual: the minimum is near.
     """
     model = problem.model
     values = _least_squares(problem)
@@ -72,7 +75,7 @@ def starts(problem: OutputError[ResponseModel]) -> list[Start]:
             _start(problem, f"reweighted least squares (pass {number})", model.from_linear(values))
         )
         idle = 0 if attempts[-1].chi2 < WORTHWHILE * lowest else idle + 1
-        if idle == 2:
+        if idle == 2 or (p_value is not None and p_value(attempts[-1].chi2) >= SUSPECT_P):
             break
     best = min(attempts, key=lambda start: start.chi2)
     return list(dict.fromkeys([best, attempts[-1], attempts[0], attempts[min(1, len(attempts) - 1)]]))
@@ -186,7 +189,7 @@ def maximum_likelihood(
     problem = OutputError(measured, expected(measured, model), fit_weights(measured))
     best, start = _best_minimum(
         problem,
-        lambda chi2: weighted and uncertainty.p_value(chi2 / dof / uncertainty.excess, dof) < SUSPECT_P,
+        (lambda chi2: uncertainty.p_value(chi2 / dof / uncertainty.excess, dof)) if weighted else None,
         most_steps,
     )
     return _estimate(measured, model, problem, best, start.name)
@@ -337,17 +340,19 @@ def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | 
 
 
 def _best_minimum(
-    problem: OutputError[ResponseModel], uncertain: Callable[[float], bool], most_steps: int
+    problem: OutputError[ResponseModel], p_value: Callable[[float], float] | None, most_steps: int
 ) -> tuple[Minimum, Start]:
     """The lowest minimum of the starts.
 
-    Further starts only where the last minimum's chi-square is *uncertain*.
+    Further starts only where the *p_value* of the last minimum's chi-square, of a known noise, makes it
+    suspect.
     """
     minima: list[tuple[float, Minimum, Start]] = []
-    for start in starts(problem):
+    for start in starts(problem, p_value):
         minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)
         minima.append((problem.chi2(minimum.values), minimum, start))
-        if minimum.converged and not uncertain(minima[-1][0]):
+        suspect = p_value is not None and p_value(minima[-1][0]) < SUSPECT_P
+        if minimum.converged and not suspect:
             break
     _, best, start = min(minima, key=lambda entry: (not entry[1].converged, entry[0]))
     return best, start

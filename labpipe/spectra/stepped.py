@@ -71,11 +71,14 @@ def block_amplitudes(samples: FloatArray, frequency: float, length: float, count
 
     Their phase is that of the first sample of all.
     """
-    blocks = []
-    for number in range(count):
-        start, stop = round(number * length), round((number + 1) * length)
-        blocks.append(amplitudes(samples[start:stop], frequency) * np.exp(-2j * np.pi * frequency * start))
-    return np.array(blocks)
+    edges = np.minimum(np.round(np.arange(count + 1) * length).astype(np.int64), samples.shape[0])
+    sizes = np.diff(edges)
+    values = np.empty((count, samples.shape[1]), np.complex128)
+    for size in np.unique(sizes):
+        which = np.flatnonzero(sizes == size)
+        blocks = samples[edges[which] + np.arange(size)[:, None]]
+        values[which] = amplitudes(blocks.reshape(size, -1), frequency).reshape(which.size, -1)
+    return values * np.exp(-2j * np.pi * frequency * edges[:-1, None])
 
 
 def frequency_variance(signal: FloatArray, frequency: float) -> float:
