@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
@@ -213,6 +212,9 @@ def stiffness_shares(
 
 
 LINES, LOWEST = 1201, 1e-6
+# Rounds of finer lines within those, and their number: a step of 1e-2 becomes one of 1e-8, and a straight
+# line does the rest.
+FINER, WITHIN = 4, 33
 LoopTransfer = Callable[[FloatArray], ComplexArray]
 
 
@@ -285,25 +287,39 @@ def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tupl
 def _roots(
     function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
 ) -> list[float]:
+    """Where *values* (n_line,) of the *function* at *omega* (n_line,) [rad/s] change their sign, all at once
+    by finer lines, to 1e-12 of each.
+    """
     places = np.flatnonzero((values[:-1] * values[1:] < 0) & (omega[:-1] > 0))
-    return [
-        float(
-            scipy.optimize.brentq(
-                lambda w: float(function(np.array([w]))[0]), omega[n], omega[n + 1], rtol=1e-12
-            )
-        )
-        for n in places
-    ]
+    if places.size == 0:
+        return []
+    low, high = omega[places], omega[places + 1]
+    for _ in range(FINER):
+        points = np.linspace(low, high, WITHIN, axis=1)
+        at = function(points.ravel()).reshape(points.shape)
+        rows, n = np.arange(places.size), np.argmax(at[:, :-1] * at[:, 1:] <= 0, axis=1)
+        low, high = points[rows, n], points[rows, n + 1]
+    first, last = at[rows, n], at[rows, n + 1]
+    return [float(each) for each in low + (high - low) * first / (first - last)]
 
 
 def _largest(
     function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
 ) -> tuple[float, float]:
-    top = int(np.argmax(values))
-    if top in (0, omega.size - 1):
-        return float(values[top]), float(omega[top])
-    ends, accuracy = (omega[top - 1], omega[top + 1]), {"xatol": 1e-9 * omega[top]}
-    maximum = scipy.optimize.minimize_scalar(
-        lambda w: -float(function(np.array([w]))[0]), bounds=ends, method="bounded", options=accuracy
+    """The largest of the *function* and its place [rad/s], near the largest of its *values* (n_line,) at
+    *omega* (n_line,): by finer lines and the parabola through the last three.
+    """
+    at, points = values, omega
+    for rounds in range(FINER):
+        top = int(np.argmax(at))
+        if top in (0, at.size - 1):
+            return float(at[top]), float(points[top])
+        if rounds < FINER - 1:
+            points = np.linspace(points[top - 1], points[top + 1], WITHIN)
+            at = function(points)
+    before, middle, after = at[top - 1 : top + 2]
+    bend = before - 2 * middle + after
+    shift = 0.5 * (before - after) / bend if bend else 0.0
+    return float(middle - 0.25 * (before - after) * shift), float(
+        points[top] + shift * (points[top + 1] - points[top])
     )
-    return float(-maximum.fun), float(maximum.x)
