@@ -11,7 +11,6 @@ import io
 import json
 import select
 import struct
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import DataError
 from labpipe.raw_files.other_tables import wav_chunks
 from labpipe.raw_files.table import check_columns, check_names, open_table
 from labpipe.raw_files.text_table import CsvTable, plain_suffix
@@ -250,9 +249,8 @@ class Folder:
         if chunk is not None:
             return chunk
         for path in sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]:
-            if path in self.files or path.name.startswith(".") or not path.is_file():
-                continue
-            if time.time() - path.stat().st_mtime < self._settle or not path.stat().st_size:
+            is_whole = path.is_file() and path.stat().st_size and is_old(path, self._settle)
+            if not is_whole or path in self.files or path.name.startswith("."):
                 continue
             try:
                 table = open_table(path)
@@ -408,16 +406,6 @@ class Played:
         return block
 
 
-def standard_input(columns: Sequence[str], keep: Path | None) -> Frames:
-    """The frames on standard input, kept in the folder *keep*; ConfigError on a terminal."""
-    if sys.stdin.isatty():
-        raise ConfigError("standard input is a terminal", hint="pipe frames into the command, or name a file")
-    return Frames(sys.stdin.buffer, columns, keep)
-
-
 def is_old(path: Path, seconds: float) -> bool:
     """Whether a file has not changed for so long that nobody writes to it."""
-    try:
-        return time.time() - path.stat().st_mtime > seconds
-    except FileNotFoundError:
-        return False
+    return path.exists() and time.time() - path.stat().st_mtime > seconds

@@ -24,6 +24,7 @@ import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
+from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench
 from labpipe.methods.live.charts import Goal
 from labpipe.methods.live.session import Session
@@ -37,7 +38,9 @@ from labpipe.methods.live.sources import (
 )
 from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
+from labpipe.records.recording import Channel
 from labpipe.report.document import Document, Paragraph, Section
+from labpipe.spectra.settings import FrfSettings
 from tests.conftest import Command
 from tests.draws.stops import RATE as TURNS_RATE
 from tests.draws.stops import RIGS, SOUND
@@ -235,6 +238,63 @@ def test_what_another_direction_would_save_is_what_it_saves(seed):
     assert last.as_json()["remaining"]["r.c_yy"]["by_turns"] == forecast.others.more
     more = next(n for n, one in enumerate(periods(1, seed + 9), 1) if bench.add(one)[-1].stop)
     assert more == pytest.approx(forecast.others.more, rel=0.2)
+
+
+CUTS = [8 * N + 400, 15 * N + 910, 23 * N + 700]
+
+
+def test_recordings_begin_anywhere_in_the_period(bench, follow):
+    """A stream of 24 periods cut within periods, as by kills or by a logger, its last piece shorter than an
+    average takes: every whole period but the skipped ones counts, and the run leaves out that piece alone.
+    """
+    (bench / "pipeline.yaml").write_text(PIPELINE.replace("40-90 Hz}", "40-90 Hz, repeats: pool}"))
+    folder = bench / "falling"
+    folder.mkdir()
+    for number, piece in enumerate(np.split(samples(24), CUTS)):
+        write_csv(folder / f"{number}.csv", piece)
+    time.sleep(1.1)
+    lines = follow(folder, "-o", str(bench / "out"), "--set", "report.formats=[md]")
+    assert lines[-1]["averages"] == 7 + 6 + 6 and not lines[-1]["findings"]
+    assert not any("left out" in event for line in lines for event in line["events"])
+    (fit,) = json.loads((bench / "out" / "identification.json").read_text())["fits"]
+    for parameter in fit["parameters"][:3]:
+        followed = lines[-1]["parameters"][f"s.{parameter['name']}"]
+        # The run divides by the noisy forces of three recordings: H is low by their share of noise, a fifth
+        # of a standard error, beside what both smooth otherwise.
+        assert abs(followed["value"] - parameter["value"]) < 0.5 * parameter["std_error"]
+        assert followed["std_error"] == pytest.approx(parameter["std_error"], rel=0.1)
+    report = (bench / "out" / "report.md").read_text()
+    assert "recording '3' is left out: it is shorter than one average takes (2 s)" in report
+
+
+@pytest.mark.parametrize("seed", [0, 3, 6])
+def test_periods_of_recordings_count_as_if_their_phase_were_known(seed):
+    """The same periods, each rolled to where its period begins, give the same values within a fiftieth of
+    their standard errors.
+    """
+    pieces = np.split(samples(24, seed) * [1, 1e-6], CUTS)
+    starts = [0, *CUTS]
+    known = [
+        np.roll(piece[n * N : (n + 1) * N], start % N, axis=0)
+        for piece, start in zip(pieces, starts, strict=True)
+        for n in range(SKIPPED, len(piece) // N)
+    ]
+    channels = tuple(
+        Channel(name, quantity, role, "y")
+        for name, quantity, role in (("f", "force", "input"), ("y", "displacement", "output"))
+    )
+    last = []
+    for parts, skip in ((pieces, SKIPPED), ([np.concatenate(known)], 0)):
+        frf = FrfSettings("periodic", period=1.0, skip=skip, band=(20, 150))
+        bench = Bench(channels, RATE, frf, [FitSettings("sdof", band=(40, 90), name="s")])
+        for part in parts:
+            bench.restart()
+            bench.add(part)
+        last.append(bench.updates[-1].standings)
+    for name, standing in last[1].items():
+        error = standing.parameter.std_error
+        assert abs(last[0][name].parameter.value - standing.parameter.value) < 0.02 * error
+        assert last[0][name].parameter.std_error == pytest.approx(error, rel=0.02)
 
 
 def test_it_stops_by_the_width_and_never_by_the_value(bench, follow, labpipe):
@@ -744,7 +804,7 @@ def test_frames_that_were_read_outlast_a_kill(bench):
     with the others as another recording, and all that came is in the recordings at the end.
     """
     rows = samples(40)
-    for n_read in (0, 12 * N, 24 * N, len(rows)):
+    for n_read in (0, 12 * N, 24 * N + 300, len(rows) - 700, len(rows)):
         before, lines = killed_and_taken_up(bench, rows, n_read)
         # The last line may have been cut off.
         assert lines[: max(len(before) - 1, 0)] == before[:-1]
@@ -752,5 +812,6 @@ def test_frames_that_were_read_outlast_a_kill(bench):
         stored = np.concatenate([np.stack([c.to_numpy() for c in pq.read_table(f)], axis=1) for f in files])
         np.testing.assert_array_equal(stored, rows)
         parts = [n // N - SKIPPED for n in (n_read, len(rows) - n_read) if n]
-        assert json.loads(lines[-1])["averages"] == sum(max(part, 0) for part in parts)
+        last = json.loads(lines[-1])
+        assert last["averages"] == sum(max(part, 0) for part in parts) and not last["findings"]
         assert not (bench / "out" / "frames").exists()
