@@ -182,8 +182,7 @@ class Charts:
         )
 
     def _follows_level(self) -> bool:
-        n = len(self._pairs)
-        if n not in LEVEL_LOOKS:
+        if len(self._pairs) not in LEVEL_LOOKS:
             return False
         levels, scores = (np.array(column) for column in zip(*self._pairs, strict=True))
         if np.ptp(levels) == 0:

@@ -99,8 +99,7 @@ def live(
         elif path is None:
             keep = None if output is None else output / FRAMES
             if sys.stdin.isatty():
-                hint = "pipe frames into the command, or name a file"
-                raise ConfigError("standard input is a terminal", hint=hint)
+                raise ConfigError("standard input is a terminal", hint="pipe frames into it, or name a file")
             stream = Frames(sys.stdin.buffer, columns_of(rig), keep)
             if stream.n_earlier and not quiet:
                 echo(f"goes on with the {stream.n_earlier} frames that are kept in {keep}", err=True)

@@ -305,9 +305,8 @@ class Session:
         steps = np.diff(times, prepend=before) * self._rate
         gaps = np.flatnonzero((steps > GAP) | (steps <= 0))
         for place in gaps:
-            what = (
-                f"{steps[place] - 1:.0f} samples are missing" if steps[place] > 0 else "the clock began anew"
-            )
+            missing = f"{steps[place] - 1:.0f} samples are missing"
+            what = missing if steps[place] > 0 else "the clock began anew"
             self.findings.append(Finding("gap", f"{what} at {times[place]:.3f} s; averages begin anew there"))
         self._last_time = float(times[-1])
         begin = 0

@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -21,9 +22,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from asammdf import MDF, Signal
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
+from labpipe.errors import DataError
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench
 from labpipe.methods.live.charts import Goal
@@ -31,6 +34,7 @@ from labpipe.methods.live.session import Session
 from labpipe.methods.live.sources import (
     Folder,
     GrowingHdf5,
+    GrowingMdf,
     GrowingTdms,
     GrowingText,
     GrowingWav,
@@ -422,12 +426,51 @@ def test_sources_that_grow_give_what_was_written(tmp_path):
     np.testing.assert_allclose(np.concatenate(got), rows / 1000, rtol=1e-6)
 
 
-# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, or as text whose last line is
-# cut off in between.
+def unfinished_mdf(path: Path, rows: np.ndarray) -> tuple[bytes, bytes]:
+    """The beginning and the records (t, f, y) of an MDF file as a logger writes it: marked as unfinished, no
+    samples counted and no length of its data stated, which stand at the end (ASAM MDF 4.1, unfinalised).
+    """
+    t = np.arange(len(rows)) / RATE
+    with MDF(version="4.10") as file:
+        file.append([Signal(rows[:, n].copy(), t, name=name) for n, name in enumerate("fy")])
+        file.save(path, overwrite=True, compression=0)
+    whole = bytearray(path.read_bytes())
+    data, group, channels = (whole.index(name) for name in (b"##DT", b"##DG", b"##CG"))
+    (length,) = struct.unpack_from("<Q", whole, data + 8)
+    records = bytes(whole[data + 24 : data + length])
+    whole += bytes(-len(whole) % 8)
+    struct.pack_into("<Q", whole, group + 24 + 16, len(whole))
+    struct.pack_into("<Q", whole, channels + 24 + 56, 0)
+    whole[:8] = b"UnFinMF "
+    struct.pack_into("<H", whole, 60, 0x1 | 0x4)
+    return bytes(whole) + struct.pack("<4sIQQ", b"##DT", 0, 24, 0), records
+
+
+def test_an_mdf_file_is_followed_before_it_is_finished(tmp_path):
+    """Records of 24 bytes, the last cut off; then the logger begins the file anew."""
+    rows, path = samples(1)[:300], tmp_path / "a.mf4"
+    head, records = unfinished_mdf(path, rows)
+    mdf, got = GrowingMdf(path, ["f", "y"]), []
+    for n_byte in (0, 24, 24 * 100 + 7, 24 * 100 + 7, 24 * 300):
+        path.write_bytes(head + records[:n_byte])
+        got.append(mdf.read())
+        assert not mdf.restarted
+    assert [part.shape[0] for part in got] == [0, 0, 100, 0, 200]
+    np.testing.assert_array_equal(np.concatenate(got), rows)
+    path.write_bytes(head + records[: 24 * 50])
+    np.testing.assert_array_equal(mdf.read(), rows[:50])
+    assert mdf.restarted
+    with pytest.raises(DataError, match="no column 'q'"):
+        GrowingMdf(path, ["q"]).read()
+
+
+# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, the bytes of an MDF file, or text
+# whose last line is cut off in between.
 WRITER = """
 import sys, time
 import numpy as np
-kind, path, rows = sys.argv[1], sys.argv[2], np.load(sys.argv[3])
+kind, path = sys.argv[1:3]
+rows = np.fromfile(sys.argv[3], np.uint8) if kind == "mf4" else np.load(sys.argv[3])
 pieces = np.array_split(rows, 20)
 if kind == "h5":
     import h5py
@@ -447,6 +490,9 @@ for number, piece in enumerate(pieces):
             dataset.resize((begin + len(piece),))
             dataset[begin:] = piece[:, c]
             dataset.flush()
+    elif kind == "mf4":
+        with open(path, "ab") as stream:
+            stream.write(piece.tobytes())
     elif kind == "csv":
         text = ("" if number else "f,y\\n") + "".join(f"{f:.17g},{y:.17g}\\n" for f, y in piece)
         for part in (text[:-7], text[-7:]):
@@ -458,11 +504,14 @@ for number, piece in enumerate(pieces):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["csv", "tdms", "h5"])
+@pytest.mark.parametrize("kind", ["csv", "tdms", "h5", "mf4"])
 def test_a_file_that_another_process_writes_meanwhile(bench, kind):
     """Followed while it grows, and again once it is whole: the same last line."""
     np.save(bench / "rows.npy", samples(12))
     path = bench / f"test.{kind}"
+    if kind == "mf4":
+        (bench / "rows.npy").write_bytes(b"".join(unfinished_mdf(path, samples(12))))
+        path.unlink()
     command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), str(path), "--json"]
     with subprocess.Popen([sys.executable, "-c", WRITER, kind, str(path), str(bench / "rows.npy")]) as writer:
         growing = subprocess.run([*command, "--idle", "3"], capture_output=True, check=True).stdout
