@@ -464,8 +464,8 @@ def test_an_mdf_file_is_followed_before_it_is_finished(tmp_path):
         GrowingMdf(path, ["q"]).read()
 
 
-# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, the bytes of an MDF file, or text
-# whose last line is cut off in between.
+# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, the bytes of an MDF file, or
+# text whose last line is cut off in between.
 WRITER = """
 import sys, time
 import numpy as np
