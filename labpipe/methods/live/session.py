@@ -335,8 +335,8 @@ class Session:
 def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
     """What is said at the beginning of a test of a fit that cannot be followed."""
     instead = (
-        f"it is made anew of all samples where a goal is due, at the latest after {100 * (NEXT_LOOK - 1):.0f} % more "
-        f"({100 * (EARLY_LOOK - 1):.0f} % before average {LEAST_WHOLE})"
+        "it is made anew of all samples where a goal is due, at the latest after "
+        f"{100 * (NEXT_LOOK - 1):.0f} % more ({100 * (EARLY_LOOK - 1):.0f} % before average {LEAST_WHOLE})"
         if whole
         else "it is made once the test has ended"
     )
