@@ -262,6 +262,8 @@ def without_short(
     what is said of the former.
     """
     least = (settings.skip + 1) * settings.period if settings.period else settings.block or 0.0
+    # Of realisations none may be missing.
+    least *= not settings.realisations
     channels = [[(channel.name, channel.dof) for channel in source.channels] for source in sources]
     long = [source.n_sample >= round(least * source.sample_rate) for source in sources]
     counts = [
