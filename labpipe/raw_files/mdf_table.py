@@ -9,15 +9,16 @@ import io
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
-from labpipe.raw_files.table import check_in_child, load_extra, unique
+from labpipe.raw_files.table import check_in_child, check_names, load_extra, unique
 
 CHUNK_ROWS = 1 << 17
 TIME = "time [s]"
@@ -41,6 +42,27 @@ def touch(path: Path) -> None:
     longest = MdfTable(path)
     for table in (longest, *longest.others):
         table.read_ends()
+
+
+def growing_rows(
+    path: Path, columns: Sequence[str], first: int, most: int
+) -> tuple[FloatArray, float | None]:
+    """At most *most* rows (n, n_column) [unit of the file] from row *first* on of a file that is being
+    written; it states no rate.
+
+    Of a file that is not finished a copy is, by its flags: samples count as far as they are whole. DataError
+    for a column that is not there.
+    """
+    table: MdfTable | None = None
+    rows: FloatArray = np.empty((0, len(columns)))
+    # Between two writes it may not be readable.
+    with suppress(DataError):
+        table = MdfTable(path) if first else mdf_table(path)
+        if set(columns) <= set(table.columns):
+            rows = table.rows(columns, first, most)
+    if table is not None:
+        check_names(path, columns, table.columns)
+    return rows, None
 
 
 class MdfTable:
@@ -120,26 +142,28 @@ class MdfTable:
         DataError for a damaged one, for which the library has errors of many kinds, at opening and at
         reading.
         """
-        file, reason = self._opened()
-        if not reason:
-            try:
-                with file:
-                    yield file
-                    return
-            except DataError:
-                raise
-            except Exception as error:
-                reason = str(error)
+        # The library finishes a copy of a file that is being written, and forgets it where that fails.
+        with TemporaryDirectory(prefix="labpipe-mdf-") as folder:
+            file, reason = self._opened(folder)
+            if not reason:
+                try:
+                    with file:
+                        yield file
+                        return
+                except DataError:
+                    raise
+                except Exception as error:
+                    reason = str(error)
         raise DataError(
             f"is not a readable MDF file ({(reason.splitlines() or ['damaged'])[0][:80]})",
             where=str(self.path),
         )
 
-    def _opened(self) -> tuple[Any, str]:
+    def _opened(self, folder: str) -> tuple[Any, str]:
         """The file, or why it cannot be opened."""
         with _quiet(), _kept_young():
             try:
-                return self._library.MDF(self.path), ""
+                return self._library.MDF(self.path, temporary_folder=folder), ""
             except Exception as error:
                 reason = str(error) or "damaged"
             # What the library has begun goes here, not later.
@@ -153,6 +177,14 @@ class MdfTable:
                 with _quiet():
                     chunk = self._chunk(file, columns, start, min(CHUNK_ROWS, self._length - start))
                 yield chunk
+
+    def rows(self, columns: Sequence[str], first: int, most: int) -> FloatArray:
+        """At most *most* rows (n, n_column) [unit of the file] from row *first* on."""
+        count = min(most, self._length - first)
+        if count <= 0:
+            return np.empty((0, len(columns)))
+        with self._open() as file, _quiet():
+            return self._chunk(file, columns, first, count)
 
     def read_ends(self) -> None:
         """Read the last two samples; the first two were read when the table was made."""

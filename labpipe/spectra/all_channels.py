@@ -28,7 +28,7 @@ from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
 from labpipe.spectra.matrices import without_rounding
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
 from labpipe.spectra.periodic import period_average
-from labpipe.spectra.ports import check_rates, source_findings
+from labpipe.spectra.ports import check_rates, source_findings, without_short
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
 from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
 from labpipe.spectra.settings import FrfSettings
@@ -204,6 +204,7 @@ def channel_spectra(
             hint="known: periodic, random",
             field="excitation",
         )
+    sources, short = without_short(sources, settings)
     layout = find_channel_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
@@ -215,7 +216,8 @@ def channel_spectra(
     acting = np.ones((lines.frequency.size, len(sources)), bool) if lines.acting is None else lines.acting
     excited = [lines.frequency[of_run] for of_run in acting.T]
     shaft = (*shaft, *lines_of_shaft(sources, settings, excited))
-    findings = (*source_findings(monitors), *mask_findings(bands), *shaft, *aliasing, *lines.findings)
+    of_lines = (*mask_findings(bands), *shaft, *aliasing, *lines.findings)
+    findings = (*source_findings(monitors), *short, *of_lines)
     return ChannelSpectra(
         frequency=lines.frequency,
         vectors=lines.vectors,

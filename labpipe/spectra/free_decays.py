@@ -16,7 +16,7 @@ from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import FreeDecay, FreeDecays
-from labpipe.spectra.ports import response_ports, source_findings
+from labpipe.spectra.ports import left_out, response_ports, source_findings
 from labpipe.spectra.settings import FrfSettings
 
 BLOCK = 1 << 16
@@ -69,15 +69,22 @@ def free_decays(
 
     A decay begins one period after the largest value that follows a hit or a release (or at `start`), and
     ends at the next hit, at the end of the recording, or where it is lost in the noise (or at `end`).
-    DataError for different rates, and where nothing decays.
+    A recording without a decay is left out by name, beside others that hold one. DataError for different
+    rates, and where nothing decays.
     """
     rate = sources[0].sample_rate
     ports, columns, channels = response_ports(sources)
     decays: list[FreeDecay] = []
     findings: list[Finding] = list(source_findings(sources))
+    without: list[DataError] = []
     for source, chosen in zip(sources, columns, strict=True):
         samples = np.concatenate([block[:, list(chosen)] for block in source.blocks(BLOCK)])
-        spans = _spans(samples, rate, settings, source.name)
+        try:
+            spans = _spans(samples, rate, settings, source.name)
+        except DataError as error:
+            without.append(error)
+            findings.append(left_out(source, "it holds no free decay that stands out of its noise"))
+            continue
         decays.extend(FreeDecay(source.name, start / rate, samples[start:end]) for start, end in spans)
         said = ", ".join(f"{start / rate:.4g} s to {end / rate:.4g} s" for start, end in spans)
         findings.append(
@@ -87,6 +94,8 @@ def free_decays(
                 f"free decay(s), {said}",
             )
         )
+    if not decays:
+        raise without[0]
     units = tuple(QUANTITIES[channel.quantity].si_unit for channel in channels)
     return FreeDecays(
         rate,

@@ -24,7 +24,7 @@ from labpipe.spectra.damping import (
     covariance_without_damping,
     without_added_damping,
 )
-from labpipe.spectra.ports import Layout, Parts, lines_left
+from labpipe.spectra.ports import Layout, Parts, left_out, lines_left
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from labpipe.spectra.welch import CrossSpectra
@@ -221,6 +221,9 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
             number = hit.number + 1
         averages.append(average)
     findings = [finding for average in averages for finding in average.findings]
+    why = "it holds no hit whose block is complete"
+    found = zip(sources, averages, strict=True)
+    findings += [left_out(source, why) for source, average in found if not average.n_found]
     averages, layout = _with_hits(averages, layout)
     spectra = [average.spectra() for average in averages]
     findings.extend(average.slow_finding() for average in averages if average.slow)
@@ -248,11 +251,11 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
 
 def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAverage], Layout]:
     """The recordings with a good hit, and their layout: of hits that lie one per file a bad one costs its
-    file only.
+    file only, and what follows an interruption may hold none.
 
     All recordings where a force would be left without any, which is then refused.
     """
-    kept = [number for number, average in enumerate(averages) if average.has_hit or not average.n_found]
+    kept = [number for number, average in enumerate(averages) if average.has_hit]
     driven = {n for number in kept for n, column in enumerate(layout.input_columns[number]) if column >= 0}
     if len(driven) < len(layout.inputs):
         return averages, layout

@@ -26,7 +26,15 @@ from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import impact_parts
 from labpipe.spectra.joint import joint_parts
 from labpipe.spectra.periodic import LOW_SNR, periodic_parts, realisations, robust_mean
-from labpipe.spectra.ports import Layout, Parts, check_rates, find_layout, join, source_findings
+from labpipe.spectra.ports import (
+    Layout,
+    Parts,
+    check_rates,
+    find_layout,
+    join,
+    source_findings,
+    without_short,
+)
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciprocity_findings
 from labpipe.spectra.random import random_parts
 from labpipe.spectra.settings import FrfSettings
@@ -60,13 +68,15 @@ def measure(
 
     Several recordings, for example one per force direction, give one matrix; a force that a recording lacks
     is zero in it. Memory use does not depend on the recordings' length. Raises DataError for recordings that
-    do not fit together, are too short, hold NaN, or whose forces are not independent.
+    do not fit together, are too short, hold NaN, or whose forces are not independent; one that is too short
+    for an average, as what follows an interruption, is left out by name beside longer ones of its channels.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
         raise ConfigError(
             f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay"
         )
+    sources, short = without_short(sources, settings)
     if settings.realisations:
         responses = [_measure(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
@@ -74,6 +84,7 @@ def measure(
         response = _with_repeats(_of_sensor_places(sources, settings, name, conditions), sources, settings)
     if response.form != TRANSMISSIBILITY:
         response = response.with_findings(reciprocity_findings(response))
+    response = response.with_findings(short)
     return directional(response) if settings.directional else response
 
 

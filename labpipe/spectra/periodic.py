@@ -50,7 +50,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     """
     assert settings.period is not None
     averaged = [period_average(source, settings) for source in sources]
-    single = [spectrum for spectrum, _, _ in averaged]
+    single = _with_noise([spectrum for spectrum, _, _ in averaged], sources)
     of_motion = tuple(finding for *_, findings in averaged for finding in findings)
     unsettled = is_unsettled(of_motion)
     spectra = [smoothed_noise(spectrum, settings.smooth) for spectrum in single]
@@ -105,6 +105,26 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         change=None if unsettled else _change(spectra, [half for _, half, _ in averaged], lines, layout),
         open_loop=open_loop,
     )
+
+
+def _with_noise(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource]) -> list[LineSpectrum]:
+    """The spectra; of single periods with the noise that a period has in other recordings of the same
+    channels, where there are such.
+    """
+    names = [[channel.name for channel in source.channels] for source in sources]
+    completed = []
+    for spectrum, here in zip(spectra, names, strict=True):
+        others = [
+            (s, s.noise) for s, n in zip(spectra, names, strict=True) if n == here and s.noise is not None
+        ]
+        if spectrum.noise is None and others:
+            dof = np.array([other.line_dof for other, _ in others])
+            scatter = [d[:, None, None] * s.n_period * n for d, (s, n) in zip(dof, others, strict=True)]
+            dof = dof.sum(axis=0)
+            noise = np.sum(scatter, axis=0) / dof[:, None, None]
+            spectrum = dataclasses.replace(spectrum, noise=noise, line_dof=dof)
+        completed.append(spectrum)
+    return completed
 
 
 def _injected_lines(

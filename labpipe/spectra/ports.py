@@ -250,6 +250,31 @@ def source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
     )
 
 
+def left_out(source: SampleSource, why: str) -> Finding:
+    """What is said of a recording that does not count beside others."""
+    return Finding("recording-left-out", f"recording '{source.name}' is left out: {why}")
+
+
+def without_short(
+    sources: Sequence[SampleSource], settings: FrfSettings
+) -> tuple[Sequence[SampleSource], tuple[Finding, ...]]:
+    """The recordings but those that are too short for an average, beside longer ones of the same channels;
+    what is said of the former.
+    """
+    least = (settings.skip + 1) * settings.period if settings.period else settings.block or 0.0
+    # Of realisations none may be missing.
+    least *= not settings.realisations
+    channels = [[(channel.name, channel.dof) for channel in source.channels] for source in sources]
+    long = [source.n_sample >= round(least * source.sample_rate) for source in sources]
+    counts = [
+        here or names not in itertools.compress(channels, long)
+        for here, names in zip(long, channels, strict=True)
+    ]
+    why = f"it is shorter than one average takes ({least:g} s)"
+    short = [source for source, count in zip(sources, counts, strict=True) if not count]
+    return list(itertools.compress(sources, counts)), tuple(left_out(source, why) for source in short)
+
+
 # The result of one excitation's evaluation, common to periodic, random, impact, stepped-sine and sweep
 # excitation.
 

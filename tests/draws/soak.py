@@ -2,7 +2,8 @@
 
 `python -m tests.draws.soak 60` pipes an hour of 8 channels at 51.2 kHz into the command as fast as it takes
 them, `python -m tests.draws.soak 10 clock` ten minutes by the clock, 51 ms at a time;
-`python -m tests.draws.soak kills 50` kills it at so many moments and takes it up again.
+`python -m tests.draws.soak kills 50` kills it at so many moments, of a file that grows and of frames, and
+takes it up again.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from labpipe.arrays import FloatArray
-from tests.methods.live.test_live import PIPELINE, RIG, N, killed_and_taken_up, samples, write_csv
+from tests.methods.live.test_live import PIPELINE, RIG, killed_and_taken_up, samples, write_csv
 
 RATE, CHANNELS = 51200, 8
 
@@ -155,16 +157,34 @@ def kills(count: int) -> None:
     length = time.monotonic() - begun
     result = (folder / "out" / "identification.json").read_bytes()
     rng = np.random.default_rng(9)
-    unequal = 0
+    pieces = np.array_split(np.frombuffer((folder / "test.csv").read_bytes(), np.uint8), 50)
+    equal, n_line = 0, []
     for _ in range(count):
-        child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        time.sleep(rng.uniform(0.05, length))
+        # Written within the time that the command took, cut anywhere within lines, and whole after the kill.
+        (folder / "test.csv").write_bytes(b"")
+        writer = threading.Thread(target=grow, args=(folder / "test.csv", pieces, length / len(pieces)))
+        writer.start()
+        child = subprocess.Popen([*command, "--idle", "5"], stdout=subprocess.PIPE)
+        time.sleep(rng.uniform(0.05, 1.2 * length))
         child.kill()
+        assert child.stdout is not None
+        before = child.stdout.readlines()
         child.wait()
+        writer.join()
         again = subprocess.run(command, capture_output=True, check=True).stdout
-        unequal += again != whole or (folder / "out" / "identification.json").read_bytes() != result
-    print(f"a file that grows: {count} kills, {unequal} unequal results")
+        same = again == whole and b"".join(before[:-1]) == whole[: sum(map(len, before[:-1]))]
+        equal += same and (folder / "out" / "identification.json").read_bytes() == result
+        n_line.append(len(before))
+    print(f"a file that grows: {count} kills behind {n_line} lines, {equal} times the same lines and results")
     kills_of_frames(folder, count, rng)
+
+
+def grow(path: Path, pieces: list[NDArray[np.uint8]], pause: float) -> None:
+    """Append the *pieces* of a file, a *pause* [s] before each."""
+    for piece in pieces:
+        time.sleep(pause)
+        with path.open("ab") as stream:
+            stream.write(piece.tobytes())
 
 
 def kills_of_frames(folder: Path, count: int, rng: np.random.Generator) -> None:
@@ -174,8 +194,7 @@ def kills_of_frames(folder: Path, count: int, rng: np.random.Generator) -> None:
     rows, out = samples(40), folder / "out"
     lines_equal = frames_equal = fits_equal = 0
     for _ in range(count):
-        # What is left is long enough for a recording of its own.
-        before, lines = killed_and_taken_up(folder, rows, int(rng.integers(0, len(rows) - 3 * N)))
+        before, lines = killed_and_taken_up(folder, rows, int(rng.integers(0, len(rows) - 1)))
         lines_equal += lines[: max(len(before) - 1, 0)] == before[:-1]
         files = sorted(out.glob("recording*.parquet"))
         stored = np.concatenate([np.stack([c.to_numpy() for c in pq.read_table(f)], axis=1) for f in files])

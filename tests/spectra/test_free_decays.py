@@ -141,6 +141,16 @@ def test_recordings_without_a_decay_are_refused(recording: Recording, message: s
         free_decays([recording], SETTINGS)
 
 
+def test_a_recording_without_a_decay_is_left_out_beside_others() -> None:
+    sound, quiet = recorded(struck((0.5,), 4.0), name="a"), recorded(np.zeros(4096), name="quiet")
+    decays = free_decays([quiet, sound], SETTINGS)
+    assert [decay.recording for decay in decays.decays] == ["a"]
+    (said,) = [finding.message for finding in decays.findings if finding.code == "recording-left-out"]
+    assert said.startswith("recording 'quiet' is left out")
+    with pytest.raises(DataError, match="no decay stands out"):
+        free_decays([quiet, quiet], SETTINGS)
+
+
 def test_recordings_that_do_not_fit_together_are_refused() -> None:
     with pytest.raises(DataError, match="different sampling rates"):
         free_decays([recorded(struck((0.5,), 4.0)), recorded(struck((0.5,), 4.0), rate=2048.0)], SETTINGS)

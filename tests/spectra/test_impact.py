@@ -197,6 +197,16 @@ def test_hits_over_block_borders_are_found_once(rng: np.random.Generator) -> Non
     assert [hit.number for hit in hits] == [1, 2, 3, 4]
 
 
+def test_a_recording_that_ends_before_its_first_hit_is_whole_is_left_out(rng: np.random.Generator) -> None:
+    sound = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))
+    rest = hammered(rng, half_sine(3000, [1900], [1.0]))
+    settings = FrfSettings(excitation="impact", block=1.0, band=(1.0, 200.0))
+    response, alone = measure([sound, rest], settings), measure([sound], settings)
+    np.testing.assert_array_equal(response.matrix, alone.matrix)
+    (said,) = [finding.message for finding in response.findings if finding.code == "recording-left-out"]
+    assert said.endswith("it holds no hit whose block is complete")
+
+
 def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
     force = half_sine(LENGTH, STARTS, [1.0] * 5)
     both = Recording(

@@ -51,6 +51,40 @@ def test_periodic_variance_is_what_the_scatter_of_repeats_shows(rng: np.random.G
     assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_recording_too_short_for_an_average_is_left_out_by_name(rng: np.random.Generator) -> None:
+    """As what follows an interruption; where no other has its channels it is refused."""
+    whole = periodic_recording(rng, (2.0,), 1e-3)
+    rest = Recording(whole.channels, whole.samples[: int(0.9 * RATE)], RATE, "rest")
+    for settings in (PERIODIC, FrfSettings(excitation="random", block=1.0)):
+        response, alone = measure([whole, rest], settings), measure([whole], settings)
+        np.testing.assert_array_equal(response.matrix, alone.matrix)
+        np.testing.assert_array_equal(response.variance, alone.variance)
+        said = [finding.message for finding in response.findings if finding.code == "recording-left-out"]
+        assert said == ["recording 'rest' is left out: it is shorter than one average takes (1 s)"]
+    other = Recording((whole.channels[0], Y), rest.samples, RATE, "rest")
+    for sources in ([whole, other], [rest, rest]):
+        with pytest.raises(DataError, match="too short for one period"):
+            measure(sources, PERIODIC)
+
+
+def test_a_single_period_beside_others_has_their_noise(rng: np.random.Generator) -> None:
+    """Four periods and one: H is the mean of two recordings, its variance a quarter of 1/4 + 1 times that of
+    one period, (1 + |H|^2) 4 s^2 / (N |F|^2).
+    """
+    drawn = []
+    for _ in range(60):
+        four, one = (periodic_recording(rng, (2.0,), 0.05, n) for n in (4, 1))
+        drawn.append(measure([four, one], PERIODIC))
+    matrices = np.array([response.matrix[:, 0, 0] for response in drawn])
+    observed = np.mean(np.abs(matrices - matrices.mean(axis=0)) ** 2, axis=0) * 60 / 59
+    predicted = np.mean([response.variance[:, 0, 0] for response in drawn], axis=0)
+    force = np.abs(np.fft.rfft(four.samples[: int(RATE), 0])[1:61]) * 2 / RATE
+    closed = 1.25 / 4 * (1 + 2**2) * 4 * 0.05**2 / (RATE * np.median(force) ** 2)
+    assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
+    assert np.median(predicted) == pytest.approx(closed, rel=0.1)
+    assert drawn[0].covariance_dof >= 3
+
+
 def test_a_sensor_s_delay_is_taken_out(rng: np.random.Generator) -> None:
     # The recorded response comes one sample late; a delay of one sample in the rig file makes H real again.
     plain = periodic_recording(rng, (2.0,), 1e-9)

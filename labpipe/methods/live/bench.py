@@ -36,6 +36,7 @@ from labpipe.methods.live.charts import (
     check_names,
     forecast,
     hit_variation,
+    lasting,
     no_longer_falls,
     sequence_factor,
 )
@@ -72,9 +73,8 @@ class FollowedFit:
     """One fit of the pipeline, followed average by average on its own lines and channels."""
 
     def __init__(self, settings: FitSettings, layout: Layout, frequency: FloatArray, hits: bool) -> None:
-        rows = chosen_ports(layout.outputs, settings.output, "response")
-        columns = chosen_ports(layout.inputs, settings.input, "force")
-        self.settings, self.setup = settings, _setup(settings, layout)
+        self.settings = settings
+        self.setup, rows, columns = _setup(settings, layout)
         model = damp(settings.kind.model(self.setup), settings)
         assert isinstance(model, DynamicModel)
         ports = [*rows, *(len(layout.outputs) + column for column in columns)]
@@ -156,7 +156,7 @@ class FollowedFit:
         now = {parameter.name: parameter.value for parameter in self._of_noise()}
         self.common = {
             parameter.name: Common(
-                NORMAL * float(np.hypot(parts.discrepancy, parts.systematic)),
+                lasting(parameter),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
                 parameter.reason,
             )
@@ -278,7 +278,7 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     plain = next((text for stands, text in reasons if stands), "")
     if plain:
         return plain
-    setup = _setup(settings, layout_of(channels, rate))
+    setup, _, _ = _setup(settings, layout_of(channels, rate))
     if settings.mass == ESTIMATE and settings.kind.one_frf and transfer_of(setup):
         return "a transfer FRF of unknown mass tells its coefficients by all lines alone"
     if not isinstance(damp(settings.kind.model(setup), settings), DynamicModel):
@@ -291,16 +291,17 @@ def layout_of(channels: Sequence[Channel], rate: float) -> Layout:
     return find_layout([Recording(tuple(channels), np.zeros((2, len(channels))), rate)])
 
 
-def _setup(settings: FitSettings, layout: Layout) -> Setup:
+def _setup(settings: FitSettings, layout: Layout) -> tuple[Setup, list[int], list[int]]:
+    """The ports of a fit, and which of the *layout* these responses and forces are."""
     rows = chosen_ports(layout.outputs, settings.output, "response")
     columns = chosen_ports(layout.inputs, settings.input, "force")
     outputs = tuple(layout.outputs[row] for row in rows)
-    return Setup(outputs, tuple(layout.inputs[column] for column in columns), settings)
+    return Setup(outputs, tuple(layout.inputs[column] for column in columns), settings), rows, columns
 
 
 def names_of_fit(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
     """The coefficients that a fit will have, those derived of one mode among them."""
-    names = settings.kind.model(_setup(settings, layout)).names
+    names = settings.kind.model(_setup(settings, layout)[0]).names
     return (*names, "f_n", "zeta") if settings.kind.one_mode else names
 
 
@@ -318,8 +319,7 @@ class Bench(Watch):
     """All fits of a pipeline, followed over the samples of one stream."""
 
     def __post_init__(self) -> None:
-        cutter = CUTTERS[self.frf.excitation]
-        self.cutter: Cutter = cutter(self.channels, self.sample_rate, self.frf)
+        self.cutter: Cutter = CUTTERS[self.frf.excitation](self.channels, self.sample_rate, self.frf)
         self.layout = layout_of(self.channels, self.sample_rate)
         self.fits: list[FollowedFit] = []
         self.dropped = 0
@@ -330,8 +330,7 @@ class Bench(Watch):
         self._unjudged: list[int] = []
         self._again = False
         self.findings: dict[tuple[str, str], Finding] = {}
-        names = {fit.name: names_of_fit(fit, self.layout) for fit in self.settings}
-        check_names(self.goals, names)
+        check_names(self.goals, {fit.name: names_of_fit(fit, self.layout) for fit in self.settings})
 
     @property
     def hits(self) -> bool:
@@ -525,21 +524,13 @@ class Bench(Watch):
                 findings.append(Finding("model-mismatch", message))
             for label, standing in standings.items():
                 owner, _, parameter = label.partition(".")
-                if owner == name and standing.goal is not None and not standing.reached:
-                    findings += self._floor(fit, label, standing, fit.widths[parameter])
+                if owner != name or standing.goal is None or standing.reached:
+                    continue
+                if standing.held_up:
+                    findings.append(standing.no_help(label))
+                elif not fit.common and estimate.misfit and no_longer_falls(fit.widths[parameter]):
+                    findings.append(standing.no_help(label, "model error"))
         return [*findings, *self._not_told(standings)]
-
-    def _floor(
-        self, fit: FollowedFit, label: str, standing: Standing, widths: Sequence[float]
-    ) -> list[Finding]:
-        if standing.held_up:
-            cause, floor = standing.parameter.reason or "stated uncertainties", standing.floor
-        elif not fit.common and fit.now.misfit and no_longer_falls(widths):
-            cause, floor = "model error", standing.half
-        else:
-            return []
-        share = 100 * floor / abs(standing.parameter.value)
-        return [Finding("floor", f"{label}: more averages do not help: {cause}, floor {share:.2g} %")]
 
     def _not_told(self, standings: Mapping[str, Standing]) -> list[Finding]:
         missing = {
@@ -554,11 +545,8 @@ class Bench(Watch):
                 turn = "turn the shaker, or raise the level"
                 if left.others is not None:
                     text = left.others.text(self.what)
-                    turn = (
-                        f"turn the shaker: {text}"
-                        if 2 * left.others.more < n
-                        else f"raise the level ({text})"
-                    )
+                    saves = 2 * left.others.more < n
+                    turn = f"turn the shaker: {text}" if saves else f"raise the level ({text})"
                 message = f"{label} is not identifiable with this direction and level; {turn}"
                 findings.append(Finding("not-told", message))
         return findings

@@ -30,7 +30,7 @@ from labpipe.methods.live.running_fit import (
     scaled,
 )
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.finding import Finding, Parameter
+from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.recording import Channel
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -108,10 +108,10 @@ class Verdict:
 class Charts:
     def __init__(self, fit: RunningFit) -> None:
         self._fit = fit
-        self._energy = Series()
-        self._scores = [Series() for _ in fit.equation.model.names]
+        # Of the energy, and of every coefficient.
+        self._series = [Series() for _ in range(1 + len(fit.equation.model.names))]
         self._pairs: list[tuple[float, FloatArray]] = []
-        self._change_limit = cusum_limit(CHANGE * ALPHA / (len(self._scores) + 1))
+        self._change_limit = cusum_limit(CHANGE * ALPHA / len(self._series))
 
     def monitors(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[FloatArray, float]:
         """Whitened shift r (n_parameter,) of the coefficients by the average *z* (n_line, n_experiment,
@@ -146,7 +146,7 @@ class Charts:
 
     def _score(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[list[float], list[float], bool]:
         """Values and normal scores of the energy and coefficients of *z*, and whether it is a jump."""
-        number, n_parameter = sums.n + 1, len(self._scores)
+        number, n_parameter = sums.n + 1, len(self._series) - 1
         whitened, energy = self.monitors(z, sums, before)
         size = z.shape[0] * z.shape[1] * self._fit.equation.n_output
         smoothed = (number - 2) * (2 * HALF_WIDTH + 1)
@@ -156,9 +156,10 @@ class Charts:
         # The logarithm of a mean of squares is nearly normal.
         raised = float((np.log(energy) - np.log(expected) + variance / 2) / np.sqrt(variance))
         values = [raised, *(float(value) for value in whitened)]
-        scores = [series.score(value) for series, value in zip(self._all, values, strict=True)]
-        jump = 2 * normal_tail(abs(scores[0])) < ENERGY_JUMP * ALPHA / HORIZON
-        jump |= chi2_tail(sum(score**2 for score in scores[1:]), n_parameter) < SCORE_JUMP * ALPHA / HORIZON
+        scores = [series.score(value) for series, value in zip(self._series, values, strict=True)]
+        of_energy = 2 * normal_tail(abs(scores[0]))
+        of_scores = chi2_tail(sum(score**2 for score in scores[1:]), n_parameter)
+        jump = min(of_energy / ENERGY_JUMP, of_scores / SCORE_JUMP) < ALPHA / HORIZON
         return values, scores, bool(jump)
 
     def jumps(self, z: ComplexArray, sums: Sums, others: Estimate) -> bool:
@@ -173,22 +174,17 @@ class Charts:
         values, scores, jump = self._score(z, sums, before)
         if jump:
             return Verdict(jump=True)
-        for series, value, score in zip(self._all, values, scores, strict=True):
+        for series, value, score in zip(self._series, values, scores, strict=True):
             series.take(value, score, number)
-        changes = [series.changed_since(self._change_limit) for series in self._all]
+        changes = [series.changed_since(self._change_limit) for series in self._series]
         self._pairs.append((float(np.log(level)) if level > 0 else 0.0, np.array(scores[1:])))
         return Verdict(
             change=next((change for change in changes if change is not None), None),
             with_level=isinstance(sums, HitSums) and self._follows_level(),
         )
 
-    @property
-    def _all(self) -> list[Series]:
-        return [self._energy, *self._scores]
-
     def _follows_level(self) -> bool:
-        n = len(self._pairs)
-        if n not in LEVEL_LOOKS:
+        if len(self._pairs) not in LEVEL_LOOKS:
             return False
         levels, scores = (np.array(column) for column in zip(*self._pairs, strict=True))
         if np.ptp(levels) == 0:
@@ -231,8 +227,7 @@ class Forecast:
         """
         more, low, high = (None if n is None else n - averages for n in (self.expected, self.low, self.high))
         twice, others = None if more is None else -(-more // 4), self.others.more if self.others else None
-        at = {"averages": more, "at_twice_the_level": twice, "by_turns": others}
-        return {**at, "low": low, "high": high}
+        return {"averages": more, "at_twice_the_level": twice, "by_turns": others, "low": low, "high": high}
 
 
 def half_of_noise(std_error: FloatArray, dof: FloatArray, coverage: float) -> FloatArray:
@@ -353,6 +348,12 @@ class Common:
     reason: str
 
 
+def lasting(parameter: Parameter) -> float:
+    """The half-width [parameter unit] by model error and stated numbers, which averages do not take away."""
+    parts = parameter.interval
+    return 0.0 if parts is None else NORMAL * math.hypot(parts.discrepancy, parts.systematic)
+
+
 @dataclass(frozen=True)
 class Standing:
     """A coefficient, its *goal* and *floor* as half-widths [its unit], what is *remaining*."""
@@ -376,6 +377,12 @@ class Standing:
     def held_up(self) -> bool:
         """Whether no number of averages reaches the goal."""
         return self.goal is not None and self.floor >= self.goal
+
+    def no_help(self, label: str, cause: str = "") -> Finding:
+        """That averages do not help *label*: the floor by its interval's reason, or the width by *cause*."""
+        share = 100 * (self.half if cause else self.floor) / abs(self.parameter.value)
+        cause = cause or self.parameter.reason or "stated uncertainties"
+        return Finding("floor", f"{label}: more averages do not help: {cause}, floor {share:.2g} %")
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def live(
     """
     from labpipe.methods.live.charts import Goal
     from labpipe.methods.live.session import Session, columns_of
-    from labpipe.methods.live.sources import open_source, standard_input
+    from labpipe.methods.live.sources import Frames, open_source
     from labpipe.project.pipeline_file import load_for_stream
 
     if (source is None) == (simulate is None):
@@ -98,7 +98,9 @@ def live(
             stream: Any = _play(simulate, run_name, seed, speed, rig)
         elif path is None:
             keep = None if output is None else output / FRAMES
-            stream = standard_input(columns_of(rig), keep)
+            if sys.stdin.isatty():
+                raise ConfigError("standard input is a terminal", hint="pipe frames into it, or name a file")
+            stream = Frames(sys.stdin.buffer, columns_of(rig), keep)
             if stream.n_earlier and not quiet:
                 echo(f"goes on with the {stream.n_earlier} frames that are kept in {keep}", err=True)
         else:

@@ -7,7 +7,7 @@ an exact gradient, and a warm start needs few Gauss-Newton steps per average.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -95,18 +95,13 @@ class HitSums:
     @property
     def mean(self) -> ComplexArray:
         """[H; 1], (n_line, n_experiment, n_channel) [response units per force unit]."""
-        h = self._xf / self.force_power[..., None]
-        return np.concatenate([h, np.ones((*h.shape[:2], 1))], axis=2)
+        return np.pad(self._xf / self.force_power[..., None], [(0, 0), (0, 0), (0, 1)], constant_values=1)
 
     def covariance(self) -> ComplexArray:
         """The same of [H; 1], (n_line, n_experiment, n_channel, n_channel) [squared units of H]."""
-        h = self._xf / self.force_power[..., None]
-        noise = self._xx - self.force_power[..., None, None] * h[..., :, None] * h[..., None, :].conj()
-        smooth = moving_mean(noise / (self.n - 1)) / self.force_power[..., None, None]
-        n_channel = h.shape[2] + 1
-        whole = np.zeros((*h.shape[:2], n_channel, n_channel), np.complex128)
-        whole[..., :-1, :-1] = smooth
-        return whole
+        power, h = self.force_power[..., None, None], self.mean[..., :-1]
+        noise = self._xx - power * h[..., :, None] * h[..., None, :].conj()
+        return np.pad(moving_mean(noise / (self.n - 1)) / power, [(0, 0), (0, 0), (0, 1), (0, 1)])
 
 
 Sums = PeriodSums | HitSums
@@ -169,14 +164,12 @@ class Equation:
     def gain(self, values: FloatArray) -> ComplexArray:
         """G of e = G z at the coefficients, (n_line, n_output, n_channel) [N per channel's unit]."""
         stiffness = self.model.dynamic_stiffness(values, self.omega)
-        force = np.broadcast_to(
-            self.model.whole(values).force.astype(np.complex128),
-            (self.omega.size, self.n_output, self.n_force),
-        )
         of_motion = -stiffness / self._view[:, None, None]
-        if self._offset:
-            force = force + self._offset * stiffness / self._view[:, None, None]
-        return np.concatenate([of_motion, force], axis=2)
+        shape = (self.omega.size, self.n_output, self.n_force)
+        force = np.broadcast_to(self.model.whole(values).force.astype(np.complex128), shape)
+        return np.concatenate(
+            [of_motion, force - self._offset * of_motion if self._offset else force], axis=2
+        )
 
     def slopes(self, z: ComplexArray) -> ComplexArray:
         """de/dp of *z*, (n_line, n_experiment, n_output, n_parameter) [N per parameter unit]."""
@@ -292,9 +285,7 @@ class RunningFit:
                 inverse = self._weight(mean, covariance, values)[1]
                 weight = np.linalg.cholesky(inverse).conj().swapaxes(-1, -2)
                 design, right = np.asarray(weight @ slopes), (weight @ side[..., None])[..., 0]
-            rows = np.concatenate(
-                [design.real.reshape(-1, n_parameter), design.imag.reshape(-1, n_parameter)]
-            )
+            rows = np.concatenate([part.reshape(-1, n_parameter) for part in (design.real, design.imag)])
             sides = np.concatenate([right.real.ravel(), right.imag.ravel()])
             size = np.linalg.norm(rows, axis=0)
             size[size == 0] = 1.0
@@ -343,6 +334,8 @@ def normal_equations(
     return information, 2 * (flat.conj().T @ multiplier.reshape(-1)).real
 
 
+# Share of the cross spectrum of two forces that one delay explains where they are the same signal.
+SAME_SIGNAL = 0.7
 # A first hit stands out of the noise before it by so many times its rms.
 FIRST_HIT = 20.0
 # Hits below this share of the usual one tell little.
@@ -369,6 +362,7 @@ class _Cutter:
         self, channels: tuple[Channel, ...], sample_rate: float, n_sample: int, settings: FrfSettings
     ) -> None:
         self.channels, self.sample_rate, self.n_sample = channels, sample_rate, n_sample
+        self._forces = [number for number, channel in enumerate(channels) if channel.role == "input"]
         self._lines = line_range(n_sample, sample_rate, settings.band)
         self.frequency = np.arange(self._lines.start, self._lines.stop) * (sample_rate / n_sample)
         self._number = 0
@@ -392,11 +386,14 @@ class PeriodCutter(_Cutter):
         super().__init__(channels, sample_rate, samples_per_period(settings.period, sample_rate), settings)
         self._skip = self._left = settings.skip
         self._rest, self._begin = np.empty((0, len(channels))), 0
+        # The first force of each direction, and what turns those of the present recording to its phases.
+        self._first: dict[int, ComplexArray] = {}
+        self._turns: dict[int, ComplexArray] = {}
 
     def restart(self) -> None:
         """The samples that follow belong to another recording: what is not complete is lost."""
         self._begin, self._rest = self._begin + self._rest.shape[0], self._rest[:0]
-        self._left = self._skip
+        self._left, self._turns = self._skip, {}
 
     def add(self, block: FloatArray) -> Iterator[Average]:
         """The averages that the next samples (n, n_channel) [SI] complete."""
@@ -409,7 +406,30 @@ class PeriodCutter(_Cutter):
                 continue
             self._number += 1
             moved = np.nan_to_num(period - np.nan_to_num(period.mean(axis=0)))
-            yield self._average(start, period, np.max(np.abs(moved), axis=0), moved, "")
+            average = self._average(start, period, np.max(np.abs(moved), axis=0), moved, "")
+            yield replace(average, amplitude=average.amplitude * self._turn(average)[:, None])
+
+    def _turn(self, average: Average) -> ComplexArray:
+        """What turns a period to the phases that the force of its direction had first, (n_line,) [1]: a
+        recording that was begun anew begins elsewhere in the period. exp(-j w tau) by the delay tau of the
+        cross-correlation of the forces; line by line where these are other phases.
+        """
+        forces = average.amplitude[:, self._forces]
+        direction = int(np.argmax(np.sum(np.abs(forces) ** 2, axis=0)))
+        force = forces[:, direction]
+        if not force.any():
+            return np.ones_like(force)
+        if self._first.setdefault(direction, force) is force:
+            self._turns[direction] = np.ones_like(force)
+        if direction not in self._turns:
+            cross = self._first[direction] * force.conj()
+            delay = np.argmax(fft.irfft(np.pad(cross, (self._lines.start, 0)), self.n_sample))
+            w, size = 2 * np.pi * self.frequency / self.sample_rate, np.abs(cross)
+            rest = np.angle(cross * np.exp(1j * w * delay))
+            turn = np.exp(-1j * w * (delay - np.sum(size * w * rest) / np.sum(size * w**2)))
+            alike = np.sum((cross * turn.conj()).real) > SAME_SIGNAL * np.sum(size)
+            self._turns[direction] = turn if alike else np.exp(1j * np.angle(cross))
+        return self._turns[direction]
 
 
 class HitCutter(_Cutter):
@@ -418,12 +438,10 @@ class HitCutter(_Cutter):
     def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
         assert settings.block is not None
         super().__init__(channels, sample_rate, round(settings.block * sample_rate), settings)
-        forces = [number for number, channel in enumerate(channels) if channel.role == "input"]
-        if len(forces) != 1:
-            raise DataError(
-                f"hits need one force, the rig has {len(forces)}", hint="one hammer per recording"
-            )
-        self._force, self._impact = forces[0], settings.impact
+        if len(self._forces) != 1:
+            what = f"hits need one force, the rig has {len(self._forces)}"
+            raise DataError(what, hint="one hammer per recording")
+        self._force, self._impact = self._forces[0], settings.impact
         self._before = round(self._impact.pretrigger * self.n_sample)
         self._search = HitSearch(self._force, self.n_sample, self._before, len(channels))
         self._sizes: list[float] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +17,7 @@ from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
-from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names
+from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, lasting
 from labpipe.methods.live.sources import Folder, Frames, Kept, SampleStream, is_old
 from labpipe.project.ingest import Calibration, channel_screen
 from labpipe.project.measured import OTHERS
@@ -74,8 +75,7 @@ class WholeFits(Watch):
     def __post_init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="labpipe-live-")
         self._kept = Kept(Path(self._folder.name) / "samples", 8 * len(self.channels))
-        self._next, self._looked_at = 0.0, 0
-        self._firsts = [0]
+        self._next, self._looked_at, self._firsts = 0.0, 0, [0]
 
     def restart(self) -> None:
         """The samples that follow belong to another recording."""
@@ -92,7 +92,13 @@ class WholeFits(Watch):
         if self.n_sample < self._next:
             return []
         looked = self.look()
-        self._next = (NEXT_LOOK if self.averages >= LEAST_WHOLE else EARLY_LOOK) * self.n_sample
+        ratio = NEXT_LOOK if self.averages >= LEAST_WHOLE else EARLY_LOOK
+        left = [standing.remaining for standing in looked[0].standings.values() if standing.remaining]
+        if left:
+            # Not later than where all goals are expected to be reached.
+            due = max(LEAST_WHOLE, self.averages + 1, *(one.expected or math.inf for one in left))
+            ratio = min(ratio, due / self.averages)
+        self._next = ratio * self.n_sample
         return looked
 
     def close(self) -> None:
@@ -125,36 +131,30 @@ class WholeFits(Watch):
 
     def look(self) -> list[Update]:
         """An update by all samples so far, none where these were looked at already."""
-        seconds = self.n_sample / self.sample_rate
         if self._looked_at == self.n_sample:
             return []
-        self._looked_at = self.n_sample
+        self._looked_at, seconds = self.n_sample, self.n_sample / self.sample_rate
+        standings: dict[str, Standing] = {}
         try:
             measured, fits = self._fit(self._parts())
         except LabpipeError as error:
-            update = Update(
-                self.averages,
-                findings=(*self._kept.findings(self.sample_rate), Finding("not-yet", error.what)),
-            )
-            self.keep(update)
-            return [update]
-        check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
-        decays = measured.decays if isinstance(measured, FreeDecays) else ()
-        counted = len(decays) or getattr(measured, "averages", 0)
-        self.averages = int(counted or round(seconds / (self.frf.period or 1.0)))
-        standings = {
-            f"{fit.name}.{parameter.name}": self._standing(fit.name, parameter)
-            for fit in fits
-            for parameter in fit.parameters
-        }
+            findings = [Finding("not-yet", error.what)]
+        else:
+            check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
+            decays = measured.decays if isinstance(measured, FreeDecays) else ()
+            counted = len(decays) or getattr(measured, "averages", 0)
+            self.averages = int(counted or round(seconds / (self.frf.period or 1.0)))
+            for fit in fits:
+                standings |= {f"{fit.name}.{p.name}": self._standing(fit.name, p) for p in fit.parameters}
+            findings = [*measured.findings, *(finding for fit in fits for finding in fit.findings)]
+            findings += [s.no_help(label) for label, s in standings.items() if s.held_up]
         wanted = [standing for standing in standings.values() if standing.goal is not None]
-        enough = bool(wanted) and self.averages >= LEAST_WHOLE and all(s.reached for s in wanted)
-        findings = (*measured.findings, *(finding for fit in fits for finding in fit.findings))
+        said = dict.fromkeys(finding for finding in findings if finding.level == WARNING)
         update = Update(
             self.averages,
             standings=standings,
-            findings=(*self._kept.findings(self.sample_rate), *(f for f in findings if f.level == WARNING)),
-            stop=enough,
+            findings=(*self._kept.findings(self.sample_rate), *said),
+            stop=bool(wanted) and self.averages >= LEAST_WHOLE and all(s.reached for s in wanted),
             seconds=seconds / max(self.averages, 1),
         )
         self.keep(update)
@@ -164,8 +164,11 @@ class WholeFits(Watch):
         standing = Standing(parameter, wanted := self.goal_of(fit, parameter))
         if wanted is None or not (np.isfinite(standing.half) and self.averages):
             return standing
-        expected = max(self.averages, int(np.ceil(self.averages * (standing.half / wanted) ** 2)))
-        return replace(standing, remaining=Forecast(expected))
+        floor, expected = lasting(parameter), None
+        if floor < wanted:
+            times = (standing.half**2 - floor**2) / (wanted**2 - floor**2)
+            expected = max(self.averages, math.ceil(self.averages * times))
+        return replace(standing, remaining=Forecast(expected), floor=floor)
 
 
 @dataclass
@@ -271,11 +274,8 @@ class Session:
             _not_followed(fit.name, reasons[fit.name], fit in whole) for fit in fits if fit not in followed
         ]
         self._rate = rate
-        if whole:
-            looked_at = [fit for fit in fits if fit in whole or fit.name in wanted]
-            self.bench = WholeFits(channels, rate, frf, looked_at, self.goals)
-        else:
-            self.bench = Bench(channels, rate, frf, followed, self.goals)
+        looked_at = [fit for fit in fits if fit in whole or fit.name in wanted] if whole else followed
+        self.bench = (WholeFits if whole else Bench)(channels, rate, frf, looked_at, self.goals)
         return True
 
     def _waited_for(
@@ -285,10 +285,8 @@ class Session:
         if no fit that is followed has it, for all whose coefficients are only known by their values.
         """
         linear = [fit for fit in fits if fit.kind.equations is not None]
-        names: dict[str, tuple[str, ...]] = {}
-        if linear and any(not goal.fit for goal in self.goals):
-            layout = layout_of(self.rig.all_channels, rate)
-            names = {fit.name: names_of_fit(fit, layout) for fit in linear}
+        layout = layout_of(self.rig.all_channels, rate) if linear else None
+        names = {fit.name: names_of_fit(fit, layout) for fit in linear if layout is not None}
         known = {name for fit in followed for name in names.get(fit.name, ())}
         return {goal.fit for goal in self.goals} | {
             fit.name
@@ -303,14 +301,12 @@ class Session:
             return
         assert self._rate is not None
         times = rows[:, 0] * self.rig.time_scale
-        before = times[:1] if self._last_time is None else np.array([self._last_time])
-        steps = np.diff(np.concatenate([before, times])) * self._rate
-        steps[0] = 1.0 if self._last_time is None else steps[0]
+        before = times[0] - 1 / self._rate if self._last_time is None else self._last_time
+        steps = np.diff(times, prepend=before) * self._rate
         gaps = np.flatnonzero((steps > GAP) | (steps <= 0))
         for place in gaps:
-            what = (
-                f"{steps[place] - 1:.0f} samples are missing" if steps[place] > 0 else "the clock began anew"
-            )
+            missing = f"{steps[place] - 1:.0f} samples are missing"
+            what = missing if steps[place] > 0 else "the clock began anew"
             self.findings.append(Finding("gap", f"{what} at {times[place]:.3f} s; averages begin anew there"))
         self._last_time = float(times[-1])
         begin = 0
@@ -339,8 +335,8 @@ class Session:
 def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
     """What is said at the beginning of a test of a fit that cannot be followed."""
     instead = (
-        f"it is made anew of all samples, each time after {100 * (NEXT_LOOK - 1):.0f} % more of them "
-        f"({100 * (EARLY_LOOK - 1):.0f} % before average {LEAST_WHOLE})"
+        "it is made anew of all samples where a goal is due, at the latest after "
+        f"{100 * (NEXT_LOOK - 1):.0f} % more ({100 * (EARLY_LOOK - 1):.0f} % before average {LEAST_WHOLE})"
         if whole
         else "it is made once the test has ended"
     )

@@ -11,9 +11,9 @@ import io
 import json
 import select
 import struct
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import DataError
 from labpipe.raw_files.other_tables import wav_chunks
 from labpipe.raw_files.table import check_columns, check_names, open_table
 from labpipe.raw_files.text_table import CsvTable, plain_suffix
@@ -89,11 +89,8 @@ class _Growing:
 class GrowingText(_Growing):
     """A text table that grows line by line; a line without its end waits for it."""
 
-    def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        super().__init__(path, columns)
-        self._table: CsvTable | None = None
-        self._place = 0
-        self._rest = b""
+    _table: CsvTable | None = None
+    _place, _rest = 0, b""
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
@@ -137,22 +134,31 @@ class GrowingText(_Growing):
 class GrowingTdms(_Growing):
     """A TDMS file that is opened anew each time, segment by segment while it is written."""
 
-    def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        super().__init__(path, columns)
-        self._done = self._seen = 0
+    kind, _begins = "tdms", False
+    _done = _seen = 0
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
-        from labpipe.raw_files.tdms_table import growing_rows
-
         size = self._size()
         if not size or size == self._seen:
             return self._none
+        if size < self._seen:
+            # The logger began the file anew.
+            self._done, self._seen, self._begins = 0, 0, True
+        growing_rows = import_module(f"labpipe.raw_files.{self.kind}_table").growing_rows
         rows, self.sample_rate = growing_rows(self.path, self.columns, self._done, MOST_ROWS)
         self._done += rows.shape[0]
+        self.restarted = self._begins and rows.shape[0] > 0
+        self._begins &= not self.restarted
         if 0 < rows.shape[0] < MOST_ROWS:
             self._seen = size
-        return rows
+        return np.asarray(rows)
+
+
+class GrowingMdf(GrowingTdms):
+    """An MDF file of version 4.10 or later that is opened anew each time, sample by sample."""
+
+    kind = "mdf"
 
 
 # Samples of a WAV file by the code and bits that its head states; the code of heads with a longer one.
@@ -162,9 +168,7 @@ WAV_KINDS, EXTENSIBLE = {(1, 16): "<i2", (1, 32): "<i4", (3, 32): "<f4", (3, 64)
 class GrowingWav(_Growing):
     """A WAV file whose data follow its head, whatever length that states; values relative to full scale."""
 
-    def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        super().__init__(path, columns)
-        self._place, self._kind, self._n_track = 0, np.dtype("<i2"), 0
+    _place, _kind, _n_track = 0, np.dtype("<i2"), 0
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
@@ -206,10 +210,8 @@ class GrowingWav(_Growing):
 class GrowingHdf5(_Growing):
     """Datasets of an HDF5 file that another process appends to (single writer, multiple readers)."""
 
-    def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        super().__init__(path, columns)
-        self._file: Any = None
-        self._done = 0
+    _file: Any = None
+    _done = 0
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
@@ -250,9 +252,8 @@ class Folder:
         if chunk is not None:
             return chunk
         for path in sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]:
-            if path in self.files or path.name.startswith(".") or not path.is_file():
-                continue
-            if time.time() - path.stat().st_mtime < self._settle or not path.stat().st_size:
+            is_whole = path.is_file() and path.stat().st_size and is_old(path, self._settle)
+            if not is_whole or path in self.files or path.name.startswith("."):
                 continue
             try:
                 table = open_table(path)
@@ -408,16 +409,6 @@ class Played:
         return block
 
 
-def standard_input(columns: Sequence[str], keep: Path | None) -> Frames:
-    """The frames on standard input, kept in the folder *keep*; ConfigError on a terminal."""
-    if sys.stdin.isatty():
-        raise ConfigError("standard input is a terminal", hint="pipe frames into the command, or name a file")
-    return Frames(sys.stdin.buffer, columns, keep)
-
-
 def is_old(path: Path, seconds: float) -> bool:
     """Whether a file has not changed for so long that nobody writes to it."""
-    try:
-        return time.time() - path.stat().st_mtime > seconds
-    except FileNotFoundError:
-        return False
+    return path.exists() and time.time() - path.stat().st_mtime > seconds

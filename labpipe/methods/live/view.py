@@ -35,11 +35,11 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
     left = standing.remaining
     if left is None or left.expected is None:
         return "not by more averages" if left is not None else ""
-    still = left.after(update.averages)
     more = max(left.expected - update.averages, 1)
     text = f"{more} more {what}{'s' if more != 1 else ''}, about {duration(more * update.seconds)}"
     if left.low is not None and left.high is not None:
-        text += f" (80 %: {max(still['low'] or 0, 0)}-{still['high']}); at twice the level {-(-more // 4)}"
+        low, high = (max(n - update.averages, 0) for n in (left.low, left.high))
+        text += f" (80 %: {low}-{high}); at twice the level {-(-more // 4)}"
     return text + (f"; {left.others.text(what)}" if left.others and left.others.more < more else "")
 
 

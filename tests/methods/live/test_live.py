@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -21,15 +22,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from asammdf import MDF, Signal
 from nptdms import ChannelObject, RootObject, TdmsWriter
 from scipy.io import wavfile
 
+from labpipe.errors import DataError
+from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench
 from labpipe.methods.live.charts import Goal
 from labpipe.methods.live.session import Session
 from labpipe.methods.live.sources import (
     Folder,
     GrowingHdf5,
+    GrowingMdf,
     GrowingTdms,
     GrowingText,
     GrowingWav,
@@ -37,7 +42,9 @@ from labpipe.methods.live.sources import (
 )
 from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
+from labpipe.records.recording import Channel
 from labpipe.report.document import Document, Paragraph, Section
+from labpipe.spectra.settings import FrfSettings
 from tests.conftest import Command
 from tests.draws.stops import RATE as TURNS_RATE
 from tests.draws.stops import RIGS, SOUND
@@ -237,6 +244,63 @@ def test_what_another_direction_would_save_is_what_it_saves(seed):
     assert more == pytest.approx(forecast.others.more, rel=0.2)
 
 
+CUTS = [8 * N + 400, 15 * N + 910, 23 * N + 700]
+
+
+def test_recordings_begin_anywhere_in_the_period(bench, follow):
+    """A stream of 24 periods cut within periods, as by kills or by a logger, its last piece shorter than an
+    average takes: every whole period but the skipped ones counts, and the run leaves out that piece alone.
+    """
+    (bench / "pipeline.yaml").write_text(PIPELINE.replace("40-90 Hz}", "40-90 Hz, repeats: pool}"))
+    folder = bench / "falling"
+    folder.mkdir()
+    for number, piece in enumerate(np.split(samples(24), CUTS)):
+        write_csv(folder / f"{number}.csv", piece)
+    time.sleep(1.1)
+    lines = follow(folder, "-o", str(bench / "out"), "--set", "report.formats=[md]")
+    assert lines[-1]["averages"] == 7 + 6 + 6 and not lines[-1]["findings"]
+    assert not any("left out" in event for line in lines for event in line["events"])
+    (fit,) = json.loads((bench / "out" / "identification.json").read_text())["fits"]
+    for parameter in fit["parameters"][:3]:
+        followed = lines[-1]["parameters"][f"s.{parameter['name']}"]
+        # The run divides by the noisy forces of three recordings: H is low by their share of noise, a fifth
+        # of a standard error, beside what both smooth otherwise.
+        assert abs(followed["value"] - parameter["value"]) < 0.5 * parameter["std_error"]
+        assert followed["std_error"] == pytest.approx(parameter["std_error"], rel=0.1)
+    report = (bench / "out" / "report.md").read_text()
+    assert "recording '3' is left out: it is shorter than one average takes (2 s)" in report
+
+
+@pytest.mark.parametrize("seed", [0, 3, 6])
+def test_periods_of_recordings_count_as_if_their_phase_were_known(seed):
+    """The same periods, each rolled to where its period begins, give the same values within a fiftieth of
+    their standard errors.
+    """
+    pieces = np.split(samples(24, seed) * [1, 1e-6], CUTS)
+    starts = [0, *CUTS]
+    known = [
+        np.roll(piece[n * N : (n + 1) * N], start % N, axis=0)
+        for piece, start in zip(pieces, starts, strict=True)
+        for n in range(SKIPPED, len(piece) // N)
+    ]
+    channels = tuple(
+        Channel(name, quantity, role, "y")
+        for name, quantity, role in (("f", "force", "input"), ("y", "displacement", "output"))
+    )
+    last = []
+    for parts, skip in ((pieces, SKIPPED), ([np.concatenate(known)], 0)):
+        frf = FrfSettings("periodic", period=1.0, skip=skip, band=(20, 150))
+        bench = Bench(channels, RATE, frf, [FitSettings("sdof", band=(40, 90), name="s")])
+        for part in parts:
+            bench.restart()
+            bench.add(part)
+        last.append(bench.updates[-1].standings)
+    for name, standing in last[1].items():
+        error = standing.parameter.std_error
+        assert abs(last[0][name].parameter.value - standing.parameter.value) < 0.02 * error
+        assert last[0][name].parameter.std_error == pytest.approx(error, rel=0.02)
+
+
 def test_it_stops_by_the_width_and_never_by_the_value(bench, follow, labpipe):
     write_csv(bench / "test.csv", samples(60, noise=2.5))
     lines = follow(bench / "test.csv", "--until", "s.c.expanded<=1%")
@@ -362,12 +426,51 @@ def test_sources_that_grow_give_what_was_written(tmp_path):
     np.testing.assert_allclose(np.concatenate(got), rows / 1000, rtol=1e-6)
 
 
-# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, or as text whose last line is
-# cut off in between.
+def unfinished_mdf(path: Path, rows: np.ndarray) -> tuple[bytes, bytes]:
+    """The beginning and the records (t, f, y) of an MDF file as a logger writes it: marked as unfinished, no
+    samples counted and no length of its data stated, which stand at the end (ASAM MDF 4.1, unfinalised).
+    """
+    t = np.arange(len(rows)) / RATE
+    with MDF(version="4.10") as file:
+        file.append([Signal(rows[:, n].copy(), t, name=name) for n, name in enumerate("fy")])
+        file.save(path, overwrite=True, compression=0)
+    whole = bytearray(path.read_bytes())
+    data, group, channels = (whole.index(name) for name in (b"##DT", b"##DG", b"##CG"))
+    (length,) = struct.unpack_from("<Q", whole, data + 8)
+    records = bytes(whole[data + 24 : data + length])
+    whole += bytes(-len(whole) % 8)
+    struct.pack_into("<Q", whole, group + 24 + 16, len(whole))
+    struct.pack_into("<Q", whole, channels + 24 + 56, 0)
+    whole[:8] = b"UnFinMF "
+    struct.pack_into("<H", whole, 60, 0x1 | 0x4)
+    return bytes(whole) + struct.pack("<4sIQQ", b"##DT", 0, 24, 0), records
+
+
+def test_an_mdf_file_is_followed_before_it_is_finished(tmp_path):
+    """Records of 24 bytes, the last cut off; then the logger begins the file anew."""
+    rows, path = samples(1)[:300], tmp_path / "a.mf4"
+    head, records = unfinished_mdf(path, rows)
+    mdf, got = GrowingMdf(path, ["f", "y"]), []
+    for n_byte in (0, 24, 24 * 100 + 7, 24 * 100 + 7, 24 * 300):
+        path.write_bytes(head + records[:n_byte])
+        got.append(mdf.read())
+        assert not mdf.restarted
+    assert [part.shape[0] for part in got] == [0, 0, 100, 0, 200]
+    np.testing.assert_array_equal(np.concatenate(got), rows)
+    path.write_bytes(head + records[: 24 * 50])
+    np.testing.assert_array_equal(mdf.read(), rows[:50])
+    assert mdf.restarted
+    with pytest.raises(DataError, match="no column 'q'"):
+        GrowingMdf(path, ["q"]).read()
+
+
+# Another process: it writes rows (n, 2) piece by piece as a TDMS or HDF5 file, the bytes of an MDF file, or
+# text whose last line is cut off in between.
 WRITER = """
 import sys, time
 import numpy as np
-kind, path, rows = sys.argv[1], sys.argv[2], np.load(sys.argv[3])
+kind, path = sys.argv[1:3]
+rows = np.fromfile(sys.argv[3], np.uint8) if kind == "mf4" else np.load(sys.argv[3])
 pieces = np.array_split(rows, 20)
 if kind == "h5":
     import h5py
@@ -387,6 +490,9 @@ for number, piece in enumerate(pieces):
             dataset.resize((begin + len(piece),))
             dataset[begin:] = piece[:, c]
             dataset.flush()
+    elif kind == "mf4":
+        with open(path, "ab") as stream:
+            stream.write(piece.tobytes())
     elif kind == "csv":
         text = ("" if number else "f,y\\n") + "".join(f"{f:.17g},{y:.17g}\\n" for f, y in piece)
         for part in (text[:-7], text[-7:]):
@@ -398,11 +504,14 @@ for number, piece in enumerate(pieces):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["csv", "tdms", "h5"])
+@pytest.mark.parametrize("kind", ["csv", "tdms", "h5", "mf4"])
 def test_a_file_that_another_process_writes_meanwhile(bench, kind):
     """Followed while it grows, and again once it is whole: the same last line."""
     np.save(bench / "rows.npy", samples(12))
     path = bench / f"test.{kind}"
+    if kind == "mf4":
+        (bench / "rows.npy").write_bytes(b"".join(unfinished_mdf(path, samples(12))))
+        path.unlink()
     command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), str(path), "--json"]
     with subprocess.Popen([sys.executable, "-c", WRITER, kind, str(path), str(bench / "rows.npy")]) as writer:
         growing = subprocess.run([*command, "--idle", "3"], capture_output=True, check=True).stdout
@@ -744,7 +853,7 @@ def test_frames_that_were_read_outlast_a_kill(bench):
     with the others as another recording, and all that came is in the recordings at the end.
     """
     rows = samples(40)
-    for n_read in (0, 12 * N, 24 * N, len(rows)):
+    for n_read in (0, 12 * N, 24 * N + 300, len(rows) - 700, len(rows)):
         before, lines = killed_and_taken_up(bench, rows, n_read)
         # The last line may have been cut off.
         assert lines[: max(len(before) - 1, 0)] == before[:-1]
@@ -752,5 +861,6 @@ def test_frames_that_were_read_outlast_a_kill(bench):
         stored = np.concatenate([np.stack([c.to_numpy() for c in pq.read_table(f)], axis=1) for f in files])
         np.testing.assert_array_equal(stored, rows)
         parts = [n // N - SKIPPED for n in (n_read, len(rows) - n_read) if n]
-        assert json.loads(lines[-1])["averages"] == sum(max(part, 0) for part in parts)
+        last = json.loads(lines[-1])
+        assert last["averages"] == sum(max(part, 0) for part in parts) and not last["findings"]
         assert not (bench / "out" / "frames").exists()

@@ -18,10 +18,13 @@ from labpipe.methods.live.running_fit import (
     Directions,
     Equation,
     HitSums,
+    PeriodCutter,
     PeriodSums,
     RunningFit,
     moving_mean,
 )
+from labpipe.records.recording import Channel
+from labpipe.spectra.settings import FrfSettings
 
 # Estimates relative to the truth, standard errors, degrees of freedom, half-widths and chi-square per degree
 # of freedom of k, c, m after n periods: an independent implementation of the method, on the stream below.
@@ -206,3 +209,27 @@ def test_an_average_that_is_taken_out_leaves_the_sums_of_the_others(kind):
     assert sums.n == 5
     np.testing.assert_allclose(sums.mean, others.mean, atol=1e-14)
     np.testing.assert_allclose(sums.covariance(), others.covariance(), atol=1e-14)
+
+
+def test_a_period_that_begins_elsewhere_is_turned_to_the_phases_of_the_first():
+    """By a delay of 123.4 samples as by phases of another signal: force and response as they were, to what
+    the transform of a period rounds; the ratio of both stays where other phases answer.
+    """
+    n, rng = 1000, np.random.default_rng(7)
+    channels = (Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y"))
+    settings = FrfSettings("periodic", period=1.0, skip=0, band=(20, 150))
+    lines, w = slice(20, 151), 2j * np.pi * np.arange(n // 2 + 1)
+    response = 1 / (80e3 + 6 * w + 0.5 * w**2)
+
+    def period(spectrum):
+        return np.fft.irfft([spectrum, spectrum * response], n, axis=1).T
+
+    first, other = np.zeros((2, n // 2 + 1), complex)
+    first[lines], other[lines] = np.exp(2j * np.pi * rng.random((2, 131))) * n / 2
+    for second, tolerance in ((first * np.exp(w * 123.4 / n), 1e-12), (other, 1e-12)):
+        cutter = PeriodCutter(channels, float(n), settings)
+        before, after = (list(cutter.add(period(first))), cutter.restart(), list(cutter.add(period(second))))[
+            ::2
+        ]
+        np.testing.assert_allclose(after[0].amplitude, before[0].amplitude, rtol=0, atol=tolerance)
+        assert np.abs(before[0].amplitude[:, 0]) == pytest.approx(1.0)
