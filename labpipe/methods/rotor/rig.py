@@ -25,7 +25,7 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class UncertainBearing:
-    """A bearing with one number a standard uncertainty *above* its value, and *below* it.
+    """A bearing with one number a standard uncertainty *above* its *value* [its unit], and *below* it.
 
     *uncertainty* of the number.
     """
@@ -33,6 +33,7 @@ class UncertainBearing:
     uncertainty: Uncertainty
     above: Bearing
     below: Bearing
+    value: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class BearingPlace:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
         uncertainties = [
-            UncertainBearing(one.uncertainty, changed(one.above), changed(one.below))
+            UncertainBearing(one.uncertainty, changed(one.above), changed(one.below), one.value)
             for one in self.uncertainties
         ]
         return replace(

@@ -284,9 +284,9 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
     """Natural frequencies in the bearings that no bearing can give the rotor that was on strings."""
     with_modes = [test for test in settings.tests if test.fit or test.frequencies]
     free = [test for test in with_modes if test.kind == MODES or test.free]
-    coupled = any(np.any(b.stiffness[[0, 1], [1, 0]]) for b in system.linear.values()) or len(
-        system.linear
-    ) < len(system.rig.bearings)
+    coupled = any(
+        np.any((np.abs(b.stiffness) + b.stiffness_error)[[0, 1], [1, 0]]) for b in system.linear.values()
+    ) or len(system.linear) < len(system.rig.bearings)
     for test in with_modes:
         if test.kind == MODES or test.free or test.speed:
             continue
