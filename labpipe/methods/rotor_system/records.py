@@ -113,13 +113,14 @@ class VibrationResult:
 class InfluenceResult:
     """What the rotor's tests say of the vibration z_0 [m] and the influence alpha [m/(kg m)] of the *planes*
     at every reading: *mean* and *root* of their joint covariance, a row for the real part of each, then for
-    the imaginary part of each; by reading, z_0 before the planes.
+    the imaginary part of each; by reading, z_0 before the planes. widened: factor that the root holds.
     """
 
     planes: tuple[str, ...]
     readings: tuple[str, ...]
     mean: tuple[float, ...]
     root: tuple[tuple[float, ...], ...]
+    widened: float = 1.0
 
 
 @dataclass(frozen=True)
