@@ -253,14 +253,16 @@ class Balanced:
 
     @property
     def permissible(self) -> float | None:
-        """Permissible residual unbalance of the rotor, U = G m / Omega, [kg m] (ISO 21940-11).
-
-        None where no grade is asked for.
-        """
+        """Permissible residual unbalance of the rotor [kg m]; None where no grade is asked for."""
         settings = self.file.settings
         if settings.grade is None or settings.mass is None or settings.speed is None:
             return None
-        return settings.grade * settings.mass / (2 * np.pi * settings.speed)
+        return permissible_unbalance(settings.grade, settings.mass, settings.speed)
+
+
+def permissible_unbalance(grade: float, mass: float, speed: float) -> float:
+    """U = G m / Omega [kg m] of a *grade* [m/s], a *mass* [kg] and a service *speed* [Hz] (ISO 21940-11)."""
+    return grade * mass / (2 * np.pi * speed)
 
 
 def balanced(file: BalanceFile) -> Balanced:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +11,8 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import Bearing, BearingCoefficients, MountedBearing, OperatingPoint
 from labpipe.errors import FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.journal_bearing.curve import journal_curve, sommerfeld_number
 from labpipe.methods.rotor.rig import BearingPlace
+from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
 
 # What a film's curve over the Sommerfeld number takes.
 ON_CURVE = ("clearance", "viscosity")
@@ -82,16 +82,14 @@ class Theory:
         clearance, viscosity = 1 + x @ self._changes
         if min(clearance, viscosity) <= 0:
             raise FitError("a film without clearance or viscosity")
-        film = replace(film, clearance=film.clearance * clearance, viscosity=film.viscosity * viscosity)
         weight, speed = float(np.hypot(*self.load)), np.asarray(spin, np.float64)
-        curve = journal_curve(film.length / film.diameter, film.groove_width)
-        scaled = curve.coefficients(sommerfeld_number(film, np.asarray(weight), speed))
+        values = np.zeros(len(PARAMETERS))
+        values[[PARAMETERS.index(name) for name in ON_CURVE]] = np.log([clearance, viscosity])
+        both = as_matrices(FilmFamily(film, 1.0, weight).coefficients(values, weight, speed))
         # Its x is along the load, its y a quarter turn further with the spin.
         y, z = np.array(self.load) / weight
         turn = np.array([[y, -z], [z, y]])
-        if matrix == "stiffness":
-            return np.asarray(turn @ scaled.stiffness @ turn.T * (weight / film.clearance))
-        return np.asarray(turn @ scaled.damping @ turn.T * (weight / film.clearance / speed)[..., None, None])
+        return np.asarray(turn @ both[matrix == "damping"] @ turn.T)
 
     def _at(self, bearing: Bearing, matrix: str, spin: FloatArray, omega: FloatArray) -> FloatArray:
         if isinstance(bearing, MountedBearing) and bearing.kind.dynamic is not None:
