@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 from scipy import stats
@@ -37,6 +38,7 @@ from labpipe.methods.rotor_system.posterior import (
     WIDENED,
     Posterior,
     Pull,
+    budget,
     common_changes,
     fit_system,
     normality,
@@ -47,9 +49,9 @@ from labpipe.methods.rotor_system.predictions import (
     DRAWS,
     Campbell,
     CriticalSpeed,
-    at_speed,
     campbell,
     critical_speeds,
+    decrement_gradient,
     onset,
 )
 from labpipe.methods.rotor_system.records import (
@@ -391,7 +393,7 @@ def _result(
     speeds = np.union1d(np.linspace(low, high, SPEEDS), [operating])
     diagram = campbell(posterior, speeds)
     least, error = diagram.least_decrement(operating)
-    pulled = pulls(posterior)
+    pulled, gradient = pulls(posterior), decrement_gradient(posterior, operating)
     criticals: list[CriticalSpeed] = []
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
@@ -400,7 +402,7 @@ def _result(
     return RotorSystemResult(
         rig.name,
         operating,
-        unknowns=tuple(_unknowns(posterior)),
+        unknowns=tuple(_unknowns(posterior, pulled)),
         tests=tuple(
             TestResult(
                 pull.test,
@@ -420,7 +422,8 @@ def _result(
         decrement=(least, error, float(stats.norm.sf((LEAST_DECREMENT - least) / error)) if error else 1.0),
         criticals=tuple(_critical(each) for each in criticals),
         onset=onset(posterior, max(low, 0.05 * operating)),
-        next_tests=_next_tests(posterior, operating, criticals),
+        next_tests={} if gradient is None else _next_tests(posterior, gradient, criticals),
+        budget={} if gradient is None else budget(posterior, gradient),
         ln_evidence=posterior.ln_evidence,
         alternative=posterior.alternative,
         widened=posterior.widened,
@@ -428,7 +431,7 @@ def _result(
     )
 
 
-def _unknowns(posterior: Posterior) -> Iterator[UnknownResult]:
+def _unknowns(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[UnknownResult]:
     shares = posterior.shares
     for number, unknown in enumerate(posterior.model.unknowns):
         value, error = float(posterior.values[number]), float(posterior.standard_errors[number])
@@ -439,6 +442,9 @@ def _unknowns(posterior: Posterior) -> Iterator[UnknownResult]:
             unknown.unit or unknown.nominal_unit,
             unknown.group,
             bool(shares[number] < 0.7),
+            *max(
+                [(pull.test, float(pull.wider[number])) for pull in pulled] or [("", 1.0)], key=itemgetter(1)
+            ),
         )
 
 
@@ -545,22 +551,11 @@ def _notes(posterior: Posterior) -> Iterator[Finding]:
 
 
 def _next_tests(
-    posterior: Posterior, operating: float, criticals: Sequence[CriticalSpeed]
+    posterior: Posterior, gradient: FloatArray, criticals: Sequence[CriticalSpeed]
 ) -> dict[str, float]:
-    """Standard error of the logarithm of the least decrement at the operating speed, as it is and with one
-    more test of each kind: u' = sqrt(g^T (F + F_c)^-1 g).
+    """Standard error of a prediction with this *gradient* (n_unknown,), as it is and with one more test of
+    each kind: u' = sqrt(g^T (F + F_c)^-1 g).
     """
-    model = posterior.model
-    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating)
-    decrement = -2 * np.pi * roots.values.real / roots.values.imag
-    mode = int(np.argmin(decrement))
-    if decrement[mode] <= 0:
-        return {}
-    root, slope = (
-        roots.values[mode],
-        np.where(at_speed(model, np.ones(len(model.unknowns))) > 0, roots.slopes[mode], 0),
-    )
-    gradient = slope.real / root.real - slope.imag / root.imag
     information = np.linalg.inv(posterior.covariance)
     candidates: dict[str, Evidence] = {f"{test.name} once more": test for test in posterior.tests}
     for test in posterior.tests:
@@ -584,7 +579,7 @@ def _next_tests(
                 )
     errors = {"as it is": float(posterior.gradient_error(gradient))}
     for name, test in candidates.items():
-        _, jacobian = test.residual(model, posterior.values)
+        _, jacobian = test.residual(posterior.model, posterior.values)
         covariance = np.linalg.inv(information + jacobian.T @ jacobian)
         errors[name] = float(np.sqrt(gradient @ covariance @ gradient))
     return errors

@@ -88,6 +88,23 @@ def campbell(posterior: Posterior, speeds: FloatArray) -> Campbell:
     return Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
 
 
+def decrement_gradient(posterior: Posterior, operating: float) -> FloatArray | None:
+    """Derivatives (n_unknown,) [1 over the unknown's unit] of ln of the least decrement at the *operating*
+    speed [Hz]; None where it is not above zero.
+    """
+    model = posterior.model
+    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating)
+    decrement = -2 * np.pi * roots.values.real / roots.values.imag
+    mode = int(np.argmin(decrement))
+    if decrement[mode] <= 0:
+        return None
+    root, slope = (
+        roots.values[mode],
+        np.where(at_speed(model, np.ones(len(model.unknowns))) > 0, roots.slopes[mode], 0),
+    )
+    return np.asarray(slope.real / root.real - slope.imag / root.imag)
+
+
 def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
     """Speed [Hz] at which an eigenvalue's real part becomes positive, from *lowest* [Hz] upwards, and the
     standard error of its logarithm; None where none does within some 800 times that.

@@ -16,11 +16,12 @@ from labpipe.methods.rotor_system import posterior
 from labpipe.methods.rotor_system.build import PEDESTALS
 from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order
 from labpipe.methods.rotor_system.model import SystemModel, Unknown
-from labpipe.methods.rotor_system.posterior import common_changes, fit_system, normality, pulls, refit
+from labpipe.methods.rotor_system.posterior import budget, common_changes, fit_system, normality, pulls, refit
 from labpipe.methods.rotor_system.predictions import (
     at_speed,
     campbell,
     critical_speeds,
+    decrement_gradient,
     onset,
     unbalance_forces,
 )
@@ -215,6 +216,28 @@ def test_springs_to_ground_interlace_and_a_negative_one_does_not() -> None:
     assert out_of_order(free, softened, 1, 2, 0) == [(3, 1, True)]
     assert not out_of_order(free, softened, 1, 2, 1)
     assert out_of_order(free, modes(free.frequency[:1] * 1.01), 1, 2, 0) == [(1, 1, False)]
+
+
+def test_a_budget_says_what_goes_if_a_source_were_known(fitted) -> None:
+    """Against the information with the rows and columns of the source left out; each unknown's errors without
+    a test against a fit's information without it.
+    """
+    of, _, found = fitted
+    gradient = decrement_gradient(found, 100.0)
+    shares = budget(found, gradient)
+    information = np.linalg.inv(found.covariance)
+    before = gradient @ found.covariance @ gradient
+    for name in ("inertia", "bearings", "internal damping", "left c"):
+        open_ones = np.array([name not in (u.group, u.name) for u in of.model.unknowns])
+        rest = np.linalg.inv(information[np.ix_(open_ones, open_ones)])
+        after = gradient[open_ones] @ rest @ gradient[open_ones]
+        assert shares[name] == pytest.approx(1 - after / before, abs=1e-5)
+    assert list(shares.values()) == sorted(shares.values(), reverse=True)
+    without = fit_system(of.model, [t for t in found.tests if t.name != "shaker"], estimate_sizes=False)
+    (pull,) = [pull for pull in pulls(found) if pull.test == "shaker"]
+    at = of.model.number("left k_yy")
+    assert pull.wider[at] == pytest.approx(without.standard_errors[at] / found.standard_errors[at], rel=0.3)
+    assert np.all(pull.wider > 1 - 1e-6)
 
 
 def test_a_common_change_of_bearings_is_told_or_is_not(fitted) -> None:

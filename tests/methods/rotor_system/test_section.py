@@ -66,6 +66,9 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
     page = (folder / "out/report.html").read_text()
     for words in (
         "What follows for the rotor",
+        "the share of its variance that would go if one source were known",
+        "small errors of bearings",
+        "without this test larger by",
         "least log decrement",
         "no test tells" if "no test tells" in page else "declared",
     ):
