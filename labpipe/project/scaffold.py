@@ -95,11 +95,11 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     if guessed is not None:
         return Scaffold("", _pipeline_of_tables(guessed, files, paths))
     running = [len(files) > 1 and _is_run_up(file) for file in files]
-    standing = [number for number, turns in enumerate(running) if not turns]
     together: list[str] = []
-    if any(running) and standing:
+    if any(running) and not all(running):
         together = _rotor_lines(files, paths, running)
-        files, paths = ([each[number] for number in standing] for each in (files, paths))
+        files = [file for file, turns in zip(files, running, strict=True) if not turns]
+        paths = [path for path, turns in zip(paths, running, strict=True) if not turns]
     first = first_look(open_table(files[0]))
     pipeline = _pipeline(first, files, paths) + "".join(f"{line}\n" for line in together)
     if "model: modal" in pipeline:

@@ -82,7 +82,8 @@ class Term:
         """
         if not callable(self.block):
             return self.block
-        return self.block(*np.broadcast_arrays(spin, omega), values[list(self.inputs)])
+        speed, frequency = np.broadcast_arrays(spin, omega)
+        return self.block(speed, frequency, values[list(self.inputs)])
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ class _Reduced:
         carried = sorted({dof for term in model.terms if term.support for dof in term.dofs} | set(forced))
         # As 1 / w^2, largest first: the mass need not be positive definite. The stiffness of a cross-coupled
         # bearing or of a magnet's pull need not either; their shapes are those on springs of that size.
-        stiffness = (whole.stiffness + whole.stiffness.T) / 2
+        stiffness: FloatArray = (whole.stiffness + whole.stiffness.T) / 2
         if linalg.eigvalsh(stiffness, subset_by_index=[0, 0])[0] <= 0:
             stiffness = model.matrices(values, spin, supported=False).stiffness
             stiffness[carried, carried] += np.abs(np.diag(whole.stiffness - stiffness))[carried]

@@ -268,8 +268,9 @@ def _linear(
         if letter == "c" and settings.c is not None:
             names[0] = names[3] = "c"
         # A direct coefficient keeps its sign, so that it is the logarithm that is uncertain.
-        units = [abs(v) if v and n in (0, 3) else 1.0 for n, v in enumerate(values.ravel())]
-        usual = np.abs(values).ravel() * default / units
+        sizes = np.abs(values).ravel()
+        units = np.where((sizes > 0) & np.array([True, False, False, True]), sizes, 1.0)
+        usual = sizes * default / units
         if letter == "k" and skew:
             usual[1] = usual[2] = cross_error * float(np.mean(np.abs(np.diag(values))))
         each = zip(names, units, usual, strict=True)

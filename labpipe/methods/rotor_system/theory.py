@@ -53,9 +53,8 @@ class Theory:
             weights = [(self.place.bearing, 1 - float(x @ x))]
             for entry, at in zip(self.place.uncertainties, x, strict=True):
                 weights += [(entry.above, (at + at**2) / 2), (entry.below, (at**2 - at) / 2)]
-            each = sum(
-                weight * self._at(bearing, matrix, spin, omega) for bearing, weight in weights if weight
-            )
+            parts = [weight * self._at(bearing, matrix, spin, omega) for bearing, weight in weights if weight]
+            each = np.sum(parts, axis=0)
         return np.asarray(spread * np.tile(each, (spread.shape[0] // 2,) * 2))
 
     @cached_property
