@@ -110,8 +110,17 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemRe
             raise
         kinds = {test.name: test.kind for test in settings.tests}
         result = _result(system, built, posterior, settings.band, kinds, settings.draws, settings.seed)
+        measured = (
+            (test.speed, float(frequency))
+            for test in settings.tests
+            if test.kind == RESPONSE and not test.free and (test.fit or test.frequencies)
+            for frequency in _modes(test, work).frequency
+        )
         return replace(
-            result, balance=balance(settings, built, posterior), findings=(*result.findings, *out_of_place)
+            result,
+            balance=balance(settings, built, posterior),
+            measured=tuple(measured),
+            findings=(*result.findings, *out_of_place),
         )
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"

@@ -149,7 +149,8 @@ class RotorSystemResult:
     decrement: the least logarithmic decrement there, its standard error, and the probability that it is above
     .1. onset: speed [Hz] of instability and standard error of its logarithm. alternative: what the model was
     replaced by; widened: factor on intervals of predictions. next_tests: standard error of ln decrement
-    there, if that test is made once more. budget: shares of its variance that would go if one unknown, or all
+    there, if that test is made once more. measured: (speed, natural frequency) [Hz] of tests in the bearings.
+    budget: shares of its variance that would go if one unknown, or all
     small errors of a group, were known.
     """
 
@@ -166,6 +167,7 @@ class RotorSystemResult:
     balance: BalanceResult | None = None
     next_tests: Mapping[str, float] = field(default_factory=dict)
     budget: Mapping[str, float] = field(default_factory=dict)
+    measured: tuple[tuple[float, float], ...] = ()
     ln_evidence: float = 0.0
     alternative: str = ""
     widened: float = 1.0

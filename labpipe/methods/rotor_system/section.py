@@ -212,6 +212,8 @@ def prediction_table(result: RotorSystemResult) -> Table:
         if critical.amplification is not None and critical.amplification_interval is not None:
             ends = "{:.3g} to {:.3g}".format(*critical.amplification_interval)
             rows.append(("amplification factor there", f"{critical.amplification:.3g}", ends, ""))
+        ends = "{:.3g} to {:.3g}".format(*(UM * end for end in critical.amplitude_interval))
+        rows.append(("amplitude there [um]", f"{UM * critical.amplitude:.3g}", ends, ""))
     least, error, probability = result.decrement
     ends = f"{least - NORMAL * error:.3g} to {least + NORMAL * error:.3g}"
     asked = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %, {decision(probability)}"
@@ -348,13 +350,17 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
             if result.criticals:
                 at = [critical.speed for critical in result.criticals]
                 series.append(dots("critical speeds", [RPM * x for x in at], at, 6, marker="o"))
+            if result.measured:
+                turned, seen = zip(*result.measured, strict=True)
+                series.append(dots("measured", [RPM * x for x in turned], seen, 7, marker="s"))
         else:
             series.append(level(LEAST_DECREMENT, -1, "--"))
             axis = Axis(label)
         panels.append(Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating))))
     caption = (
         "Natural frequencies, modes followed through crossings, and logarithmic decrements with 95 % bands; "
-        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed."
+        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed; "
+        "squares: what tests in the bearings measured."
     )
     return Figure(
         stack(panels, 5.6), caption, "Natural frequencies and log decrements over speed, with bands"

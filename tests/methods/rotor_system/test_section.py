@@ -73,6 +73,8 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
         "no test tells" if "no test tells" in page else "declared",
     ):
         assert words in page
+    assert found.sections["rotor_system"].measured == tuple((0.0, f) for f in (44, 60, 80, 95, 105))
+    assert "squares: what tests in the bearings measured" in page and "amplitude there [um]" in page
     frame = found.to_frame()
     assert {"young", "least_decrement", "onset"} <= set(frame[frame.fit == "rotor_system"].parameter)
 
