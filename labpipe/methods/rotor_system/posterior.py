@@ -362,7 +362,8 @@ def budget(posterior: Posterior, gradient: FloatArray) -> dict[str, float]:
     """The share [1] of the variance of a prediction with this *gradient* (n_unknown,) that would go if one
     unknown, or all small errors of a group, were known: (V g)_s^T V_ss^-1 (V g)_s / g^T V g; largest first.
 
-    Unknowns that the tests tell together have shares in common, so that all of them may exceed 1.
+    Unknowns that the tests tell together have shares in common, so that all of them may exceed 1. Equation
+    (system-budget).
     """
     moved = posterior.spread @ gradient
     whole, shares = float(gradient @ moved), {}

@@ -44,7 +44,8 @@ class Theory:
         self, matrix: str, spread: FloatArray, spin: FloatArray, omega: FloatArray, inputs: FloatArray
     ) -> FloatArray:
         """Stiffness [N/m] or damping [N s/m] as *spread* (k, k) over the dofs, (..., k, k), at *spin* speeds
-        and frequencies *omega* (...) [rad/s] and *inputs* (n_input,) [unit of each].
+        and frequencies *omega* (...) [rad/s] and *inputs* (n_input,) [unit of each]. Equation
+        (system-theory).
         """
         x = (inputs - self.scales[:, 0]) / self.scales[:, 1]
         if self._changes is not None:
