@@ -14,7 +14,7 @@ from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.curve import CURVE_MESH as FINE
 from labpipe.methods.rotor.response import modes
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
-from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Sleeve, Support
+from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Sleeve, Support, free_rotor
 from labpipe.methods.rotor_system.build import LinearBearing, RotorSystem, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import FreeModes
 from labpipe.methods.rotor_system.system_file import load_system
@@ -247,11 +247,18 @@ def test_what_estimate_frees_of_bearings(tmp_path: Path) -> None:
         oil | {"name": "left", "node": 2, "viscosity": "20 mPa.s"},
         oil | {"name": "right", "node": 12, "viscosity": "20 mPa.s +- 5 %"},
         {"kind": "linear-bearing", "name": "seal", "node": 7, "k_yy": "1 MN/m", "k_zz": "3 MN/m"},
+        {"kind": "linear-bearing", "name": "labyrinth", "node": 6, "k_yy": "1 MN/m", "k_cross": "1 MN/m"},
     ]
     file["estimate"] = ["clearance", "viscosity", "cross-coupling"]
     del file["pedestals"]
     (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(file))
-    model = build(load_system(tmp_path / "rotor.yaml"), SmallErrors(0, 0, 0, 0, 0), {}).model
+    system = load_system(tmp_path / "rotor.yaml")
+    loads = system.rig.static_loads()
+    # The middle one is a bearing and carries; what has `k_cross` is a seal and does not.
+    assert loads["labyrinth"] == (0.0, 0.0) and loads["seal"][1] < 0
+    mass = free_rotor(system.rig.rotor).mass[1::4, 1::4].sum()
+    assert sum(z for _, z in loads.values()) == pytest.approx(-9.80665 * mass, rel=1e-6)
+    model = build(system, SmallErrors(0, 0, 0, 0, 0), {}).model
     known = {unknown.name: unknown for unknown in model.unknowns}
     for name, mean, error in (
         ("left clearance", 60e-6, 9e-6),
