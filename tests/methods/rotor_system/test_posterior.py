@@ -85,6 +85,24 @@ def test_a_test_of_another_rotor_is_named(fitted) -> None:
     assert all(abs(pull.z) < 4 for pull in pulls(found))
 
 
+def test_oil_of_another_temperature_is_a_conflict() -> None:
+    """A rotor in oil films by clearance and viscosity: in its interval; a run-up with oil of 60 % of the
+    viscosity pulls against what the shaken rotor says, and enlarges small errors.
+    """
+    of, rng = built(bearings="oil"), np.random.default_rng(5)
+    truth = drawn(of, rng)
+    oil = of.model.number("oil")
+    warm = truth.copy()
+    warm[oil] *= 0.6
+    tests = four_tests(of, truth, rng, 2000.0, 25.0)
+    run = four_tests(of, warm, rng, 2000.0, 25.0)[2]
+    found = fit_system(of.model, tests)
+    assert not found.misfits and not found.enlarged and all(abs(pull.z) < 3 for pull in pulls(found))
+    assert abs(found.values[oil] - truth[oil]) < 3 * found.standard_errors[oil] < of.model.errors[oil] * 3
+    other = fit_system(of.model, [run if test.name == "run" else test for test in tests])
+    assert other.enlarged and max(abs(pull.z) for pull in pulls(other)) > 4
+
+
 def test_a_missing_pedestal_is_the_most_probable_alternative() -> None:
     of, rng = built(), np.random.default_rng(21)
     truth = true_values(of)
