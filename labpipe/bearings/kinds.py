@@ -144,7 +144,8 @@ class BearingKind:
     -> figures of its own by the names of their SVG files. On a rotor: *operating* gives the entries of the
     settings that follow from the rotor there, and *lateral* names the dofs that are the rotor's y and z. A
     kind that needs more on a rotor has its own settings there, *on_rotor*, and *mount*, from these to a
-    Bearing.
+    Bearing. dynamic: of a kind whose coefficients follow the frequency of the motion, K + j w C (n, 2, 2)
+    [N/m] of settings at frequencies w (n,) [rad/s].
     """
 
     settings: type
@@ -157,6 +158,7 @@ class BearingKind:
     on_rotor: type | None = None
     figures: Callable[[str, BearingCoefficients], Mapping[str, Any]] | None = None
     mount: Callable[[Any], Bearing] | None = None
+    dynamic: Callable[[Any, FloatArray], ComplexArray] | None = None
 
     def mounted(self, settings: Any) -> Bearing:
         """The bearing of a rotor file's entry."""

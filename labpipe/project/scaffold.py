@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import DataError
+from labpipe.errors import DataError, LabpipeError
 from labpipe.project.first_guess import (
     MODAL_LINES,
     GuessedChannel,
@@ -94,11 +94,48 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     guessed = guard(guessed_frf, files[0]) if files[0].is_file() else None
     if guessed is not None:
         return Scaffold("", _pipeline_of_tables(guessed, files, paths))
+    running = [len(files) > 1 and _is_run_up(file) for file in files]
+    together: list[str] = []
+    if any(running) and not all(running):
+        together = _rotor_lines(files, paths, running)
+        files = [file for file, turns in zip(files, running, strict=True) if not turns]
+        paths = [path for path, turns in zip(paths, running, strict=True) if not turns]
     first = first_look(open_table(files[0]))
-    pipeline = _pipeline(first, files, paths)
+    pipeline = _pipeline(first, files, paths) + "".join(f"{line}\n" for line in together)
     if "model: modal" in pipeline:
         first = first.with_forces_apart()
     return Scaffold(_rig(first, files[0]), pipeline)
+
+
+def _is_run_up(file: Path) -> bool:
+    """Whether a recording looks like that of a turning rotor: no force, and a tacho or another reference."""
+    with suppress(LabpipeError):
+        channels = first_look(open_table(file)).channels
+        turns = any(channel.quantity == "tacho" or channel.role == "reference" for channel in channels)
+        return turns and all(channel.role != "input" for channel in channels)
+    return False
+
+
+def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[bool]) -> list[str]:
+    """The section for tests at rest and run-ups of one rotor."""
+    lines = [
+        "# Tests at rest and run-ups of one rotor are one posterior; of another rotor, leave it out.",
+        "rotor_system:",
+        f"  rotor: {DECIDE}    {MARK} the rotor file, with what is known of it and how well",
+        f"  small_errors: {{together: {DECIDE}}}    {MARK} how much all bearings may change together between "
+        "rest and speed, 30 % for example, 0 % where they cannot; a run-up below the critical speed hardly "
+        "tells it",
+        "  tests:",
+    ]
+    for file, path, turns in zip(files, paths, running, strict=True):
+        name = json.dumps(file.stem, ensure_ascii=False)
+        if turns:
+            run = f"{{recording: {json.dumps(path, ensure_ascii=False)}, rig: {DECIDE}, tacho: {DECIDE}}}"
+            mark = f"{MARK} the rig file of its probes, and the channel of the tacho; load: where it has one"
+            lines.append(f"    - {{name: {name}, kind: run-up, run: {run}}}    {mark}")
+        else:
+            lines.append(f"    - {{name: {name}, kind: response, test: {name}}}    # free: true on strings")
+    return lines
 
 
 def _rig(first: FirstLook, path: Path) -> str:

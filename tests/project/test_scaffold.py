@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from labpipe.errors import DataError
+from labpipe.errors import DataError, LabpipeError
+from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.proposals import first_look
 from labpipe.project.scaffold import scaffold
+from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.table import open_table
 from tests.project.laboratory import recording
 
@@ -38,3 +40,22 @@ def test_a_file_of_two_rows_is_the_shortest(tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("t [ms],f [N],x [um]\n0,1,2\n")
     with pytest.raises(DataError, match="holds too few samples"):
         first_look(open_table(tmp_path / "one.csv"))
+
+
+def test_a_run_up_beside_tests_at_rest_asks_how_bearings_change_together(tmp_path: Path) -> None:
+    """In whatever order the files come; tests at rest alone ask nothing."""
+    shipped = Path(__file__).parents[2] / "sample_data/rotor-system"
+    standing = [shipped / f"{name}.parquet" for name in ("free", "shaken-y")]
+    assert "rotor_system" not in scaffold(standing, tmp_path).pipeline
+    made = scaffold([shipped / "run-up.parquet", *standing], tmp_path)
+    pipeline = yaml.safe_load(made.pipeline)
+    assert [test["name"] for test in pipeline["tests"]] == ["free", "shaken-y"]
+    section = pipeline["rotor_system"]
+    assert section["small_errors"] == {"together": DECIDE} and section["rotor"] == DECIDE
+    assert [test["kind"] for test in section["tests"]] == ["run-up", "response", "response"]
+    asked = [line for line in made.pipeline.splitlines() if "together: " in line]
+    assert len(asked) == 1 and "between rest and speed" in asked[0]
+    (tmp_path / "rig.yaml").write_text(made.rig.replace(f"sample_rate: {DECIDE}", "sample_rate: 2 kHz"))
+    (tmp_path / "pipeline.yaml").write_text(made.pipeline.replace(f"period: {DECIDE}", "period: 1 s"))
+    with pytest.raises(LabpipeError, match=r"small_errors\.together: is still to be decided"):
+        load_pipeline(tmp_path / "pipeline.yaml")

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
+from labpipe.methods.balancing.balance_file import permissible_unbalance
 from labpipe.methods.balancing.influence import Influence, Noise, Run, best_weights, influence
 from labpipe.methods.journal_bearing.bearing import (
     JournalBearing,
@@ -435,16 +436,29 @@ FEESE = (
 FEESE_LEFT = ((0.08, 138), (0.09, 49), (0.05, 231), (0.05, 166))
 
 
+# Kelm, Pavelek and Kelm (2016), an induced draft fan [mil, deg; oz in, deg]: as found, with a trial weight.
+FAN = (5.6, 135), (3.3, 238), (74, 315)
+# Feese and Grazier (2004), table 5, at 300 rpm [oz in / lb] by grade [mm/s].
+GRADES = {6.3: (0.128, 0.0005), 16.0: (0.32, 0.005)}
+OUNCE_INCHES_PER_POUND = 0.0254 / 16
+
+
 def at(size: float, degrees: float) -> complex:
     return complex(size * np.exp(1j * np.radians(degrees)))
 
 
 def vector_rows(
-    name: str, value: complex, size: float, degrees: float, unit: str, last: float
+    name: str,
+    value: complex,
+    size: float,
+    degrees: float,
+    unit: str,
+    last: float,
+    source: str = "Feese, Grazier 2004",
 ) -> list[Claim]:
     """A vector within half of the *last* printed digit of its size, and of a degree."""
     turned = float(np.degrees(np.angle(value * np.exp(-1j * np.radians(degrees)))))
-    kind, source = "printed calculation", "Feese, Grazier 2004"
+    kind = "printed calculation"
     return [
         within(f"{name}, size", abs(value), size, last / 2, unit, kind, source),
         within(f"{name}, angle", degrees + turned, degrees, 0.5, "deg", kind, source),
@@ -477,7 +491,25 @@ def balancing() -> list[Claim]:
         for name, z, printed in zip(names, left, FEESE_LEFT, strict=True)
         for row in vector_rows(name, z, *printed, "mil", 0.01)
     ]
-    return [*found, worst(rows, "residual vibration")]
+    found.append(worst(rows, "residual vibration"))
+    source = "Kelm, Pavelek, Kelm 2016"
+    first, second, trial = (at(*each) for each in FAN)
+    runs = [Run("0", np.zeros(1), np.array([first])), Run("1", np.array([trial]), np.array([second]))]
+    known = influence(runs, Noise(1e-9, 0.0))
+    found.append(
+        within("fan: weight per vibration", 1 / abs(known.mean[0, 1]), 10.4, 0.05, "oz in/mil", kind, source)
+    )
+    found += vector_rows("fan: weight", best_weights(known)[0], 58, 341.9, "oz in", 1, source)
+    for grade, (printed, half) in GRADES.items():
+        ours = permissible_unbalance(1e-3 * grade, 1.0, 300 / 60) / OUNCE_INCHES_PER_POUND
+        why = (
+            "the printed value is 1.3 % above 6.3/16 of the one of G 16; it may come from a chart"
+            if grade < 16
+            else ""
+        )
+        name = f"permissible unbalance of G {grade:g} at 300 rpm"
+        found.append(within(name, ours, printed, half, "oz in/lb", kind, "Feese, Grazier 2004", why))
+    return found
 
 
 METHOD = Method(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +108,7 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
         n_plane, n_line = len(names["plane"]), len(names["reading"])
         shape = (2, n_line, n_plane + 1)
         mean, root = np.array(stored["mean"]).reshape(shape), np.array(stored["root"]).reshape(*shape, -1)
+        widened = float(stored.get("widened", 1.0))
     except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
         hint = "a result of a pipeline whose rotor_system has balance_speeds"
         raise ConfigError("holds no influence of a rotor's planes", where=str(path), hint=hint) from error
@@ -122,7 +123,9 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
     rows = [names["reading"].index(name) for name in lines]
     mean, root = (each[:, rows][:, :, columns] for each in (mean, root))
     flat = root.reshape(mean.size, -1)
-    return Influence(mean[0] + 1j * mean[1], flat @ flat.T, modelled=True), lines
+    known = Influence(mean[0] + 1j * mean[1], flat @ flat.T, modelled=True)
+    narrow = replace(known, joint=known.joint / widened**2) if widened > 1 else None
+    return replace(known, narrow=narrow), lines
 
 
 def polar(text: str, unit: str) -> complex:
@@ -250,14 +253,16 @@ class Balanced:
 
     @property
     def permissible(self) -> float | None:
-        """Permissible residual unbalance of the rotor, U = G m / Omega, [kg m] (ISO 21940-11).
-
-        None where no grade is asked for.
-        """
+        """Permissible residual unbalance of the rotor [kg m]; None where no grade is asked for."""
         settings = self.file.settings
         if settings.grade is None or settings.mass is None or settings.speed is None:
             return None
-        return settings.grade * settings.mass / (2 * np.pi * settings.speed)
+        return permissible_unbalance(settings.grade, settings.mass, settings.speed)
+
+
+def permissible_unbalance(grade: float, mass: float, speed: float) -> float:
+    """U = G m / Omega [kg m] of a *grade* [m/s], a *mass* [kg] and a service *speed* [Hz] (ISO 21940-11)."""
+    return grade * mass / (2 * np.pi * speed)
 
 
 def balanced(file: BalanceFile) -> Balanced:

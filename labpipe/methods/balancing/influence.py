@@ -55,6 +55,8 @@ class Influence:
     """z_0 and alpha of every line: *mean* (n_line, n_plane + 1) [unit of the readings, per kg m], and the
     *joint* covariance (n, n) of all their real parts and then all imaginary parts, row by row; *misfit*
     chi-square of the readings, its *dof*; *modelled*: whether a model says what unbalance in the planes does.
+    narrow: the same without what doubt of the model has widened: what is left grows with the spread, so that
+    the lower ends follow from it.
     """
 
     mean: ComplexArray
@@ -62,6 +64,7 @@ class Influence:
     misfit: float = 0.0
     dof: int = 0
     modelled: bool = False
+    narrow: Influence | None = None
 
     @cached_property
     def covariance(self) -> ComplexArray:
@@ -126,7 +129,9 @@ class Influence:
         surprise = readings - self.mean[lines] @ np.concatenate([[1.0], run.weights])
         parts = np.concatenate([surprise.real, surprise.imag])
         misfit = self.misfit + float(parts @ np.linalg.solve(spread, parts))
-        return replace(self.moved(gain, surprise), joint=joint, misfit=misfit, dof=self.dof + parts.size)
+        narrow = None if self.narrow is None else self.narrow.after(run, noise)
+        moved = self.moved(gain, surprise)
+        return replace(moved, joint=joint, misfit=misfit, dof=self.dof + parts.size, narrow=narrow)
 
 
 def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None) -> Influence:
@@ -252,6 +257,9 @@ def residual_of(known: Influence, weights: ComplexArray, noise: Noise) -> Residu
     upper = np.percentile(np.abs(unbalance), 95, axis=0)
     amplitudes = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
     interval = (float(ends[0]), float(ends[1]))
+    if known.narrow is not None:
+        below = residual_of(known.narrow, weights, noise)
+        interval, low = (min(interval[0], below.interval[0]), interval[1]), np.minimum(low, below.low)
     return Residual(float(np.sqrt(np.mean(rms**2))), interval, before, amplitudes, low, high, upper)
 
 

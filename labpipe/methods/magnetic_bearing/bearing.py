@@ -346,9 +346,15 @@ def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
     return tuple(warnings)
 
 
+def _dynamic(settings: MagneticFile, omega: FloatArray) -> ComplexArray:
+    plant = settings.levitated()
+    return stiffness_matrix(plant.loop, plant.negative_stiffness, omega)
+
+
 MAGNETIC_KIND = BearingKind(
     MagneticFile,
     magnetic_coefficients,
     operating={"speed": synchronous, "frequency": frequency_hz},
     lateral=("x", "y"),
+    dynamic=_dynamic,
 )

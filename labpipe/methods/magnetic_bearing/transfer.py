@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -405,6 +406,7 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
     return rates[0] if rates else None
 
 
+@lru_cache(maxsize=64)
 def in_series(blocks: Iterable[ControllerBlock]) -> tuple[Transfer, Transfer]:
     """All blocks in series: those of s, and those of z, which are 1 where there are none."""
     parts = [block.transfer for block in blocks]

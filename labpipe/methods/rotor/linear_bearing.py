@@ -23,6 +23,12 @@ class LinearBearingSettings(Settings):
     k_zz: float | None = setting("value", "stiffness in z; default: k_yy", unit="N/m", default=None)
     k_yz: float = setting("value", "cross-coupled stiffness", unit="N/m", default=0.0)
     k_zy: float = setting("value", "cross-coupled stiffness", unit="N/m", default=0.0)
+    k_cross: float | None = setting(
+        "value",
+        "cross-coupled stiffness of a seal, k_yz = -k_zy; above zero it drives forward whirl",
+        unit="N/m",
+        default=None,
+    )
     c: float | None = setting("value", "damping in y and z alike", unit="N.s/m", default=None)
     c_yy: float = setting("value", "damping in y", unit="N.s/m", default=0.0)
     c_zz: float = setting("value", "damping in z", unit="N.s/m", default=0.0)
@@ -32,11 +38,15 @@ class LinearBearingSettings(Settings):
     def __post_init__(self) -> None:
         if self.c is not None and (self.c_yy or self.c_zz):
             raise ConfigError("'c' is damping in both directions", hint="c, or c_yy and c_zz", field="c")
+        if self.k_cross is not None and (self.k_yz or self.k_zy):
+            what = "'k_cross' is k_yz and -k_zy"
+            raise ConfigError(what, hint="k_cross, or k_yz and k_zy", field="k_cross")
 
     @property
     def stiffness(self) -> FloatArray:
         """(2, 2) [N/m]."""
-        return np.array([[self.k_yy, self.k_yz], [self.k_zy, self.k_yy if self.k_zz is None else self.k_zz]])
+        k_yz, k_zy = (self.k_yz, self.k_zy) if self.k_cross is None else (self.k_cross, -self.k_cross)
+        return np.array([[self.k_yy, k_yz], [k_zy, self.k_yy if self.k_zz is None else self.k_zz]])
 
     @property
     def damping(self) -> FloatArray:

@@ -18,6 +18,7 @@ from labpipe.methods.journal_bearing.bearing import (
     journal_equilibrium,
 )
 from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.shaft import Rotor, Support, bearing_loads
 from labpipe.records.uncertain import Uncertainty
 from labpipe.registry import nearest
@@ -25,7 +26,7 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class UncertainBearing:
-    """A bearing with one number a standard uncertainty *above* its value, and *below* it.
+    """A bearing with one number a standard uncertainty *above* its *value* [its unit], and *below* it.
 
     *uncertainty* of the number.
     """
@@ -33,6 +34,7 @@ class UncertainBearing:
     uncertainty: Uncertainty
     above: Bearing
     below: Bearing
+    value: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,12 @@ class BearingPlace:
         """True for an oil film, whose parameters can be changed and estimated."""
         return isinstance(self.bearing, JournalBearing)
 
+    @property
+    def is_seal(self) -> bool:
+        """True for a linear bearing with the cross-coupling of a seal, which carries no weight."""
+        settings = getattr(self.bearing, "settings", None)
+        return isinstance(settings, LinearBearingSettings) and settings.k_cross is not None
+
     def with_film(self, method: str, changes: Mapping[str, float]) -> BearingPlace:
         """The place with other numbers in its oil film, uncertain or not.
 
@@ -63,7 +71,7 @@ class BearingPlace:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
         uncertainties = [
-            UncertainBearing(one.uncertainty, changed(one.above), changed(one.below))
+            UncertainBearing(one.uncertainty, changed(one.above), changed(one.below), one.value)
             for one in self.uncertainties
         ]
         return replace(
@@ -170,17 +178,19 @@ class RotorRig:
         return amounts
 
     def static_loads(self) -> dict[str, tuple[float, float]]:
-        """Load of every bearing by name, in y and z [N]."""
+        """Load of every bearing by name, in y and z [N]; none of a seal beside two that carry."""
         forces: dict[int, tuple[float, float]] = {}
         for node, y, z in self.loads:
             before = forces.get(node, (0.0, 0.0))
             forces[node] = (before[0] + y, before[1] + z)
-        reactions = bearing_loads(self.rotor, [place.node for place in self.bearings], forces)
+        carrying = [place for place in self.bearings if not place.is_seal]
+        carrying = carrying if len(carrying) > 1 else list(self.bearings)
+        reactions = bearing_loads(self.rotor, [place.node for place in carrying], forces)
         # Rounding would turn a vertical load by 1e-13 rad, and tables of coefficients could not be shared.
         scale = 1e-9 * float(np.abs(reactions).max())
-        return {
+        return dict.fromkeys([place.name for place in self.bearings], (0.0, 0.0)) | {
             place.name: (float(y) if abs(y) > scale else 0.0, float(z) if abs(z) > scale else 0.0)
-            for place, (y, z) in zip(self.bearings, reactions, strict=True)
+            for place, (y, z) in zip(carrying, reactions, strict=True)
         }
 
     def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:

@@ -355,9 +355,8 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
         ]
         if ends[0] is None or ends[1] is None:
             return None
-        places.append(
-            UncertainBearing(uncertainty_of(uncertain, f"{name}: {entry_name}", unit), ends[0], ends[1])
-        )
+        source = uncertainty_of(uncertain, f"{name}: {entry_name}", unit)
+        places.append(UncertainBearing(source, ends[0], ends[1], uncertain.value))
     return BearingPlace(name, node, bearing, entries["kind"].text, tuple(places))
 
 

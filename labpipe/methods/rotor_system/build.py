@@ -11,8 +11,6 @@ from functools import partial
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.bearings.kinds import Bearing, OperatingPoint
-from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.shaft import (
     PLANE_Y,
@@ -25,6 +23,7 @@ from labpipe.methods.rotor.shaft import (
     plane_stiffness,
 )
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
+from labpipe.methods.rotor_system.theory import Theory
 
 # Apparent mass at a bearing that an unknown of 1 stands for [kg].
 APPARENT = 5.0
@@ -69,8 +68,10 @@ class Pedestal:
 
 @dataclass(frozen=True)
 class LinearBearing:
-    """Constant *stiffness* [N/m] and *damping* [N s/m], (2, 2) in y and z; standard uncertainties of their
-    logarithms, 0 where one is known. *common*: c_yy and c_zz are one number.
+    """Constant *stiffness* [N/m] and *damping* [N s/m], (2, 2) in y and z, with their standard uncertainties,
+    0 where one is known: of the logarithms of direct coefficients, which keep their sign, and of the numbers
+    themselves where they are zero or cross-coupled. *common*: c_yy and c_zz are one number. *skew*: k_yz is
+    -k_zy, of a seal, and acts while the rotor turns.
     """
 
     stiffness: FloatArray
@@ -78,6 +79,7 @@ class LinearBearing:
     stiffness_error: FloatArray
     damping_error: FloatArray
     common: bool = False
+    skew: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,8 +163,10 @@ def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
     if linear is not None:
         bearing = float(np.mean(np.abs(np.diag(linear.stiffness))))
     else:
-        at = _coefficients_at(place.bearing, system.rig.static_loads()[place.name], system.rig.omega)
-        bearing = float(np.mean(np.abs(np.diag(at["stiffness"]))))
+        certain, speed = replace(place, uncertainties=()), np.array(system.rig.omega)
+        theory = Theory(certain, system.rig.static_loads()[place.name])
+        at = theory.block("stiffness", np.ones((2, 2)), speed, speed, np.zeros(0))
+        bearing = float(np.mean(np.abs(np.diag(at))))
     translation = free_rotor(system.rig.rotor).mass[0::4, 0::4]
     mass = HEAVY * float(translation.sum())
     stiffness = STIFFER * bearing
@@ -175,6 +179,8 @@ class _Builder:
         self.system, self.small, self.running = system, small, running
         self.unknowns: list[Unknown] = []
         self.terms: list[Term] = []
+        # Inputs of bearing models by their sources: numbers of one source have one error.
+        self.sources: dict[str, int] = {}
         self.together = {
             letter: self.unknown(f"all bearings {letter} running", small.together, tests=running)
             for letter in ("k", "c")
@@ -331,50 +337,73 @@ class _Builder:
             ("damping", "c", "N.s/m", bearing.damping, bearing.damping_error),
         )
         for matrix, letter, unit, values, errors in matrices:
-            numbers: dict[str, tuple[int, ...]] = {}
+            numbers: dict[str, tuple[tuple[int, ...], dict[str, int]]] = {}
             for place, label in enumerate(COEFFICIENTS):
                 row, column = divmod(place, 2)
                 value, error = float(values[row, column]), float(errors[row, column])
-                if not value:
+                if not value and not error:
                     continue
                 alike = letter == "c" and bearing.common and row == column
-                shown = letter if alike else f"{letter}_{label}"
+                turning = letter == "k" and bearing.skew and row != column
+                shown = letter if alike else "k_cross" if turning else f"{letter}_{label}"
                 if shown not in numbers:
-                    numbers[shown] = self._with_running(name, shown, error, value, unit)
+                    linear = not value or row != column
+                    numbers[shown] = self._with_running(f"{name} {shown}", error, value, unit, linear)
+                factors, amount = numbers[shown]
                 entry = np.zeros((2, 2))
                 entry[row, column] = value
+                if amount:
+                    entry[row, column] = -1.0 if turning and row else 1.0
                 block = spread * np.tile(entry, (len(dofs) // 2,) * 2)
-                self.add(matrix, dofs, block, numbers[shown], support=True)
+                self.add(
+                    matrix,
+                    dofs,
+                    partial(_turning, block) if turning else block,
+                    factors,
+                    support=True,
+                    **amount,
+                )
 
-    def _with_running(self, name: str, shown: str, error: float, value: float, unit: str) -> tuple[int, ...]:
-        factor = self.unknown(f"{name} {shown}", error, nominal=value, nominal_unit=unit)
-        running = self.unknown(
-            f"{name} {shown} running", self.small.bearings, tests=self.running, group="bearings"
-        )
-        return (*factor, *running, *self.together.get(shown[0], ()))
+    def _with_running(
+        self, name: str, error: float, value: float, unit: str, linear: bool
+    ) -> tuple[tuple[int, ...], dict[str, int]]:
+        """The factors of a coefficient, and its amount where it is *linear*."""
+        if linear:
+            numbers = self.unknown(name, error, value, unit=unit)
+        else:
+            numbers = self.unknown(name, error, nominal=value, nominal_unit=unit)
+        running = self.unknown(f"{name} running", self.small.bearings, tests=self.running, group="bearings")
+        factors = (*running, *self.together.get(name.rpartition(" ")[2][0], ()))
+        if linear and numbers:
+            return factors, {"amount": numbers[0]}
+        return (*numbers, *factors), {}
 
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
-        """The coefficients of a bearing model over the speed, with its uncertain inputs x (standardised) as
-        c(x) = c(0) + x (c(1) - c(-1)) / 2 + x^2 (c(1) - 2 c(0) + c(-1)) / 2.
-        """
-        rig = self.system.rig
-        load = rig.static_loads()[place.name]
-        inputs = [
-            (entry, self.unknown(f"{place.name} {entry.uncertainty.source}", 1.0, unit="u"))
-            for entry in place.uncertainties
-        ]
+        """The coefficients of a bearing model over speed and frequency with its uncertain inputs."""
+        inputs, scales = [], []
+        for entry in place.uncertainties:
+            source = entry.uncertainty.source
+            if source not in self.sources:
+                name = source.replace(": ", " ")
+                size, unit = entry.uncertainty.std_error, entry.uncertainty.unit
+                self.sources[source] = self.unknown(name, size, entry.value, unit=unit)[0]
+            inputs.append(self.sources[source])
+            unknown = self.unknowns[inputs[-1]]
+            scales.append((unknown.mean, unknown.error))
+        theory = Theory(place, self.system.rig.static_loads()[place.name], np.array(scales).reshape(-1, 2))
         for matrix, letter in (("stiffness", "k"), ("damping", "c")):
             running = self.unknown(
                 f"{place.name} {letter} running", self.small.bearings, tests=self.running, group="bearings"
             )
-            running = (*running, *self.together.get(letter, ()))
-            curve = partial(_block, load, matrix, spread, len(dofs) // 2)
-            self.add(matrix, dofs, curve(((place.bearing, 1.0),)), running, support=True)
-            for entry, (number,) in inputs:
-                slope = ((entry.above, 0.5), (entry.below, -0.5))
-                bend = ((entry.above, 0.5), (place.bearing, -1.0), (entry.below, 0.5))
-                self.add(matrix, dofs, curve(slope), running, amount=number, support=True)
-                self.add(matrix, dofs, curve(bend), running, amount=number, power=2, support=True)
+            self.add(
+                matrix,
+                dofs,
+                partial(theory.block, matrix, spread),
+                (*running, *self.together.get(letter, ())),
+                support=True,
+                inputs=tuple(inputs),
+                follows=theory.follows,
+            )
 
     def _pedestal(self, pedestal: Pedestal, dofs: tuple[int, ...]) -> None:
         stiffness = self.unknown(
@@ -388,36 +417,6 @@ class _Builder:
         self.add("damping", dofs, pedestal.damping * np.eye(2), support=True)
 
 
-def _coefficients_at(bearing: Bearing, load: tuple[float, float], speed: float) -> dict[str, FloatArray]:
-    """Stiffness [N/m] and damping [N s/m], (2, 2), of a bearing at a static load [N] and speed [rad/s], its
-    motion once per revolution.
-    """
-    if isinstance(bearing, JournalBearing):
-        film = journal_equilibrium(bearing, load, speed)
-        return {"stiffness": film.stiffness, "damping": film.damping}
-    coefficients = bearing.at(OperatingPoint(load, speed, speed))
-    return {"stiffness": coefficients.stiffness, "damping": coefficients.damping}
-
-
-def _block(
-    load: tuple[float, float],
-    matrix: str,
-    spread: FloatArray,
-    repeats: int,
-    weights: Sequence[tuple[Bearing, float]],
-) -> Curve:
-    """The weighted sum of the coefficients of bearings over the spin speed, (..., k, k)."""
-    at_speeds: dict[float, FloatArray] = {}
-
-    def at(spin: FloatArray) -> FloatArray:
-        for speed in np.ravel(spin):
-            if float(speed) not in at_speeds:
-                at_speeds[float(speed)] = np.sum(
-                    [w * _coefficients_at(bearing, load, float(speed))[matrix] for bearing, w in weights],
-                    axis=0,
-                )
-        each = np.array([at_speeds[float(speed)] for speed in np.ravel(spin)])
-        blocks = spread * np.tile(each, (1, repeats, repeats))
-        return np.asarray(blocks.reshape(*np.shape(spin), *spread.shape))
-
-    return at
+def _turning(block: FloatArray, spin: FloatArray, _omega: FloatArray, _inputs: FloatArray) -> FloatArray:
+    """A block (k, k) that acts while the rotor turns, (..., k, k)."""
+    return np.asarray(block * (np.asarray(spin) != 0)[..., None, None])

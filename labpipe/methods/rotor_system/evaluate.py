@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from labpipe.methods.rotor_system.posterior import (
     WIDENED,
     Posterior,
     Pull,
+    budget,
     common_changes,
     fit_system,
     normality,
@@ -47,9 +49,9 @@ from labpipe.methods.rotor_system.predictions import (
     DRAWS,
     Campbell,
     CriticalSpeed,
-    at_speed,
     campbell,
     critical_speeds,
+    decrement_gradient,
     onset,
 )
 from labpipe.methods.rotor_system.records import (
@@ -108,8 +110,17 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemRe
             raise
         kinds = {test.name: test.kind for test in settings.tests}
         result = _result(system, built, posterior, settings.band, kinds, settings.draws, settings.seed)
+        measured = (
+            (test.speed, float(frequency))
+            for test in settings.tests
+            if test.kind == RESPONSE and not test.free and (test.fit or test.frequencies)
+            for frequency in _modes(test, work).frequency
+        )
         return replace(
-            result, balance=balance(settings, built, posterior), findings=(*result.findings, *out_of_place)
+            result,
+            balance=balance(settings, built, posterior),
+            measured=tuple(measured),
+            findings=(*result.findings, *out_of_place),
         )
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"
@@ -284,9 +295,9 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
     """Natural frequencies in the bearings that no bearing can give the rotor that was on strings."""
     with_modes = [test for test in settings.tests if test.fit or test.frequencies]
     free = [test for test in with_modes if test.kind == MODES or test.free]
-    coupled = any(np.any(b.stiffness[[0, 1], [1, 0]]) for b in system.linear.values()) or len(
-        system.linear
-    ) < len(system.rig.bearings)
+    coupled = any(
+        np.any((np.abs(b.stiffness) + b.stiffness_error)[[0, 1], [1, 0]]) for b in system.linear.values()
+    ) or len(system.linear) < len(system.rig.bearings)
     for test in with_modes:
         if test.kind == MODES or test.free or test.speed:
             continue
@@ -391,7 +402,7 @@ def _result(
     speeds = np.union1d(np.linspace(low, high, SPEEDS), [operating])
     diagram = campbell(posterior, speeds)
     least, error = diagram.least_decrement(operating)
-    pulled = pulls(posterior)
+    pulled, gradient = pulls(posterior), decrement_gradient(posterior, operating)
     criticals: list[CriticalSpeed] = []
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
@@ -400,7 +411,7 @@ def _result(
     return RotorSystemResult(
         rig.name,
         operating,
-        unknowns=tuple(_unknowns(posterior)),
+        unknowns=tuple(_unknowns(posterior, pulled)),
         tests=tuple(
             TestResult(
                 pull.test,
@@ -420,7 +431,8 @@ def _result(
         decrement=(least, error, float(normal_tail((LEAST_DECREMENT - least) / error)) if error else 1.0),
         criticals=tuple(_critical(each) for each in criticals),
         onset=onset(posterior, max(low, 0.05 * operating)),
-        next_tests=_next_tests(posterior, operating, criticals),
+        next_tests={} if gradient is None else _next_tests(posterior, gradient, criticals),
+        budget={} if gradient is None else budget(posterior, gradient),
         ln_evidence=posterior.ln_evidence,
         alternative=posterior.alternative,
         widened=posterior.widened,
@@ -428,7 +440,7 @@ def _result(
     )
 
 
-def _unknowns(posterior: Posterior) -> Iterator[UnknownResult]:
+def _unknowns(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[UnknownResult]:
     shares = posterior.shares
     for number, unknown in enumerate(posterior.model.unknowns):
         value, error = float(posterior.values[number]), float(posterior.standard_errors[number])
@@ -439,6 +451,9 @@ def _unknowns(posterior: Posterior) -> Iterator[UnknownResult]:
             unknown.unit or unknown.nominal_unit,
             unknown.group,
             bool(shares[number] < 0.7),
+            *max(
+                [(pull.test, float(pull.wider[number])) for pull in pulled] or [("", 1.0)], key=itemgetter(1)
+            ),
         )
 
 
@@ -545,22 +560,11 @@ def _notes(posterior: Posterior) -> Iterator[Finding]:
 
 
 def _next_tests(
-    posterior: Posterior, operating: float, criticals: Sequence[CriticalSpeed]
+    posterior: Posterior, gradient: FloatArray, criticals: Sequence[CriticalSpeed]
 ) -> dict[str, float]:
-    """Standard error of the logarithm of the least decrement at the operating speed, as it is and with one
-    more test of each kind: u' = sqrt(g^T (F + F_c)^-1 g).
+    """Standard error of a prediction with this *gradient* (n_unknown,), as it is and with one more test of
+    each kind: u' = sqrt(g^T (F + F_c)^-1 g).
     """
-    model = posterior.model
-    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating)
-    decrement = -2 * np.pi * roots.values.real / roots.values.imag
-    mode = int(np.argmin(decrement))
-    if decrement[mode] <= 0:
-        return {}
-    root, slope = (
-        roots.values[mode],
-        np.where(at_speed(model, np.ones(len(model.unknowns))) > 0, roots.slopes[mode], 0),
-    )
-    gradient = slope.real / root.real - slope.imag / root.imag
     information = np.linalg.inv(posterior.covariance)
     candidates: dict[str, Evidence] = {f"{test.name} once more": test for test in posterior.tests}
     for test in posterior.tests:
@@ -584,7 +588,7 @@ def _next_tests(
                 )
     errors = {"as it is": float(posterior.gradient_error(gradient))}
     for name, test in candidates.items():
-        _, jacobian = test.residual(model, posterior.values)
+        _, jacobian = test.residual(posterior.model, posterior.values)
         covariance = np.linalg.inv(information + jacobian.T @ jacobian)
         errors[name] = float(np.sqrt(gradient @ covariance @ gradient))
     return errors

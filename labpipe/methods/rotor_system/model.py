@@ -23,8 +23,18 @@ from labpipe.methods.rotor.shaft import RotorMatrices
 POWERS = {"stiffness": (0, 0), "circulatory": (0, 1), "mass": (2, 0), "damping": (1, 0), "gyroscopic": (1, 1)}
 # Rigid motions of a free rotor in one plane.
 RIGID = 2
-# From spin speeds (...) [rad/s] to the block of a term there, (..., k, k).
-Curve = Callable[[FloatArray], FloatArray]
+# From spin speeds and frequencies of the motion (...) [rad/s] and the values of a term's inputs to its block
+# there, (..., k, k).
+Curve = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+# Half-width of the difference that gives the slope of a block by an input, in its standard uncertainties, and
+# by the frequency, as a part of it.
+INPUT_STEP, FREQUENCY_STEP = 1e-3, 1e-4
+# Rounds in which an eigenvalue meets the coefficients at its own frequency, and its last relative change.
+ROUNDS, SETTLED = 30, 1e-10
+# Two eigenvalues, and two shapes, nearer than this are one and the same.
+ALIKE = 1e-6
+# At least this frequency [rad/s] where a controlled bearing is first asked at rest.
+GUESS = 100.0
 
 
 @dataclass(frozen=True)
@@ -52,9 +62,10 @@ class Unknown:
 @dataclass(frozen=True)
 class Term:
     """A *block* (k, k) [SI units] of one *matrix* at *dofs* (k,), times exp(sum of the unknowns *factors*),
-    times x^*power* of the unknown *amount*; unknowns by their numbers.
+    times the unknown *amount*; unknowns by their numbers.
 
-    support: it is no part of the free rotor. A block may depend on the spin speed.
+    support: it is no part of the free rotor. A block may depend on the spin speed, on the unknowns *inputs*,
+    and, where it *follows* that, on the frequency of the motion.
     """
 
     matrix: str
@@ -62,12 +73,18 @@ class Term:
     block: FloatArray | Curve
     factors: tuple[int, ...] = ()
     amount: int | None = None
-    power: int = 1
     support: bool = False
+    inputs: tuple[int, ...] = ()
+    follows: bool = False
 
-    def at(self, spin: FloatArray | float) -> FloatArray:
-        """The block at *spin* speeds (...) [rad/s]: (..., k, k), or (k, k) where it is constant."""
-        return self.block(np.asarray(spin)) if callable(self.block) else self.block
+    def at(self, spin: FloatArray | float, omega: FloatArray | float, values: FloatArray) -> FloatArray:
+        """The block at *spin* speeds and frequencies *omega* (...) [rad/s] and *values* (n_unknown,) [unit of
+        each]: (..., k, k), or (k, k) where it is constant.
+        """
+        if not callable(self.block):
+            return self.block
+        speed, frequency = np.broadcast_arrays(spin, omega)
+        return self.block(speed, frequency, values[list(self.inputs)])
 
 
 @dataclass(frozen=True)
@@ -137,23 +154,21 @@ class SystemModel:
         return np.array([unknown.acts_in(test) for unknown in self.unknowns])
 
     @cached_property
-    def _exponents(self) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Which factors a term has (n_term, n_unknown), its amount (n_term,), -1 for none, and its power."""
+    def _exponents(self) -> tuple[FloatArray, IntArray]:
+        """Which factors a term has (n_term, n_unknown), and its amount (n_term,), -1 for none."""
         factors = np.zeros((len(self.terms), len(self.unknowns)))
         for number, term in enumerate(self.terms):
             factors[number, list(term.factors)] = 1
-        amounts = np.array([-1 if term.amount is None else term.amount for term in self.terms])
-        return factors, amounts, np.array([float(term.power) for term in self.terms])
+        return factors, np.array([-1 if term.amount is None else term.amount for term in self.terms])
 
     def _weights(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What multiplies every block (n_term,), and the derivatives (n_unknown, n_term) of that."""
-        factors, amounts, powers = self._exponents
+        factors, amounts = self._exponents
         weights = np.exp(factors @ values)
         of_amount = amounts >= 0
-        x, n = values[amounts[of_amount]], powers[of_amount]
         slopes = np.zeros((len(self.unknowns), weights.size))
-        slopes[amounts[of_amount], np.flatnonzero(of_amount)] = weights[of_amount] * n * x ** (n - 1)
-        weights[of_amount] *= x**n
+        slopes[amounts[of_amount], np.flatnonzero(of_amount)] = weights[of_amount]
+        weights[of_amount] *= values[amounts[of_amount]]
         return weights, slopes + factors.T * weights
 
     @cached_property
@@ -178,7 +193,7 @@ class SystemModel:
         return tuple(stacks)
 
     def _curve(self, supported: bool) -> Iterator[tuple[int, Term]]:
-        """Terms that depend on the spin speed, with their numbers."""
+        """Terms that are no constant blocks, with their numbers."""
         return (
             (number, term)
             for number, term in enumerate(self.terms)
@@ -237,12 +252,17 @@ class SystemModel:
         """The matrices in the order of POWERS without what depends on the spin speed, (5, n_dof, n_dof)."""
         return np.asarray(self._spread[supported] @ weights).reshape(len(POWERS), self.n_dof, self.n_dof)
 
-    def matrices(self, values: FloatArray, spin: float, supported: bool = True) -> SystemMatrices:
-        """The matrices at *values* (n_unknown,) and a *spin* speed [rad/s]."""
+    def matrices(
+        self, values: FloatArray, spin: float, supported: bool = True, omega: float | None = None
+    ) -> SystemMatrices:
+        """The matrices at *values* (n_unknown,), a *spin* speed, and a frequency *omega* of the motion
+        [rad/s], once per revolution where none is given.
+        """
         weights, _ = self._weights(values)
         whole = dict(zip(POWERS, self._constant(weights, supported), strict=True))
         for number, term in self._curve(supported):
-            whole[term.matrix][np.ix_(term.dofs, term.dofs)] += weights[number] * term.at(spin)
+            block = term.at(spin, spin if omega is None else omega, values)
+            whole[term.matrix][np.ix_(term.dofs, term.dofs)] += weights[number] * block
         return SystemMatrices(**whole)
 
     def dynamic(
@@ -273,7 +293,7 @@ class SystemModel:
                 at = np.flatnonzero(np.isin(part, term.dofs))
                 if at.size:
                     order = np.searchsorted(part, term.dofs)
-                    added = weights[number] * term.at(spin)
+                    added = weights[number] * term.at(turn, w, values)
                     whole[:, order[:, None], order] += (
                         added * ((1j * w) ** power * turn**turns)[:, None, None]
                     )
@@ -293,7 +313,7 @@ class SystemModel:
 
         left (..., n_row, n_dof), right (..., n_dof, n_column); *root*: j w or an eigenvalue, of the shape ...
         """
-        _, slopes = self._weights(values)
+        weights, slopes = self._weights(values)
         shape = np.broadcast_shapes(left.shape[:-2], right.shape[:-2])
         whole = np.zeros((len(self.unknowns), *shape, left.shape[-2], right.shape[-1]), np.complex128)
         acting = np.any(slopes != 0, axis=0)
@@ -315,10 +335,17 @@ class SystemModel:
             parts *= factor(stack.powers[kept].reshape(ones), stack.turns[kept].reshape(ones))
             whole += np.tensordot(slopes[:, stack.numbers[kept]], parts, axes=1)
         for number, term in self._curve(supported):
+            rows, columns = (part[..., list(term.dofs)] for part in (left, right.swapaxes(-1, -2)))
+            rows, columns = rows * factor(*POWERS[term.matrix]), columns.swapaxes(-1, -2)
+            omega = np.imag(root)
             if acting[number]:
-                dofs = list(term.dofs)
-                part = left[..., dofs] @ term.at(spin) @ right[..., dofs, :] * factor(*POWERS[term.matrix])
+                part = rows @ term.at(spin, omega, values) @ columns
                 whole += slopes[:, number].reshape(-1, *(1,) * part.ndim) * part
+            for at in term.inputs:
+                step = np.zeros(values.size)
+                step[at] = INPUT_STEP * self.errors[at]
+                high, low = (term.at(spin, omega, values + sign * step) for sign in (1, -1))
+                whole[at] += rows @ (weights[number] / (2 * step[at]) * (high - low)) @ columns
         return whole
 
     def response(
@@ -371,7 +398,8 @@ class SystemModel:
         d lambda = -p^H D' v / (p^H (2 lambda M + C + Omega G) v), p the left vector. Equation
         (system-eigenvalue).
         """
-        whole = self.matrices(values, spin, supported)
+        follows = supported and any(term.follows for term in self.terms)
+        whole = self.matrices(values, spin, supported, max(spin, GUESS) if follows else spin)
         kept = np.arange(self.n_dof) if dofs is None else dofs
         mass, damping, restoring = (
             matrix[np.ix_(kept, kept)] for matrix in (whole.mass, whole.at_speed(spin), whole.restoring(spin))
@@ -388,11 +416,73 @@ class SystemModel:
         eigenvalues = roots[chosen]
         shapes = np.zeros((self.n_dof, chosen.size), np.complex128)
         shapes[kept] = vectors[-1][:n, chosen]
+        if follows:
+            return self._following(values, spin, eigenvalues, shapes, slopes)
         if not slopes:
             return Roots(eigenvalues, shapes, np.zeros((chosen.size, 0), np.complex128))
-        adjoint = np.zeros_like(shapes)
-        adjoint[kept] = linalg.lu_solve(inverse, vectors[0][n:, chosen])
-        rows, columns = adjoint.conj().T[:, None, :], shapes.T[:, :, None]
+        left = np.zeros_like(shapes)
+        left[kept] = linalg.lu_solve(inverse, vectors[0][n:, chosen])
+        rows, columns = left.conj().T[:, None, :], shapes.T[:, :, None]
         moved = self.slopes(values, spin, rows, columns, eigenvalues, supported)[:, :, 0, 0]
         middle = 2 * eigenvalues[:, None, None] * whole.mass + whole.at_speed(spin)
         return Roots(eigenvalues, shapes, -(moved / (rows @ middle @ columns)[:, 0, 0]).T)
+
+    def _following(
+        self, values: FloatArray, spin: float, near: ComplexArray, shapes: ComplexArray, slopes: bool
+    ) -> Roots:
+        """Eigenvalues with the coefficients at their own frequencies, from those with coefficients at another
+        (*near*): by inverse iteration of both vectors, the coefficients anew in every step.
+
+        With D(lambda, w) at w = Im lambda, g = p^H dD/dw v and m = p^H dD/dlambda v:
+        m d lambda + g Im d lambda = -p^H D' v.
+        """
+
+        weights, _ = self._weights(values)
+        constant = dict(zip(POWERS, self._constant(weights, True), strict=True))
+
+        def at(root: ComplexArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+            whole = {name: np.repeat(matrix[None], root.size, axis=0) for name, matrix in constant.items()}
+            for number, term in self._curve(True):
+                dofs = np.array(term.dofs)
+                added = weights[number] * term.at(spin, omega, values)
+                whole[term.matrix][:, dofs[:, None], dofs] += added
+            damping = whole["damping"] + spin * whole["gyroscopic"]
+            restoring, each = whole["stiffness"] + spin * whole["circulatory"], root[:, None, None]
+            return each**2 * whole["mass"] + each * damping + restoring, 2 * each * whole["mass"] + damping
+
+        root, right, left = near, shapes.T[:, :, None], shapes.T[:, :, None]
+        for _ in range(ROUNDS):
+            whole, middle = at(root, root.imag)
+            # A little beside the eigenvalue, where the matrix is regular.
+            beside = whole + ALIKE**2 * np.abs(root)[:, None, None] * middle
+            right = np.linalg.solve(beside, middle @ right)
+            left = np.linalg.solve(adjoint(beside), adjoint(middle) @ left)
+            right, left = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (right, left))
+            step = ((adjoint(left) @ whole @ right) / (adjoint(left) @ middle @ right))[:, 0, 0]
+            root = root - step
+            if np.all(np.abs(step) < SETTLED * np.abs(root)):
+                break
+        # Two that began apart may have met, and one may oscillate no more.
+        alike = np.abs(right[:, :, 0].conj() @ right[:, :, 0].T) > 1 - ALIKE
+        alike &= np.abs(root[:, None] - root) < ALIKE * np.abs(root)
+        kept = np.flatnonzero(
+            (root.imag > LEAST_OSCILLATION * np.abs(root)) & ~np.tril(alike, -1).any(axis=1)
+        )
+        kept = kept[np.argsort(np.abs(root[kept]))]
+        root, right, left = root[kept], right[kept], left[kept]
+        if not slopes:
+            return Roots(root, right[:, :, 0].T, np.zeros((root.size, 0), np.complex128))
+        moved = self.slopes(values, spin, adjoint(left), right, root)[:, :, 0, 0]
+        step = FREQUENCY_STEP * root.imag
+        _, middle = at(root, root.imag)
+        change = at(root, root.imag + step)[0] - at(root, root.imag - step)[0]
+        by_root, by_omega = ((adjoint(left) @ each @ right)[:, 0, 0] for each in (middle, change))
+        by_omega = by_omega / (2 * step)
+        straight = -moved / by_root
+        bent = straight - by_omega / by_root * straight.imag / (1 + (by_omega / by_root).imag)
+        return Roots(root, right[:, :, 0].T, bent.T)
+
+
+def adjoint(matrices: ComplexArray) -> ComplexArray:
+    """Conjugate transposes (..., n, m) of matrices (..., m, n) [any unit]."""
+    return matrices.conj().swapaxes(-1, -2)

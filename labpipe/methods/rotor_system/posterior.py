@@ -97,7 +97,8 @@ class _Problem:
 @dataclass(frozen=True)
 class Pull:
     """What a *test* does to the unknowns that the others tell: the one it moves most, by how many standard
-    errors of that move, and chi-square of the whole move with its degrees of freedom.
+    errors of that move, and chi-square of the whole move with its degrees of freedom; *wider* (n_unknown,):
+    the factor by which standard errors are larger without it [1].
     """
 
     test: str
@@ -105,6 +106,7 @@ class Pull:
     z: float
     chi2: float
     dof: int
+    wider: FloatArray
 
 
 @dataclass(frozen=True)
@@ -351,8 +353,27 @@ def pulls(posterior: Posterior) -> list[Pull]:
         parts, vectors = np.linalg.eigh(change / np.outer(scale, scale))
         kept = parts > 0.01
         chi2 = float(np.sum((vectors[:, kept].T @ (shift / scale)) ** 2 / parts[kept]))
-        all_pulls.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), chi2, int(kept.sum())))
+        wider = scale / np.sqrt(np.diag(posterior.covariance))
+        name = model.unknowns[worst].name
+        all_pulls.append(Pull(test.name, name, float(z[worst]), chi2, int(kept.sum()), wider))
     return all_pulls
+
+
+def budget(posterior: Posterior, gradient: FloatArray) -> dict[str, float]:
+    """The share [1] of the variance of a prediction with this *gradient* (n_unknown,) that would go if one
+    unknown, or all small errors of a group, were known: (V g)_s^T V_ss^-1 (V g)_s / g^T V g; largest first.
+
+    Unknowns that the tests tell together have shares in common, so that all of them may exceed 1. Equation
+    (system-budget).
+    """
+    moved = posterior.spread @ gradient
+    whole, shares = float(gradient @ moved), {}
+    names = np.array([unknown.group or unknown.name for unknown in posterior.model.unknowns])
+    for name in dict.fromkeys(names.tolist()):
+        at = np.flatnonzero(names == name)
+        part = np.linalg.lstsq(posterior.spread[np.ix_(at, at)], moved[at])[0]
+        shares[name] = float(moved[at] @ part) / whole if whole else 0.0
+    return dict(sorted(shares.items(), key=lambda pair: -pair[1]))
 
 
 def common_changes(posterior: Posterior) -> dict[str, float]:

@@ -90,6 +90,23 @@ def campbell(posterior: Posterior, speeds: FloatArray) -> Campbell:
     return Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
 
 
+def decrement_gradient(posterior: Posterior, operating: float) -> FloatArray | None:
+    """Derivatives (n_unknown,) [1 over the unknown's unit] of ln of the least decrement at the *operating*
+    speed [Hz]; None where it is not above zero.
+    """
+    model = posterior.model
+    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating)
+    decrement = -2 * np.pi * roots.values.real / roots.values.imag
+    mode = int(np.argmin(decrement))
+    if decrement[mode] <= 0:
+        return None
+    root, slope = (
+        roots.values[mode],
+        np.where(at_speed(model, np.ones(len(model.unknowns))) > 0, roots.slopes[mode], 0),
+    )
+    return np.asarray(slope.real / root.real - slope.imag / root.imag)
+
+
 def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
     """Speed [Hz] at which an eigenvalue's real part becomes positive, from *lowest* [Hz] upwards, and the
     standard error of its logarithm; None where none does within some 800 times that.
@@ -99,7 +116,7 @@ def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
     model, values = posterior.model, at_speed(posterior.model, posterior.values)
 
     def growth(speed: float) -> float:
-        eigenvalues = model.roots(values, 2 * np.pi * speed, slopes=False).values
+        eigenvalues = model.roots(values, 2 * np.pi * speed, 2 * MOST_MODES, slopes=False).values
         return float(np.max(eigenvalues.real)) if eigenvalues.size else -1.0
 
     low = lowest
@@ -113,7 +130,7 @@ def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
     if growth(low) > 0:
         return lowest, 0.0
     speed = float(scipy.optimize.brentq(growth, low, high, rtol=1e-9))
-    roots = model.roots(values, 2 * np.pi * speed)
+    roots = model.roots(values, 2 * np.pi * speed, 2 * MOST_MODES)
     mode = int(np.argmax(roots.values.real))
     step = 1e-4
     rise = (growth(speed * (1 + step)) - growth(speed * (1 - step))) / (2 * step)
@@ -129,10 +146,15 @@ class _Reduced:
     def __init__(self, model: SystemModel, values: FloatArray, forced: Sequence[int], spin: float) -> None:
         whole = model.matrices(values, spin)
         n = model.n_dof
-        # As 1 / w^2, largest first: the stiffness is positive definite, the mass need not be.
-        first = max(0, n - BASIS)
-        _, vectors = linalg.eigh(whole.mass, whole.stiffness, subset_by_index=[first, n - 1])
         carried = sorted({dof for term in model.terms if term.support for dof in term.dofs} | set(forced))
+        # As 1 / w^2, largest first: the mass need not be positive definite. The stiffness of a cross-coupled
+        # bearing or of a magnet's pull need not either; their shapes are those on springs of that size.
+        stiffness: FloatArray = (whole.stiffness + whole.stiffness.T) / 2
+        if linalg.eigvalsh(stiffness, subset_by_index=[0, 0])[0] <= 0:
+            stiffness = model.matrices(values, spin, supported=False).stiffness
+            stiffness[carried, carried] += np.abs(np.diag(whole.stiffness - stiffness))[carried]
+        first = max(0, n - BASIS)
+        _, vectors = linalg.eigh(whole.mass, stiffness, subset_by_index=[first, n - 1])
         static = np.linalg.solve(whole.stiffness, np.eye(model.n_dof)[:, carried])
         basis, size, _ = linalg.svd(
             np.column_stack([vectors, static]) / np.linalg.norm(np.column_stack([vectors, static]), axis=0),
@@ -151,7 +173,7 @@ class _Reduced:
         rows = self.basis[dofs]
         if callable(block):
             curve: Curve = block
-            return lambda spin: rows.T @ curve(spin) @ rows
+            return lambda spin, omega, inputs: rows.T @ curve(spin, omega, inputs) @ rows
         return rows.T @ block @ rows
 
     def amplitudes(

@@ -14,7 +14,7 @@ Row = tuple[float | None, ...]
 class UnknownResult:
     """An unknown: *value* with its standard *error*, and *prior* with *prior_error*, all in *unit*; relative
     errors of a factor are those of its logarithm. told: the share of the prior's error that is left is below
-    .7.
+    .7. by_test: the test without which its error would be largest, by the factor *wider*.
     """
 
     name: str
@@ -25,6 +25,8 @@ class UnknownResult:
     unit: str
     group: str = ""
     told: bool = True
+    by_test: str = ""
+    wider: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -113,13 +115,14 @@ class VibrationResult:
 class InfluenceResult:
     """What the rotor's tests say of the vibration z_0 [m] and the influence alpha [m/(kg m)] of the *planes*
     at every reading: *mean* and *root* of their joint covariance, a row for the real part of each, then for
-    the imaginary part of each; by reading, z_0 before the planes.
+    the imaginary part of each; by reading, z_0 before the planes. widened: factor that the root holds.
     """
 
     planes: tuple[str, ...]
     readings: tuple[str, ...]
     mean: tuple[float, ...]
     root: tuple[tuple[float, ...], ...]
+    widened: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,9 @@ class RotorSystemResult:
     decrement: the least logarithmic decrement there, its standard error, and the probability that it is above
     .1. onset: speed [Hz] of instability and standard error of its logarithm. alternative: what the model was
     replaced by; widened: factor on intervals of predictions. next_tests: standard error of ln decrement
-    there, if that test is made once more.
+    there, if that test is made once more. measured: (speed, natural frequency) [Hz] of tests in the bearings.
+    budget: shares of its variance that would go if one unknown, or all
+    small errors of a group, were known.
     """
 
     rotor: str
@@ -161,6 +166,8 @@ class RotorSystemResult:
     onset: tuple[float, float] | None = None
     balance: BalanceResult | None = None
     next_tests: Mapping[str, float] = field(default_factory=dict)
+    budget: Mapping[str, float] = field(default_factory=dict)
+    measured: tuple[tuple[float, float], ...] = ()
     ln_evidence: float = 0.0
     alternative: str = ""
     widened: float = 1.0

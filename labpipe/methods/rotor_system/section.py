@@ -30,6 +30,8 @@ from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 NAME = "rotor_system"
 RPM = 60.0
 UM = 1e6
+# Share of a variance from which a source is a row of the budget.
+LEAST_SHARE = 0.01
 
 
 def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, str]]:
@@ -190,7 +192,8 @@ def result_blocks(result: RotorSystemResult) -> tuple[Block, ...]:
     blocks: list[Block] = [prediction_table(result)]
     blocks += [Paragraph(line) for line in (*_weights(result), *_next(result))]
     if result.tests:
-        blocks += [unknown_table(result), test_table(result), small_error_table(result)]
+        blocks += [unknown_table(result), budget_table(result), test_table(result)]
+        blocks.append(small_error_table(result))
     blocks.append(campbell_figure(result))
     if result.balance is not None and result.balance.vibration is not None:
         blocks.append(vibration_figure(result.balance.vibration))
@@ -209,6 +212,8 @@ def prediction_table(result: RotorSystemResult) -> Table:
         if critical.amplification is not None and critical.amplification_interval is not None:
             ends = "{:.3g} to {:.3g}".format(*critical.amplification_interval)
             rows.append(("amplification factor there", f"{critical.amplification:.3g}", ends, ""))
+        ends = "{:.3g} to {:.3g}".format(*(UM * end for end in critical.amplitude_interval))
+        rows.append(("amplitude there [um]", f"{UM * critical.amplitude:.3g}", ends, ""))
     least, error, probability = result.decrement
     ends = f"{least - NORMAL * error:.3g} to {least + NORMAL * error:.3g}"
     asked = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %, {decision(probability)}"
@@ -243,14 +248,27 @@ def unknown_table(result: RotorSystemResult) -> Table:
             _text(unknown.value, unknown.error, unknown.unit),
             _text(unknown.prior, unknown.prior_error, unknown.unit),
             number(unknown.error / unknown.prior_error, 2) + ("" if unknown.told else " (no test tells)"),
+            f"{unknown.by_test}, {number(unknown.wider, 2)} times" if unknown.told else "",
         )
         for unknown in result.unknowns
         if not unknown.group
     )
-    header = ("unknown", "all tests", "declared", "error left")
+    header = ("unknown", "all tests", "declared", "error left", "without this test larger by")
     return Table(
         header, rows, "Unknowns with standard uncertainties, and the share of the declared one", (3,)
     )
+
+
+def budget_table(result: RotorSystemResult) -> Table:
+    """What the uncertainty of the least decrement rests on."""
+    rows = tuple(
+        (f"small errors of {name.replace('_', ' ')}" if name in groups else name, number(100 * share, 2))
+        for groups in [{each.name for each in result.small_errors}]
+        for name, share in result.budget.items()
+        if share > LEAST_SHARE
+    )
+    words = "Least log decrement: the share of its variance that would go if one source were known"
+    return Table(("source", "share [%]"), rows, words, (1,))
 
 
 def test_table(result: RotorSystemResult) -> Table:
@@ -332,13 +350,17 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
             if result.criticals:
                 at = [critical.speed for critical in result.criticals]
                 series.append(dots("critical speeds", [RPM * x for x in at], at, 6, marker="o"))
+            if result.measured:
+                turned, seen = zip(*result.measured, strict=True)
+                series.append(dots("measured", [RPM * x for x in turned], seen, 7, marker="s"))
         else:
             series.append(level(LEAST_DECREMENT, -1, "--"))
             axis = Axis(label)
         panels.append(Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating))))
     caption = (
         "Natural frequencies, modes followed through crossings, and logarithmic decrements with 95 % bands; "
-        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed."
+        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed; "
+        "squares: what tests in the bearings measured."
     )
     return Figure(
         stack(panels, 5.6), caption, "Natural frequencies and log decrements over speed, with bands"

@@ -24,7 +24,8 @@ from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
 
 # What `estimate:` frees, with the standard uncertainty that it has then: of the logarithm, of each part of
-# an unbalance [kg m].
+# an unbalance [kg m], of a seal's cross-coupled stiffness as a share of its bearing's direct one; of a film's
+# inputs (`FILM`) relative to them.
 ESTIMATED = {
     "young": 0.02,
     "masses": 0.03,
@@ -32,9 +33,13 @@ ESTIMATED = {
     "stiffness": 0.4,
     "damping": 0.5,
     "pedestals": 0.5,
+    "cross-coupling": 0.1,
+    "clearance": 0.15,
+    "viscosity": 0.2,
     "internal": 0.7,
     "unbalance": 2e-4,
 }
+FILM = ("clearance", "viscosity")
 # Numbers of lists and mappings that may carry an uncertainty: section, key, unit.
 UNCERTAIN = (
     ("materials", "elastic_modulus", "Pa"),
@@ -74,6 +79,7 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     pedestals = _pedestals(entries.get("pedestals"), faults)
     internal = _internal(entries.get("damping"), faults)
     estimated = _estimates(entries.get("estimate"), faults)
+    _free_films(entries.get("bearings"), estimated)
     plain = {key: node for key, node in entries.items() if key not in ("pedestals", "estimate")}
     if "damping" in plain and isinstance(plain["damping"].content, dict):
         rest = {key: node for key, node in plain["damping"].content.items() if key != "internal"}
@@ -153,6 +159,16 @@ def _estimates(node: Marked | None, faults: Faults) -> tuple[str, ...]:
     return tuple(names)
 
 
+def _free_films(node: Marked | None, estimated: tuple[str, ...]) -> None:
+    """What `estimate:` frees of oil films gets its uncertainty in their entries, where it has none."""
+    for entry in _listing(node):
+        for name in FILM:
+            number = entry.content.get(name) if isinstance(entry.content, dict) else None
+            if name in estimated and number is not None and isinstance(number.content, str):
+                text = number.text if is_uncertain(number.text) else f"{number.text} +- {ESTIMATED[name]:.0%}"
+                entry.content[name] = Marked(text, number.where, number.key_where, text)
+
+
 def _relative(number: Uncertain) -> float:
     return number.std_error / abs(number.value) if number.value else 0.0
 
@@ -202,7 +218,9 @@ def _system(
             for n, part in enumerate(rig.unbalances, 1)
         ),
         {
-            place.name: _linear(place, free("stiffness", 0.0), free("damping", 0.0))
+            place.name: _linear(
+                place, *(free(name, 0.0) for name in ("stiffness", "damping", "cross-coupling"))
+            )
             for place in rig.bearings
             if isinstance(_settings_of(place), LinearBearingSettings)
         },
@@ -226,7 +244,9 @@ def _settings_of(place: BearingPlace) -> object:
     return getattr(place.bearing, "settings", None)
 
 
-def _linear(place: BearingPlace, stiffness_error: float, damping_error: float) -> LinearBearing:
+def _linear(
+    place: BearingPlace, stiffness_error: float, damping_error: float, cross_error: float
+) -> LinearBearing:
     """The bearing with the uncertainties of its coefficients, those of `estimate` where it has none."""
     settings = _settings_of(place)
     assert isinstance(settings, LinearBearingSettings)
@@ -235,23 +255,31 @@ def _linear(place: BearingPlace, stiffness_error: float, damping_error: float) -
         for entry in place.uncertainties
     }
 
+    k, c = settings.stiffness, settings.damping
+    bare = not (k[0, 1] or k[1, 0] or {"k_yz", "k_zy"} & stated.keys())
+    skew = settings.k_cross is not None or (cross_error > 0 and bare)
+
     def errors(letter: str, values: FloatArray, default: float) -> FloatArray:
         names = [f"{letter}_{label}" for label in COEFFICIENTS]
         if letter == "k" and settings.k_zz is None:
             names[3] = "k_yy"
+        if letter == "k" and skew:
+            names[1] = names[2] = "k_cross"
         if letter == "c" and settings.c is not None:
             names[0] = names[3] = "c"
-        flat = values.ravel()
+        # A direct coefficient keeps its sign, so that it is the logarithm that is uncertain.
+        sizes = np.abs(values).ravel()
+        units = np.where((sizes > 0) & np.array([True, False, False, True]), sizes, 1.0)
+        usual = sizes * default / units
+        if letter == "k" and skew:
+            usual[1] = usual[2] = cross_error * float(np.mean(np.abs(np.diag(values))))
+        each = zip(names, units, usual, strict=True)
         return np.array(
-            [
-                stated[name] / abs(value) if name in stated and value else (default if value else 0.0)
-                for name, value in zip(names, flat, strict=True)
-            ]
+            [stated[name] / unit if name in stated else error for name, unit, error in each]
         ).reshape(2, 2)
 
-    k, c = settings.stiffness, settings.damping
     return LinearBearing(
-        k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None
+        k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None, skew
     )
 
 

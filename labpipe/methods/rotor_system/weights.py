@@ -94,7 +94,8 @@ def known_influence(built: Built, posterior: Posterior, test: RunUpVectors) -> I
     )
     columns = tuple(tuple(float(value) for value in row) for row in np.array(root).T)
     planes = tuple(f"node {node}" for node in built.planes)
-    return InfluenceResult(planes, readings, tuple(float(value) for value in parts(middle)), columns)
+    values = tuple(float(value) for value in parts(middle))
+    return InfluenceResult(planes, readings, values, columns, posterior.widened)
 
 
 def expected(

@@ -296,3 +296,26 @@ def test_a_grade_and_masses_in_places_are_said(labpipe):
     )  # fmt: skip
     # G m / Omega = 2.5 mm/s x 3 kg / (2 pi 50 /s) = 23.9 g mm.
     assert "within the permissible 23.9 g mm of G 2.5" in ended.out and " g at 330.0 deg" in ended.out
+
+
+def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:
+    """A covariance half as wide again moves the upper end up; the lower one stays that of the model itself,
+    before and after a run. The weights leave nothing on average, so that all is spread: the ratio is 1.5.
+    """
+    rng = np.random.default_rng(8)
+    before, alpha = rig(rng, 4, 2)
+    mean = np.column_stack([before, alpha])
+    root = 0.02 * rng.standard_normal((24, 6))
+    plain = Influence(mean, root @ root.T, modelled=True)
+    wide = Influence(mean, 1.5**2 * plain.joint, modelled=True, narrow=plain)
+    noise = Noise(1e-9, 0.0)
+    weights = best_weights(plain)
+    widened, said = (residual_of(known, weights, noise) for known in (wide, plain))
+    assert widened.interval[0] == said.interval[0] and np.array_equal(widened.low, said.low)
+    assert widened.interval[1] == pytest.approx(1.5 * said.interval[1], rel=0.02)
+    loud = Noise(0.05, 0.01)
+    run = Run("first", weights, mean @ np.concatenate([[1.0], weights]) + 0.1)
+    trimmed, plainly = wide.after(run, loud), plain.after(run, loud)
+    chosen = best_weights(trimmed)
+    assert residual_of(trimmed, chosen, loud).interval[0] <= residual_of(plainly, chosen, loud).interval[0]
+    assert np.array_equal(trimmed.narrow.joint, plainly.joint)

@@ -16,11 +16,12 @@ from labpipe.methods.rotor_system import posterior
 from labpipe.methods.rotor_system.build import PEDESTALS
 from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order
 from labpipe.methods.rotor_system.model import SystemModel, Unknown
-from labpipe.methods.rotor_system.posterior import common_changes, fit_system, normality, pulls, refit
+from labpipe.methods.rotor_system.posterior import budget, common_changes, fit_system, normality, pulls, refit
 from labpipe.methods.rotor_system.predictions import (
     at_speed,
     campbell,
     critical_speeds,
+    decrement_gradient,
     onset,
     unbalance_forces,
 )
@@ -82,6 +83,24 @@ def test_a_test_of_another_rotor_is_named(fitted) -> None:
     worst = max(pulls(other), key=lambda pull: abs(pull.z))
     assert worst.test == "static" and abs(worst.z) > 5
     assert all(abs(pull.z) < 4 for pull in pulls(found))
+
+
+def test_oil_of_another_temperature_is_a_conflict() -> None:
+    """A rotor in oil films by clearance and viscosity: in its interval; a run-up with oil of 60 % of the
+    viscosity pulls against what the shaken rotor says, and enlarges small errors.
+    """
+    of, rng = built(bearings="oil"), np.random.default_rng(5)
+    truth = drawn(of, rng)
+    oil = of.model.number("oil")
+    warm = truth.copy()
+    warm[oil] *= 0.6
+    tests = four_tests(of, truth, rng, 2000.0, 25.0)
+    run = four_tests(of, warm, rng, 2000.0, 25.0)[2]
+    found = fit_system(of.model, tests)
+    assert not found.misfits and not found.enlarged and all(abs(pull.z) < 3 for pull in pulls(found))
+    assert abs(found.values[oil] - truth[oil]) < 3 * found.standard_errors[oil] < of.model.errors[oil] * 3
+    other = fit_system(of.model, [run if test.name == "run" else test for test in tests])
+    assert other.enlarged and max(abs(pull.z) for pull in pulls(other)) > 4
 
 
 def test_a_missing_pedestal_is_the_most_probable_alternative() -> None:
@@ -215,6 +234,28 @@ def test_springs_to_ground_interlace_and_a_negative_one_does_not() -> None:
     assert out_of_order(free, softened, 1, 2, 0) == [(3, 1, True)]
     assert not out_of_order(free, softened, 1, 2, 1)
     assert out_of_order(free, modes(free.frequency[:1] * 1.01), 1, 2, 0) == [(1, 1, False)]
+
+
+def test_a_budget_says_what_goes_if_a_source_were_known(fitted) -> None:
+    """Against the information with the rows and columns of the source left out; each unknown's errors without
+    a test against a fit's information without it.
+    """
+    of, _, found = fitted
+    gradient = decrement_gradient(found, 100.0)
+    shares = budget(found, gradient)
+    information = np.linalg.inv(found.covariance)
+    before = gradient @ found.covariance @ gradient
+    for name in ("inertia", "bearings", "internal damping", "left c"):
+        open_ones = np.array([name not in (u.group, u.name) for u in of.model.unknowns])
+        rest = np.linalg.inv(information[np.ix_(open_ones, open_ones)])
+        after = gradient[open_ones] @ rest @ gradient[open_ones]
+        assert shares[name] == pytest.approx(1 - after / before, abs=1e-5)
+    assert list(shares.values()) == sorted(shares.values(), reverse=True)
+    without = fit_system(of.model, [t for t in found.tests if t.name != "shaker"], estimate_sizes=False)
+    (pull,) = [pull for pull in pulls(found) if pull.test == "shaker"]
+    at = of.model.number("left k_yy")
+    assert pull.wider[at] == pytest.approx(without.standard_errors[at] / found.standard_errors[at], rel=0.3)
+    assert np.all(pull.wider > 1 - 1e-6)
 
 
 def test_a_common_change_of_bearings_is_told_or_is_not(fitted) -> None:

@@ -66,10 +66,15 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
     page = (folder / "out/report.html").read_text()
     for words in (
         "What follows for the rotor",
+        "the share of its variance that would go if one source were known",
+        "small errors of bearings",
+        "without this test larger by",
         "least log decrement",
         "no test tells" if "no test tells" in page else "declared",
     ):
         assert words in page
+    assert found.sections["rotor_system"].measured == tuple((0.0, f) for f in (44, 60, 80, 95, 105))
+    assert "squares: what tests in the bearings measured" in page and "amplitude there [um]" in page
     frame = found.to_frame()
     assert {"young", "least_decrement", "onset"} <= set(frame[frame.fit == "rotor_system"].parameter)
 
@@ -210,3 +215,31 @@ def test_a_rotor_as_declared_has_wide_intervals(tmp_path: Path, labpipe) -> None
     assert ended.code == 0 and "as declared" in ended.out
     low, high = json.loads(path.read_text())["criticals"][0]["speed_interval"]
     assert 60 * (high - low) > 300
+
+
+def test_a_rotor_in_oil_films_by_theory(tmp_path: Path, labpipe) -> None:
+    """Its critical speed and the onset of whirl, have intervals by
+    clearance and viscosity; stiffness is not symmetric there.
+    """
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
+    oil = {"kind": "journal-bearing", "diameter": "40 mm", "length": "20 mm", "clearance": "60 um"}
+    whole["bearings"] = [
+        oil | {"name": "left", "node": 2, "viscosity": "20 mPa.s"},
+        oil | {"name": "right", "node": 12, "viscosity": "20 mPa.s"},
+    ]
+    del whole["pedestals"]
+    whole["estimate"] = ["clearance", "viscosity"]
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
+    path = tmp_path / "declared.json"
+    ended = labpipe("rotor", tmp_path / "rotor.yaml", "--json", path, "--speeds", "20-80 Hz")
+    assert ended.code == 0
+    said = json.loads(path.read_text())
+    unknowns = {unknown["name"]: unknown for unknown in said["unknowns"]}
+    assert unknowns["left clearance"]["unit"] == "m" and unknowns["left clearance"]["error"] == pytest.approx(
+        9e-6
+    )
+    speed, error = said["onset"]
+    critical = said["criticals"][0]["speed"]
+    assert critical < speed < 2.2 * critical and 0.001 < error < 0.2
+    low, high = said["criticals"][0]["speed_interval"]
+    assert low < critical < high

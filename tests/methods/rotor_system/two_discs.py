@@ -4,9 +4,12 @@ damping, with its true values. Nodes of the calculation count from 0, its x and 
 
 from __future__ import annotations
 
+import tempfile
 from functools import cache
+from pathlib import Path
 
 import numpy as np
+import yaml
 
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.shaft import Disc, Material, Rotor, ShaftElement
@@ -26,6 +29,9 @@ from labpipe.methods.rotor_system.evidence import (
     RunUpVectors,
     run_up_whitener,
 )
+from labpipe.methods.rotor_system.system_file import load_system
+
+ROTOR = Path(__file__).parents[3] / "configs/rotors/two-discs.yaml"
 
 STEEL = Material(7850.0, 2.1e11, 2.1e11 / 2.6, 0.3)
 PROBES = ("2 y", "2 z", "10 y", "10 z")
@@ -53,7 +59,7 @@ def system(pedestals: bool = True) -> RotorSystem:
         BearingPlace(name, node, None, "linear-bearing") for name, node in (("left", 2), ("right", 12))
     )  # type: ignore[arg-type]
     linear = {
-        name: LinearBearing(np.diag(k), 12000.0 * np.eye(2), np.full((2, 2), 0.4), np.full((2, 2), 0.5), True)
+        name: LinearBearing(np.diag(k), 12000.0 * np.eye(2), 0.4 * np.eye(2), 0.5 * np.eye(2), True)
         for name, k in (("left", (8e6, 1.2e7)), ("right", (9e6, 1.5e7)))
     }
     return RotorSystem(
@@ -68,12 +74,48 @@ def system(pedestals: bool = True) -> RotorSystem:
     )
 
 
+# The same rotor on other bearings, as its file says it: oil of one can and clearances hardly known; a seal
+# between the discs that may drive whirl or not; magnets whose pull and force per current are hardly known.
+OIL = """{{kind: journal-bearing, name: {}, node: {}, diameter: 40 mm, length: 20 mm,
+  clearance: 60 um +- 15 %, viscosity: 0.02 Pa.s +- 20 % (source=oil)}}"""
+MAGNET = """{{kind: magnetic-bearing, name: {}, node: {}, mass: 17 kg,
+  negative_stiffness: 2.5 MN/m +- 10 %, force_per_current: 200 N/A +- 5 %,
+  loop: {{controller: [{{form: pid, proportional: 30000, derivative: 60 s, derivative_time: 0.2 ms}}],
+    sensor: 1 V/m, amplifier: 1 A/V, bandwidth: 1.8 kHz, delay: 100 us}}}}"""
+SEAL = """{{kind: linear-bearing, name: {}, node: {}, k_yy: 1 MN/m +- 30 %, c: 2 kN.s/m +- 30 %,
+  k_cross: 0.5 MN/m +- 0.5 MN/m}}"""
+VARIANTS = {"oil": OIL, "magnets": MAGNET, "seal": SEAL}
+
+
+@cache
+def variant(name: str) -> RotorSystem:
+    """The rotor on the bearings of that name."""
+    file = yaml.safe_load(ROTOR.read_text())
+    if name == "seal":
+        file["bearings"].append(yaml.safe_load(SEAL.format("seal", 7)))
+    else:
+        places = (("left", 2), ("right", 12))
+        file["bearings"] = [yaml.safe_load(VARIANTS[name].format(*place)) for place in places]
+        del file["pedestals"]
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "rotor.yaml"
+        path.write_text(yaml.safe_dump(file))
+        return load_system(path)
+
+
 @cache
 def built(
-    pedestals: bool = True, alternative: str = "", sensors: bool = True, together: float = 0.0
+    pedestals: bool = True,
+    alternative: str = "",
+    sensors: bool = True,
+    together: float = 0.0,
+    bearings: str = "",
 ) -> Built:
     run = {"run": Sensors(PROBES, 0.02, True, True)} if sensors else {}
-    return build(system(pedestals), SmallErrors(together=together), run, alternative)
+    if bearings:
+        run["shaker at speed"] = Sensors((), 0.0, True)
+    rotor = variant(bearings) if bearings else system(pedestals)
+    return build(rotor, SmallErrors(together=together), run, alternative)
 
 
 def true_values(of: Built) -> np.ndarray:
@@ -101,8 +143,12 @@ def run_up(of: Built, rpm: np.ndarray, measured: np.ndarray | None = None) -> Ru
     )
 
 
-def four_tests(of: Built, values: np.ndarray, rng: np.random.Generator | None, top: float = 2300.0) -> list:
-    """The four tests of a rotor with these *values*, with noise of *rng*, none without."""
+def four_tests(
+    of: Built, values: np.ndarray, rng: np.random.Generator | None, top: float = 2300.0, turning: float = 0.0
+) -> list:
+    """The four tests of a rotor with these *values*, with noise of *rng*, none without. *turning* [Hz]: it
+    does while it is shaken, and it is not bent, since there is no oil film at rest.
+    """
 
     def noise(shape: tuple[int, ...]) -> np.ndarray:
         return np.zeros(shape) if rng is None else rng.standard_normal(shape)
@@ -117,36 +163,40 @@ def four_tests(of: Built, values: np.ndarray, rng: np.random.Generator | None, t
     outputs = tuple(dof(f"{node} {axis}") for axis in "yz" for node in (2, 4, 9))
     shape = (omega.size, 6, 2)
     cross = np.kron(np.eye(2), np.ones((3, 1)))
+    name, spin = ("shaker at speed", 2 * np.pi * turning) if turning else ("shaker", 0.0)
     shaker = Responses(
-        "shaker",
+        name,
         omega,
         outputs,
         (dof("2 y"), dof("2 z")),
         np.zeros(shape, complex),
         np.ones(shape),
         derivative=2,
+        spin=spin,
     )
     true, _ = shaker.predicted(model, values)
     error = np.where(cross > 0, 0.01 * np.abs(true) + 0.0005, np.nan)
     shaker = Responses(
-        "shaker", omega, outputs, shaker.inputs,
-        true + np.nan_to_num(error) * (noise(shape) + 1j * noise(shape)), error, derivative=2,
+        name, omega, outputs, shaker.inputs,
+        true + np.nan_to_num(error) * (noise(shape) + 1j * noise(shape)), error, derivative=2, spin=spin,
     )  # fmt: skip
     run = run_up(of, np.linspace(700.0, top, 17))
     vectors, _, _ = run.readings(model, values)
     slow = 3e-7 * (noise((4,)) + 1j * noise((4,)))
     scatter = 1.5e-7 * (noise(vectors.shape) + 1j * noise(vectors.shape))
     run = run_up(of, np.linspace(700.0, top, 17), vectors + scatter + slow)
-    places = (dof("4 z"), dof("9 z"))
     stands = np.where(model.acting("static"), values, 0.0)
+    places = () if turning else (dof("4 z"), dof("9 z"))
     forces = np.eye(model.n_dof)[:, list(places)]
-    deflection = model.response(stands, np.zeros(1), np.zeros(1), forces, places)[0][0].real
+    deflection = (
+        np.zeros((0, 0))
+        if turning
+        else model.response(stands, np.zeros(1), np.zeros(1), forces, places)[0][0].real
+    )
     spread = 0.015 * np.abs(deflection)
-    mass = mass_of(of, stands)
-    static = Deflections(
-        "static", places, places, deflection + spread * noise((2, 2)), spread,
-        float(np.log(mass) + 0.002 * noise((1,))[0]), 0.002,
-    )  # fmt: skip
+    deflection = deflection + spread * noise(deflection.shape)
+    mass = float(np.log(mass_of(of, stands)) + 0.002 * noise((1,))[0])
+    static = Deflections("static", places, places, deflection, spread, mass, 0.002)
     return [free, shaker, run, static]
 
 
