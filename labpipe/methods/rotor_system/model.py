@@ -33,8 +33,8 @@ INPUT_STEP, FREQUENCY_STEP = 1e-3, 1e-4
 ROUNDS, SETTLED = 30, 1e-10
 # Two eigenvalues, and two shapes, nearer than this are one and the same.
 ALIKE = 1e-6
-# At least this frequency [rad/s] where a controlled bearing is first asked at rest.
-GUESS = 100.0
+# Middles of the bands of frequencies [rad/s] in each of which a controlled bearing is first constant.
+MIDDLES = np.geomspace(30.0, 3e4, 9)
 
 
 @dataclass(frozen=True)
@@ -391,15 +391,18 @@ class SystemModel:
         dofs: IntArray | None = None,
         supported: bool = True,
         slopes: bool = True,
+        omega: float | None = None,
     ) -> Roots:
         """Eigenvalues of lambda^2 M + lambda (C + Omega G) + K + Omega H, the slowest *most* or all;
-        *dofs* (n_kept,): of these alone, the others held. At *values* (n_unknown,) [unit of each].
+        *dofs* (n_kept,): of these alone, the others held. At *values* (n_unknown,) [unit of each]; controlled
+        bearings at the frequency of each mode, or at *omega* [rad/s].
 
         d lambda = -p^H D' v / (p^H (2 lambda M + C + Omega G) v), p the left vector. Equation
         (system-eigenvalue).
         """
-        follows = supported and any(term.follows for term in self.terms)
-        whole = self.matrices(values, spin, supported, max(spin, GUESS) if follows else spin)
+        if omega is None and supported and any(term.follows for term in self.terms):
+            return self._following(values, spin, most, slopes)
+        whole = self.matrices(values, spin, supported, omega)
         kept = np.arange(self.n_dof) if dofs is None else dofs
         mass, damping, restoring = (
             matrix[np.ix_(kept, kept)] for matrix in (whole.mass, whole.at_speed(spin), whole.restoring(spin))
@@ -416,8 +419,6 @@ class SystemModel:
         eigenvalues = roots[chosen]
         shapes = np.zeros((self.n_dof, chosen.size), np.complex128)
         shapes[kept] = vectors[-1][:n, chosen]
-        if follows:
-            return self._following(values, spin, eigenvalues, shapes, slopes)
         if not slopes:
             return Roots(eigenvalues, shapes, np.zeros((chosen.size, 0), np.complex128))
         left = np.zeros_like(shapes)
@@ -427,11 +428,10 @@ class SystemModel:
         middle = 2 * eigenvalues[:, None, None] * whole.mass + whole.at_speed(spin)
         return Roots(eigenvalues, shapes, -(moved / (rows @ middle @ columns)[:, 0, 0]).T)
 
-    def _following(
-        self, values: FloatArray, spin: float, near: ComplexArray, shapes: ComplexArray, slopes: bool
-    ) -> Roots:
-        """Eigenvalues with the coefficients at their own frequencies, from those with coefficients at another
-        (*near*): by inverse iteration of both vectors, the coefficients anew in every step.
+    def _following(self, values: FloatArray, spin: float, most: int, slopes: bool) -> Roots:
+        """Eigenvalues with the coefficients at their own frequencies, from those in bands of frequencies with
+        the coefficients at the middle of each: by inverse iteration of both vectors, the coefficients anew in
+        every step.
 
         With D(lambda, w) at w = Im lambda, g = p^H dD/dw v and m = p^H dD/dlambda v:
         m d lambda + g Im d lambda = -p^H D' v.
@@ -450,7 +450,13 @@ class SystemModel:
             restoring, each = whole["stiffness"] + spin * whole["circulatory"], root[:, None, None]
             return each**2 * whole["mass"] + each * damping + restoring, 2 * each * whole["mass"] + damping
 
-        root, right, left = near, shapes.T[:, :, None], shapes.T[:, :, None]
+        each = [self.roots(values, spin, slopes=False, omega=float(middle)) for middle in MIDDLES]
+        edges = np.sqrt(MIDDLES[1:] * MIDDLES[:-1])
+        inside = [np.searchsorted(edges, np.abs(one.values)) == band for band, one in enumerate(each)]
+        root = np.concatenate([one.values[kept] for one, kept in zip(each, inside, strict=True)])
+        shapes = np.concatenate([one.shapes[:, kept].T for one, kept in zip(each, inside, strict=True)])
+        first = np.argsort(np.abs(root))[: most or None]
+        root, right, left = root[first], shapes[first, :, None], shapes[first, :, None]
         for _ in range(ROUNDS):
             whole, middle = at(root, root.imag)
             # A little beside the eigenvalue, where the matrix is regular.

@@ -80,8 +80,8 @@ OIL = """{{kind: journal-bearing, name: {}, node: {}, diameter: 40 mm, length: 2
   clearance: 60 um +- 15 %, viscosity: 0.02 Pa.s +- 20 % (source=oil)}}"""
 MAGNET = """{{kind: magnetic-bearing, name: {}, node: {}, mass: 17 kg,
   negative_stiffness: 2.5 MN/m +- 10 %, force_per_current: 200 N/A +- 5 %,
-  loop: {{controller: [{{form: pid, proportional: 30000, derivative: 60 s, derivative_time: 0.2 ms}}],
-    sensor: 1 V/m, amplifier: 1 A/V, bandwidth: 1.8 kHz, delay: 100 us}}}}"""
+  loop: {{controller: [{{form: pid, proportional: 30000, derivative: 60 s, derivative_time: 0.1 ms}}],
+    sensor: 1 V/m, amplifier: 1 A/V, bandwidth: 3 kHz, delay: 50 us}}}}"""
 SEAL = """{{kind: linear-bearing, name: {}, node: {}, k_yy: 1 MN/m +- 30 %, c: 2 kN.s/m +- 30 %,
   k_cross: 0.5 MN/m +- 0.5 MN/m}}"""
 VARIANTS = {"oil": OIL, "magnets": MAGNET, "seal": SEAL}
