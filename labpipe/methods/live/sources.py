@@ -13,7 +13,6 @@ import select
 import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -23,6 +22,7 @@ import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
+from labpipe.raw_files import mdf_table, tdms_table
 from labpipe.raw_files.other_tables import wav_chunks
 from labpipe.raw_files.table import check_columns, check_names, open_table
 from labpipe.raw_files.text_table import CsvTable, plain_suffix
@@ -134,8 +134,8 @@ class GrowingText(_Growing):
 class GrowingTdms(_Growing):
     """A TDMS file that is opened anew each time, segment by segment while it is written."""
 
-    kind, _begins = "tdms", False
-    _done = _seen = 0
+    _rows = staticmethod(tdms_table.growing_rows)
+    _begins, _done, _seen = False, 0, 0
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
@@ -145,20 +145,19 @@ class GrowingTdms(_Growing):
         if size < self._seen:
             # The logger began the file anew.
             self._done, self._seen, self._begins = 0, 0, True
-        growing_rows = import_module(f"labpipe.raw_files.{self.kind}_table").growing_rows
-        rows, self.sample_rate = growing_rows(self.path, self.columns, self._done, MOST_ROWS)
+        rows, self.sample_rate = self._rows(self.path, self.columns, self._done, MOST_ROWS)
         self._done += rows.shape[0]
         self.restarted = self._begins and rows.shape[0] > 0
         self._begins &= not self.restarted
         if 0 < rows.shape[0] < MOST_ROWS:
             self._seen = size
-        return np.asarray(rows)
+        return rows
 
 
 class GrowingMdf(GrowingTdms):
     """An MDF file of version 4.10 or later that is opened anew each time, sample by sample."""
 
-    kind = "mdf"
+    _rows = staticmethod(mdf_table.growing_rows)
 
 
 # Samples of a WAV file by the code and bits that its head states; the code of heads with a longer one.
@@ -252,8 +251,9 @@ class Folder:
         if chunk is not None:
             return chunk
         for path in sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]:
-            is_whole = path.is_file() and path.stat().st_size and is_old(path, self._settle)
-            if not is_whole or path in self.files or path.name.startswith("."):
+            if path in self.files or path.name.startswith(".") or not is_old(path, self._settle):
+                continue
+            if not path.is_file() or not path.stat().st_size:
                 continue
             try:
                 table = open_table(path)
@@ -411,4 +411,7 @@ class Played:
 
 def is_old(path: Path, seconds: float) -> bool:
     """Whether a file has not changed for so long that nobody writes to it."""
-    return path.exists() and time.time() - path.stat().st_mtime > seconds
+    try:
+        return time.time() - path.stat().st_mtime > seconds
+    except FileNotFoundError:
+        return False
