@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.estimation.residual import jackknifed
 
 
 @dataclass(frozen=True)
@@ -268,9 +269,7 @@ class _State:
         psi, inverse = self._shapes()
         of_shapes = _shape_columns(self.participation)
         weight = 1 / self.variance[:, :, None, None]
-        by_theta = _theta_columns(self.participation, psi)
-        if self.real:
-            by_theta[..., 2 * self.n_mode + 1 :: 2] = 0.0
+        by_theta = self.theta_columns(psi)
         gram, k, n = self.sums.gram, 2 * self.n_mode, by_theta.shape[-1]
         weighted = weight * np.matmul(gram, by_theta)
         d = by_theta.reshape(-1, n).T @ weighted.reshape(-1, n)
@@ -279,6 +278,13 @@ class _State:
         gradient = by_theta.reshape(-1, n).T @ (weight[..., 0] * residual).ravel()
         eliminated = inverse @ b
         return d - b.reshape(-1, n).T @ eliminated.reshape(-1, n), gradient, inverse, eliminated, psi
+
+    def theta_columns(self, psi: ComplexArray) -> FloatArray:
+        """As _theta_columns; real modes have a real participation."""
+        columns = _theta_columns(self.participation, psi)
+        if self.real:
+            columns[..., 2 * self.n_mode + 1 :: 2] = 0.0
+        return columns
 
     def result(self, converged: bool, steps: int) -> Refined:
         normal, _, inverse, eliminated, psi = self._schur()
@@ -298,6 +304,46 @@ def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexAr
     return np.asarray(
         terms.remainder
         - np.einsum("lf,oif->loi", pairs, _coefficients(refined.participation, refined.shapes))
+    )
+
+
+def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+    """The refined modes with covariances from the scatter of every line by itself, as line_scatter gives it
+    where every output is a cluster: sum over lines of g_l g_l^T, g_l = sum over outputs of N^-1 J_l^T (1 -
+    H_ll)^-1 r_l, J without what the terms and, of the poles, the shapes follow.
+
+    What one output takes from the residuals of the others, by the poles alone, does not count. *real*: as in
+    refine.
+    """
+    lines, n_line = terms.lines, terms.lines.omega.size
+    state = _State.at(lines, terms, refined.poles, refined.participation, real)
+    state = replace(state, variance=refined.noise)
+    normal, _, inverse, eliminated, psi = state._schur()
+    inverse_normal = _pseudo_inverse(normal)
+    functions, residual = terms.without(_functions(lines, refined.poles)), remaining(lines, terms, refined)
+    of_shapes, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
+    by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
+    shares, own_shares = np.zeros((n_line, normal.shape[0])), []
+    for output, root in enumerate(np.sqrt(refined.noise)):
+        own, slopes, rest = (
+            np.concatenate([columns.real, columns.imag], axis=1)
+            for columns in (
+                np.einsum("lf,ifn->lin", functions[:, : 2 * psi.shape[1]], of_shapes / root[:, None, None]),
+                np.einsum("lf,ifn->lin", functions, by_theta[output] / root[:, None, None]),
+                (residual[:, output] / root)[:, :, None],
+            )
+        )
+        slopes = slopes - own @ eliminated[output]
+        taken = own @ inverse[output] @ own.swapaxes(1, 2) + slopes @ inverse_normal @ slopes.swapaxes(1, 2)
+        scatter = jackknifed(taken + by_terms * np.eye(rest.shape[1]), rest)
+        shares += (slopes.swapaxes(1, 2) @ scatter)[:, :, 0] @ inverse_normal
+        own_shares.append((own.swapaxes(1, 2) @ scatter)[:, :, 0] @ inverse[output])
+    of_outputs = [own - shares @ elim.T for own, elim in zip(own_shares, eliminated, strict=True)]
+    return replace(
+        refined,
+        covariance=shares.T @ shares,
+        crossed=np.array([of.T @ shares for of in of_outputs]),
+        shape_covariance=np.array([of.T @ of for of in of_outputs]),
     )
 
 
