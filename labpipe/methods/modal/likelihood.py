@@ -309,22 +309,25 @@ def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexAr
 
 def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
     """The refined modes with covariances from the scatter of every line by itself, as line_scatter gives it
-    where every output is a cluster: sum over lines of g_l g_l^T, g_l = sum over outputs of N^-1 J_l^T (1 -
-    H_ll)^-1 r_l, J without what the terms and, of the poles, the shapes follow.
+    for all parameters at once, with terms and shapes eliminated output by output.
 
-    What one output takes from the residuals of the others, by the poles alone, does not count. *real*: as in
-    refine.
+    With S_o the slopes by poles and participation less what the shapes follow, r_o the residual, both after
+    (I - H_o)^-1 of terms and shapes: shares x = (N - sum_o S_o^T S_o)^-1 sum_o S_o^T r_o of a line in poles
+    and participation. *real*: as in refine.
     """
     lines, n_line = terms.lines, terms.lines.omega.size
     state = _State.at(lines, terms, refined.poles, refined.participation, real)
     state = replace(state, variance=refined.noise)
     normal, _, inverse, eliminated, psi = state._schur()
-    inverse_normal = _pseudo_inverse(normal)
     functions, residual = terms.without(_functions(lines, refined.poles)), remaining(lines, terms, refined)
     of_shapes, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
     by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
-    shares, own_shares = np.zeros((n_line, normal.shape[0])), []
-    for output, root in enumerate(np.sqrt(refined.noise)):
+
+    def of_output(output: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Columns of the shapes and of poles and participation, (n_line, 2 n_input, n), and the last ones and
+        the residual without what the line takes from its own by terms and shapes.
+        """
+        root = np.sqrt(refined.noise[output])
         own, slopes, rest = (
             np.concatenate([columns.real, columns.imag], axis=1)
             for columns in (
@@ -334,15 +337,28 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
             )
         )
         slopes = slopes - own @ eliminated[output]
-        taken = own @ inverse[output] @ own.swapaxes(1, 2) + slopes @ inverse_normal @ slopes.swapaxes(1, 2)
-        scatter = jackknifed(taken + by_terms * np.eye(rest.shape[1]), rest)
-        shares += (slopes.swapaxes(1, 2) @ scatter)[:, :, 0] @ inverse_normal
-        own_shares.append((own.swapaxes(1, 2) @ scatter)[:, :, 0] @ inverse[output])
-    of_outputs = [own - shares @ elim.T for own, elim in zip(own_shares, eliminated, strict=True)]
+        taken = own @ inverse[output] @ own.swapaxes(1, 2) + by_terms * np.eye(rest.shape[1])
+        return own, slopes, jackknifed(taken, np.concatenate([slopes, rest], axis=2))
+
+    products = np.zeros((n_line, normal.shape[0], normal.shape[0] + 1))
+    for output in range(len(psi)):
+        _, slopes, scatter = of_output(output)
+        products += slopes.swapaxes(1, 2) @ scatter
+    # Real modes have no slopes by imaginary parts.
+    whole = normal + np.diag(np.where(np.diag(normal) > 0, 0.0, 1.0))
+    shares = np.linalg.solve(whole - products[:, :, :-1], products[:, :, -1:])
+    of_outputs = []
+    for output in range(len(psi)):
+        own, _, scatter = of_output(output)
+        rest = scatter[:, :, -1:] + scatter[:, :, :-1] @ shares
+        of_outputs.append(
+            (own.swapaxes(1, 2) @ rest)[:, :, 0] @ inverse[output] - shares[:, :, 0] @ eliminated[output].T
+        )
+    of_poles = shares[:, :, 0]
     return replace(
         refined,
-        covariance=shares.T @ shares,
-        crossed=np.array([of.T @ shares for of in of_outputs]),
+        covariance=of_poles.T @ of_poles,
+        crossed=np.array([of.T @ of_poles for of in of_outputs]),
         shape_covariance=np.array([of.T @ of for of in of_outputs]),
     )
 
