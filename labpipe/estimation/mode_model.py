@@ -42,10 +42,15 @@ class Curve:
     values: ComplexArray
     std: FloatArray
 
-    @property
+    @cached_property
     def s(self) -> ComplexArray:
         """j omega (n_line,) [rad/s]."""
         return 2j * np.pi * self.frequency
+
+    @cached_property
+    def both(self) -> ComplexArray:
+        """j omega, then -j omega (2 n_line,) [rad/s]."""
+        return np.concatenate([self.s, self.s.conj()])
 
     @property
     def width(self) -> float:
@@ -110,6 +115,11 @@ class ModeModel:
             else np.zeros((f.size, 0), complex)
         )
 
+    @cached_property
+    def real_terms(self) -> ComplexArray:
+        """Columns (n_line, 2 n_term) [1] by the real and the imaginary part of their factors."""
+        return np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
+
     def frequency_and_damping(self, q: FloatArray) -> tuple[float, float]:
         """f_n [Hz] and zeta [1] at *q* (n,) [1]."""
         rows = self.to_resonance @ q[: self.n_interest] + self.offset
@@ -149,66 +159,72 @@ class ModeModel:
         """
         nodes, weights = NODES.get(self.law, (np.zeros(1), np.ones(1)))
         moved = bool(self.law)
-        x = (np.exp(q[self.n_interest]) * nodes if moved else nodes)[:, None]
-        value, *slopes = (self._coefficients_at if self.coefficients else self._pole_at)(q, s, x)
+        x = np.exp(q[self.n_interest]) * nodes if moved else nodes
+        value, *slopes = (self._coefficients_at if self.coefficients else self._pole_at)(q, s, x, weights)
         columns = np.zeros((s.size, self.n_shape), np.complex128)
         by = [*range(self.n_interest), *([self.n_interest] if moved else [])]
         for column, slope in zip(by, slopes, strict=False):
-            columns[:, column] = weights @ slope
-        return weights @ value, columns
+            columns[:, column] = slope
+        return value, columns
 
-    def _pole_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
-        """1 / (s - lambda) moved by *x* (n_node, 1), its derivatives by ln f_n and ln zeta, and by ln x, each
-        (n_node, n_line).
+    def _pole_at(
+        self, q: FloatArray, s: ComplexArray, x: FloatArray, weights: FloatArray
+    ) -> tuple[ComplexArray, ...]:
+        """1 / (s - lambda) moved by *x* (n_node,), its derivatives by ln f_n and ln zeta, and by ln x, each
+        (n_line,): sums over the nodes with their *weights* (n_node,) [1].
         """
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
         if self.law == "L":
             root = np.sqrt(max(1 - zeta**2, 1e-12))
             pole, by_zeta = w * (-zeta + 1j * (root + x)), -w * zeta * (1 + 1j * zeta / root)
-            value = 1 / (s - pole)
-            square = value**2
-            return value, square * pole, square * by_zeta, square * (1j * w * x)
+            value = 1 / (s - pole[:, None])
+            weighted = np.stack([pole * weights, by_zeta * weights, 1j * w * x * weights])
+            return weights @ value, *(weighted @ value**2)
         roots = np.sqrt(np.maximum((1 + x) ** 2 - zeta**2, 1e-12))
         pole, by_zeta = w * (-zeta + 1j * roots), -w * zeta * (1 + 1j * zeta / roots)
-        value = 1 / ((1 + x) * (s - pole))
-        square = value / (s - pole)
-        by_motion = square * (1j * w * (1 + x) * x / roots) - x / (1 + x) * value
-        return value, square * pole, square * by_zeta, by_motion
+        value = 1 / (s - pole[:, None])
+        share = weights / (1 + x)
+        weighted = np.stack([pole * share, by_zeta * share, 1j * w * (1 + x) * x / roots * share])
+        by_frequency, by_damping, by_motion = weighted @ value**2
+        return share @ value, by_frequency, by_damping, by_motion - (share * x / (1 + x)) @ value
 
-    def _coefficients_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
-        """1 / (k + c s + m s^2) moved by *x* (n_node, 1), its derivatives by ln k, ln c (and ln m), and by
-        ln x, each (n_node, n_line).
+    def _coefficients_at(
+        self, q: FloatArray, s: ComplexArray, x: FloatArray, weights: FloatArray
+    ) -> tuple[ComplexArray, ...]:
+        """1 / (k + c s + m s^2) moved by *x* (n_node,), its derivatives by ln k, ln c (and ln m), and by ln
+        x, each (n_line,): sums over the nodes with their *weights* (n_node,) [1].
         """
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
         if self.law == "L":
             w = np.sqrt(k / m)
-            s = s - 1j * w * x
-            value = 1 / (k + c * s + m * s**2)
+            moved = s - 1j * w * x[:, None]
+            value = 1 / (k + moved * (c + m * moved))
             square = -(value**2)
-            by_motion = square * (c + 2 * m * s) * (-1j * w * x)
-            by_shape = [square * k + by_motion / 2, square * c * s, square * m * s**2 - by_motion / 2]
+            by_motion = weights @ (square * (c + 2 * m * moved) * (-1j * w * x[:, None]))
+            first, second = (weights @ (square := square * moved) for _ in range(2))
+            plain = -(weights @ value**2)
+            by_shape = [plain * k + by_motion / 2, c * first, m * second - by_motion / 2]
         else:
             stiffness = k * (1 + x) ** 2
-            value = 1 / (stiffness + c * s + m * s**2)
-            square = -(value**2)
-            by_motion = square * 2 * k * (1 + x) * x
-            by_shape = [square * stiffness, square * c * s, square * m * s**2]
-        return value, *by_shape[: self.n_interest], by_motion
+            value = 1 / (stiffness[:, None] + s * (c + m * s))
+            sums = np.stack([weights, stiffness * weights, 2 * k * (1 + x) * x * weights]) @ -(value**2)
+            by_motion = sums[2]
+            by_shape = [sums[1], c * s * sums[0], m * s**2 * sums[0]]
+        return weights @ value, *by_shape[: self.n_interest], by_motion
 
     def _with_conjugate(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """a, da/dq, b, db/dq of A a + A^* b: the pole, and its conjugate, which is that of -s."""
-        s = self.curve.s
-        value, slopes = self.resonance(q, s)
-        other, other_slopes = self.resonance(q, s.conj())
-        return value, slopes, other.conj(), other_slopes.conj()
+        n = self.curve.frequency.size
+        value, slopes = self.resonance(q, self.curve.both)
+        return value[:n], slopes[:n], value[n:].conj(), slopes[n:].conj()
 
     def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """h (n_line,) [any unit], its derivatives (n_line, n) by *theta* (n,), and the resonance of the upper
         pole alone (n_line,).
         """
         q, amplitudes = theta[: self.n_shape], theta[self.n_shape :: 2] + 1j * theta[self.n_shape + 1 :: 2]
-        terms = np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
+        terms = self.real_terms
         if self.coefficients:
             value, slopes = self.resonance(q, self.curve.s)
             main, columns = value, [terms]
@@ -289,6 +305,11 @@ class Fitted:
     chi2: float
     occam: float = 0.0
 
+    @cached_property
+    def at_minimum(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """The model there, as its `at`."""
+        return self.model.at(self.theta)
+
     @property
     def dof(self) -> int:
         """2 lines - parameters."""
@@ -297,7 +318,7 @@ class Fitted:
     @property
     def covariance(self) -> FloatArray:
         """Of noise alone, of what the model keeps, (n_kept, n_kept) [1]: (2 Re J^H S^-2 J)^-1."""
-        rows = _real(self.model.at(self.theta)[1], self.model.curve.std)
+        rows = _real(self.at_minimum[1], self.model.curve.std)
         scale = np.linalg.norm(rows, axis=0)
         inverse = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
         return np.asarray(inverse[np.ix_(self.model.kept, self.model.kept)])
@@ -378,7 +399,7 @@ def second_mode(base: Fitted) -> Fitted | None:
     model, n = replace(base.model, member=SECOND + base.model.law), base.model.n_shape
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
-    value, jacobian, _ = base.model.at(base.theta)
+    value, jacobian, _ = base.at_minimum
     rows, side = (
         _real(jacobian, base.model.curve.std),
         _real(base.model.curve.values - value, base.model.curve.std),
