@@ -114,7 +114,7 @@ def course(base: Fitted, kind: str, length: float) -> Course:
 def larger_noise(base: Fitted) -> Course:
     """Noise larger than the measured one, alike relative to it on all lines: a course without length."""
     size = base.model.curve.frequency.size
-    return Course(WHITE, 0.0, np.ones(size), np.eye(size), 1 / base.model.curve.std + 0j)
+    return Course(WHITE, 0.0, np.ones(size), np.eye(size), (1 / base.model.curve.std).astype(complex))
 
 
 def course_beside(base: Fitted, first: Course, amplitude: float, kind: str, length: float) -> Course:
