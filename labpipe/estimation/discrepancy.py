@@ -108,7 +108,7 @@ def course(base: Fitted, kind: str, length: float) -> Course:
         matrix * (curve.frequency.size / np.trace(matrix)), driver="evd", check_finite=False
     )
     turned = np.conj(b / np.maximum(np.abs(b), np.finfo(float).tiny)) / curve.std
-    return Course(kind, length, np.maximum(values, 0.0), vectors.T, turned)
+    return Course(kind, length, np.maximum(values, 0.0), vectors.T, turned.astype(np.complex128))
 
 
 def larger_noise(base: Fitted) -> Course:
