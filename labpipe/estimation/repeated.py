@@ -405,8 +405,8 @@ def _findings(
     what = test.response.repeats_are
     if kept.two_populations:
         message = (
-            f"more than a quarter of the {what} lie apart from the others: two populations, and the mean "
-            "is of both. Name the groups (repeat_groups)"
+            f"more than a quarter of the {what}, or the first or last ones, lie apart from the others: two "
+            "populations, and the mean is of both. Name the groups (repeat_groups)"
         )
         return [Finding("two-populations", message)]
     # One state before, or after, all others looks like a bad recording.
