@@ -55,23 +55,15 @@ FEWEST_LINES, FEWEST_WIDTHS = 20, 3.0
 @dataclass(frozen=True)
 class Course:
     """One type and length [Hz] of a discrepancy beside noise S (I + a^2 K) S: eigenvalues (n_line,) of K,
-    which has trace n_line; *rotate* (n_line, n_line) [1] after *whiten* (n_line,) [1 / unit]: the rotated
-    whitening; *before*: ln det of what else the noise holds.
+    which has trace n_line, and *rotate*, the rotated whitening (n_line, n_line) [1 / unit]; *before*: ln det
+    of what else the noise holds.
     """
 
     kind: str
     length: float
     eigenvalues: FloatArray
-    rotate: FloatArray | ComplexArray
-    whiten: ComplexArray
+    rotate: ComplexArray
     before: float = 0.0
-
-    def rotated(self, columns: ComplexArray) -> ComplexArray:
-        """*columns* (n_line, n) [unit] rotated and whitened [1]."""
-        white = self.whiten[:, None] * columns
-        if np.iscomplexobj(self.rotate):
-            return self.rotate @ white
-        return np.asarray((self.rotate @ white.view(np.float64)).view(np.complex128))
 
 
 def matern(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
@@ -108,28 +100,26 @@ def course(base: Fitted, kind: str, length: float) -> Course:
         matrix * (curve.frequency.size / np.trace(matrix)), driver="evd", check_finite=False
     )
     turned = np.conj(b / np.maximum(np.abs(b), np.finfo(float).tiny)) / curve.std
-    return Course(kind, length, np.maximum(values, 0.0), vectors.T, turned.astype(np.complex128))
+    return Course(kind, length, np.maximum(values, 0.0), vectors.T * turned)
 
 
 def larger_noise(base: Fitted) -> Course:
     """Noise larger than the measured one, alike relative to it on all lines: a course without length."""
     size = base.model.curve.frequency.size
-    return Course(WHITE, 0.0, np.ones(size), np.eye(size), (1 / base.model.curve.std).astype(complex))
+    return Course(WHITE, 0.0, np.ones(size), np.diag(1 / base.model.curve.std).astype(np.complex128))
 
 
 def course_beside(base: Fitted, first: Course, amplitude: float, kind: str, length: float) -> Course:
     """A course beside the noise and a first one of that *amplitude* [1]."""
     curve, b = base.model.curve, _shape(base, kind)
     # Whitening of noise and first course: (I + a^2 L)^-1/2 of the rotated, whitened lines.
-    whitening = (first.rotate.T / np.sqrt(1 + amplitude**2 * first.eigenvalues)).T * first.whiten
+    whitening = (first.rotate.T / np.sqrt(1 + amplitude**2 * first.eigenvalues)).T
     matrix = (whitening * b) @ matern(curve.frequency, curve.frequency, length) @ (whitening * b).conj().T
     # Relative to the measured noise, as a first course is.
     scale = curve.frequency.size / float(np.sum(np.abs(b / curve.std) ** 2))
     values, vectors = linalg.eigh(matrix * scale, driver="evd", check_finite=False)
     before = float(np.sum(np.log1p(amplitude**2 * first.eigenvalues)))
-    return Course(
-        kind, length, np.maximum(values, 0.0), vectors.conj().T @ whitening, np.ones_like(b), before
-    )
+    return Course(kind, length, np.maximum(values, 0.0), vectors.conj().T @ whitening, before)
 
 
 @dataclass(frozen=True)
@@ -167,8 +157,7 @@ def evidence(
     theta, as_it_is = start if begin is None else begin, None
     for step in range(steps):
         value, jacobian, _ = fit.at_minimum if begin is None and step == 0 else model.at(theta)
-        rotated = of.rotated(np.column_stack([model.curve.values - value, jacobian]))
-        r, j = rotated[:, 0], rotated[:, 1:]
+        r, j = of.rotate @ (model.curve.values - value), of.rotate @ jacobian
         scale = np.sqrt(np.sum(np.abs(j) ** 2, axis=0))
         if not np.all(np.isfinite(scale)) or not np.all(scale > 0) or not np.all(np.isfinite(r)):
             raise FitError("a component of the discrepancy has run away")

@@ -47,11 +47,6 @@ class Curve:
         """j omega (n_line,) [rad/s]."""
         return 2j * np.pi * self.frequency
 
-    @cached_property
-    def both(self) -> ComplexArray:
-        """j omega, then -j omega (2 n_line,) [rad/s]."""
-        return np.concatenate([self.s, self.s.conj()])
-
     @property
     def width(self) -> float:
         """Width of the band [Hz]."""
@@ -159,65 +154,59 @@ class ModeModel:
         """
         nodes, weights = NODES.get(self.law, (np.zeros(1), np.ones(1)))
         moved = bool(self.law)
-        x = np.exp(q[self.n_interest]) * nodes if moved else nodes
-        value, *slopes = (self._coefficients_at if self.coefficients else self._pole_at)(q, s, x, weights)
+        x = (np.exp(q[self.n_interest]) * nodes if moved else nodes)[:, None]
+        value, *slopes = (self._coefficients_at if self.coefficients else self._pole_at)(q, s, x)
         columns = np.zeros((s.size, self.n_shape), np.complex128)
         by = [*range(self.n_interest), *([self.n_interest] if moved else [])]
         for column, slope in zip(by, slopes, strict=False):
-            columns[:, column] = slope
-        return value, columns
+            columns[:, column] = weights @ slope
+        return weights @ value, columns
 
-    def _pole_at(
-        self, q: FloatArray, s: ComplexArray, x: FloatArray, weights: FloatArray
-    ) -> tuple[ComplexArray, ...]:
-        """1 / (s - lambda) moved by *x* (n_node,), its derivatives by ln f_n and ln zeta, and by ln x, each
-        (n_line,): sums over the nodes with their *weights* (n_node,) [1].
+    def _pole_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
+        """1 / (s - lambda) moved by *x* (n_node, 1), its derivatives by ln f_n and ln zeta, and by ln x, each
+        (n_node, n_line).
         """
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
         if self.law == "L":
             root = np.sqrt(max(1 - zeta**2, 1e-12))
             pole, by_zeta = w * (-zeta + 1j * (root + x)), -w * zeta * (1 + 1j * zeta / root)
-            value = 1 / (s - pole[:, None])
-            weighted = np.stack([pole * weights, by_zeta * weights, 1j * w * x * weights])
-            return weights @ value, *(weighted @ value**2)
+            value = 1 / (s - pole)
+            square = value**2
+            return value, square * pole, square * by_zeta, square * (1j * w * x)
         roots = np.sqrt(np.maximum((1 + x) ** 2 - zeta**2, 1e-12))
         pole, by_zeta = w * (-zeta + 1j * roots), -w * zeta * (1 + 1j * zeta / roots)
-        value = 1 / (s - pole[:, None])
-        share = weights / (1 + x)
-        weighted = np.stack([pole * share, by_zeta * share, 1j * w * (1 + x) * x / roots * share])
-        by_frequency, by_damping, by_motion = weighted @ value**2
-        return share @ value, by_frequency, by_damping, by_motion - (share * x / (1 + x)) @ value
+        value = 1 / ((1 + x) * (s - pole))
+        square = value / (s - pole)
+        by_motion = square * (1j * w * (1 + x) * x / roots) - x / (1 + x) * value
+        return value, square * pole, square * by_zeta, by_motion
 
-    def _coefficients_at(
-        self, q: FloatArray, s: ComplexArray, x: FloatArray, weights: FloatArray
-    ) -> tuple[ComplexArray, ...]:
-        """1 / (k + c s + m s^2) moved by *x* (n_node,), its derivatives by ln k, ln c (and ln m), and by ln
-        x, each (n_line,): sums over the nodes with their *weights* (n_node,) [1].
+    def _coefficients_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
+        """1 / (k + c s + m s^2) moved by *x* (n_node, 1), its derivatives by ln k, ln c (and ln m), and by
+        ln x, each (n_node, n_line).
         """
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
         if self.law == "L":
             w = np.sqrt(k / m)
-            moved = s - 1j * w * x[:, None]
-            value = 1 / (k + moved * (c + m * moved))
+            s = s - 1j * w * x
+            value = 1 / (k + c * s + m * s**2)
             square = -(value**2)
-            by_motion = weights @ (square * (c + 2 * m * moved) * (-1j * w * x[:, None]))
-            first, second = (weights @ (square := square * moved) for _ in range(2))
-            plain = -(weights @ value**2)
-            by_shape = [plain * k + by_motion / 2, c * first, m * second - by_motion / 2]
+            by_motion = square * (c + 2 * m * s) * (-1j * w * x)
+            by_shape = [square * k + by_motion / 2, square * c * s, square * m * s**2 - by_motion / 2]
         else:
             stiffness = k * (1 + x) ** 2
-            value = 1 / (stiffness[:, None] + s * (c + m * s))
-            sums = np.stack([weights, stiffness * weights, 2 * k * (1 + x) * x * weights]) @ -(value**2)
-            by_motion = sums[2]
-            by_shape = [sums[1], c * s * sums[0], m * s**2 * sums[0]]
-        return weights @ value, *by_shape[: self.n_interest], by_motion
+            value = 1 / (stiffness + c * s + m * s**2)
+            square = -(value**2)
+            by_motion = square * 2 * k * (1 + x) * x
+            by_shape = [square * stiffness, square * c * s, square * m * s**2]
+        return value, *by_shape[: self.n_interest], by_motion
 
     def _with_conjugate(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """a, da/dq, b, db/dq of A a + A^* b: the pole, and its conjugate, which is that of -s."""
-        n = self.curve.frequency.size
-        value, slopes = self.resonance(q, self.curve.both)
-        return value[:n], slopes[:n], value[n:].conj(), slopes[n:].conj()
+        s = self.curve.s
+        value, slopes = self.resonance(q, s)
+        other, other_slopes = self.resonance(q, s.conj())
+        return value, slopes, other.conj(), other_slopes.conj()
 
     def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """h (n_line,) [any unit], its derivatives (n_line, n) by *theta* (n,), and the resonance of the upper
