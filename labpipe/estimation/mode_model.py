@@ -110,11 +110,6 @@ class ModeModel:
             else np.zeros((f.size, 0), complex)
         )
 
-    @cached_property
-    def real_terms(self) -> ComplexArray:
-        """Columns (n_line, 2 n_term) [1] by the real and the imaginary part of their factors."""
-        return np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
-
     def frequency_and_damping(self, q: FloatArray) -> tuple[float, float]:
         """f_n [Hz] and zeta [1] at *q* (n,) [1]."""
         rows = self.to_resonance @ q[: self.n_interest] + self.offset
@@ -213,7 +208,7 @@ class ModeModel:
         pole alone (n_line,).
         """
         q, amplitudes = theta[: self.n_shape], theta[self.n_shape :: 2] + 1j * theta[self.n_shape + 1 :: 2]
-        terms = self.real_terms
+        terms = np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
         if self.coefficients:
             value, slopes = self.resonance(q, self.curve.s)
             main, columns = value, [terms]
@@ -296,7 +291,7 @@ class Fitted:
 
     @cached_property
     def at_minimum(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """The model there, as its `at`."""
+        """h (n_line,) [any unit], derivatives (n_line, n) and the resonance there, as of ModeModel.at."""
         return self.model.at(self.theta)
 
     @property

@@ -311,9 +311,8 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     """The refined modes with covariances from the scatter of every line by itself, as line_scatter gives it
     for all parameters at once, with terms and shapes eliminated output by output.
 
-    With S_o the slopes by poles and participation less what the shapes follow, r_o the residual, both after
-    (I - H_o)^-1 of terms and shapes: shares x = (N - sum_o S_o^T S_o)^-1 sum_o S_o^T r_o of a line in poles
-    and participation. *real*: as in refine.
+    S_o: slopes by poles and participation without the shapes, r_o: residual; shares of a line in the former x
+    = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *real*: as in refine.
     """
     lines, n_line = terms.lines, terms.lines.omega.size
     state = _State.at(lines, terms, refined.poles, refined.participation, real)
@@ -324,9 +323,7 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
 
     def of_output(output: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Columns of the shapes and of poles and participation, (n_line, 2 n_input, n), and the last ones and
-        the residual without what the line takes from its own by terms and shapes.
-        """
+        """Columns by shapes, by poles and participation; these and the residual over 1 - H_o."""
         root = np.sqrt(refined.noise[output])
         own, slopes, rest = (
             np.concatenate([columns.real, columns.imag], axis=1)

@@ -99,24 +99,13 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         "`poles:` for the section `modal:` then stands below."
     )
     chart = stack(panels[1:], 2.0) if alone else stack(panels, 3.6)
-    caption += _sureness(modes)
+    if modes.returns is not None:
+        least = int(np.argmin(modes.returns))
+        caption += (
+            f" Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz, whose pole returns in "
+            f"{100 * modes.returns[least]:.0f} % of the orders."
+        )
     return Figure(chart, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
-
-
-def _sureness(modes: Modes) -> str:
-    """How sure it is that a mode is one: the share of the orders in which its pole returns, of the least sure
-    and of the others.
-    """
-    if modes.returns is None:
-        return ""
-    least, *others = np.argsort(modes.returns)
-    sure = f"{100 * modes.returns[least]:.0f} % of the orders"
-    if not others:
-        return f" The pole of the mode returns in {sure}."
-    return (
-        f" Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz, whose pole returns in {sure}; "
-        f"the others return in {100 * modes.returns[others[0]]:.0f} % or more."
-    )
 
 
 def shapes_figure(fit: Fit, modes: Modes) -> Figure:
