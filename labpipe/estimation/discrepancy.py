@@ -75,7 +75,7 @@ def matern(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
 
 def _shape(base: Fitted, kind: str) -> ComplexArray:
     """b (n_line,) of a type at the ordinary fit."""
-    value, _, main = base.model.at(base.theta)
+    value, _, main = base.at_minimum
     return {"a": np.ones_like(value), "m": value, "z": main**2}[kind]
 
 
@@ -156,8 +156,8 @@ def evidence(
     damped = 1 / (1 + np.outer(amplitudes**2, of.eigenvalues))
     volume = of.before - np.sum(np.log(damped), axis=1)
     theta, as_it_is = start if begin is None else begin, None
-    for _ in range(steps):
-        value, jacobian, _ = model.at(theta)
+    for step in range(steps):
+        value, jacobian, _ = fit.at_minimum if begin is None and step == 0 else model.at(theta)
         r, j = of.rotate @ (model.curve.values - value), of.rotate @ jacobian
         scale = np.sqrt(np.sum(np.abs(j) ** 2, axis=0))
         if not np.all(np.isfinite(scale)) or not np.all(scale > 0) or not np.all(np.isfinite(r)):

@@ -42,7 +42,7 @@ class Curve:
     values: ComplexArray
     std: FloatArray
 
-    @property
+    @cached_property
     def s(self) -> ComplexArray:
         """j omega (n_line,) [rad/s]."""
         return 2j * np.pi * self.frequency
@@ -289,6 +289,11 @@ class Fitted:
     chi2: float
     occam: float = 0.0
 
+    @cached_property
+    def at_minimum(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """h (n_line,) [any unit], derivatives (n_line, n) and the resonance there, as of ModeModel.at."""
+        return self.model.at(self.theta)
+
     @property
     def dof(self) -> int:
         """2 lines - parameters."""
@@ -297,7 +302,7 @@ class Fitted:
     @property
     def covariance(self) -> FloatArray:
         """Of noise alone, of what the model keeps, (n_kept, n_kept) [1]: (2 Re J^H S^-2 J)^-1."""
-        rows = _real(self.model.at(self.theta)[1], self.model.curve.std)
+        rows = _real(self.at_minimum[1], self.model.curve.std)
         scale = np.linalg.norm(rows, axis=0)
         inverse = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
         return np.asarray(inverse[np.ix_(self.model.kept, self.model.kept)])
@@ -378,7 +383,7 @@ def second_mode(base: Fitted) -> Fitted | None:
     model, n = replace(base.model, member=SECOND + base.model.law), base.model.n_shape
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
-    value, jacobian, _ = base.model.at(base.theta)
+    value, jacobian, _ = base.at_minimum
     rows, side = (
         _real(jacobian, base.model.curve.std),
         _real(base.model.curve.values - value, base.model.curve.std),

@@ -405,12 +405,18 @@ def _findings(
     what = test.response.repeats_are
     if kept.two_populations:
         message = (
-            f"more than a quarter of the {what} lie apart from the others: two populations, and the mean "
-            "is of both. Name the groups (repeat_groups)"
+            f"more than a quarter of the {what}, or the first or last ones, lie apart from the others: two "
+            "populations, and the mean is of both. Name the groups (repeat_groups)"
         )
         return [Finding("two-populations", message)]
+    # One state before, or after, all others looks like a bad recording.
+    step = "; if the structure changed there, it is a step: name the groups (repeat_groups)"
     findings = [
-        note("repeat-left-out", f"{test.named(name)} is left out: its frequency or damping stands out")
+        note(
+            "repeat-left-out",
+            f"{test.named(name)} is left out: its frequency or damping stands out"
+            + (step if name in (names[0], names[-1]) else ""),
+        )
         for name, is_used in zip(names, kept.used, strict=True)
         if not is_used
     ]

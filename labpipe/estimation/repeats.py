@@ -89,8 +89,8 @@ def kept_repeats(
 
     *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] the
     residuals of a line of least absolute deviations are judged, with *groups* (n,) the values less the
-    median of their group, of which one in each group says nothing. More than a quarter outside are two
-    populations, and all stay. Equation (repeats-outliers).
+    median of their group, of which one in each group says nothing. More than a quarter outside, or several
+    at one end of the order, are two populations, and all stay. Equation (repeats-outliers).
     """
     n, n_group = len(values), len(set(groups))
     if n - max(n_group - 1, 0) < LEAST_FOR_OUTLIERS:
@@ -105,7 +105,10 @@ def kept_repeats(
     deviation = MAD_SCALE * np.median(np.sort(np.abs(off), axis=0)[n_group:], axis=0)
     far = FAR_OF_FEW if n < FEW else FAR
     outside = np.any(np.abs(off) > far * np.sqrt(deviation**2 + variances), axis=1)
-    if np.mean(outside) > MOST_OUTSIDE:
+    at = np.flatnonzero(outside)
+    # Neighbours at one end of the order come by a step; one alone may as well be bad.
+    step = 1 < at.size == np.ptp(at) + 1 and (outside[0] or outside[-1])
+    if np.mean(outside) > MOST_OUTSIDE or step:
         return Kept(np.ones(n, bool), two_populations=True)
     return Kept(~outside)
 

@@ -59,7 +59,7 @@ def line_scatter(
     orthogonal, triangle = np.linalg.qr(jacobian)
     by_line = _by_line(orthogonal, n_line)
     leverage = by_line @ by_line.swapaxes(1, 2)
-    scatter = np.linalg.solve(np.eye(leverage.shape[1]) - leverage, _by_line(residual[:, None], n_line))
+    scatter = jackknifed(leverage, _by_line(residual[:, None], n_line))
     to_parameters = np.linalg.inv(triangle)
     shares = (by_line.swapaxes(1, 2) @ scatter)[:, :, 0] @ to_parameters.T
     weights = np.zeros(0) if alone else _bartlett(n_line)
@@ -69,6 +69,13 @@ def line_scatter(
         covariance += product + product.T
     influence = np.sum((by_line @ to_parameters.T) ** 2, axis=1)
     return LineScatter(covariance, _effective(influence, shares**2) / (1 + 2 * float(weights @ weights)))
+
+
+def jackknifed(leverage: FloatArray, residual: FloatArray) -> FloatArray:
+    """(1 - H_ll)^-1 r_l: residuals (n_line, n, 1) [1] without what each line takes from its own, by its
+    *leverage* H_ll (n_line, n, n) [1].
+    """
+    return np.linalg.solve(np.eye(leverage.shape[1]) - leverage, residual)
 
 
 def _by_line(columns: FloatArray, n_line: int) -> FloatArray:

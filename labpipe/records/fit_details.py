@@ -88,7 +88,7 @@ class Modes(FitDetail):
     upper: numbers of residual terms s^-2, s^-4 ... and 1, s^2 ... in the fit. driving_points: dof at which
     mass, stiffness and damping of each mode are given, that with its largest residue; empty where no point is
     a reference. dofs: place and direction of every point of the shapes; geometry: where they are, if it is
-    known.
+    known. returns (n_mode,) [1]: share of the orders of the diagram that have a pole at the mode.
     """
 
     key: ClassVar[str] = "modes"
@@ -110,6 +110,7 @@ class Modes(FitDetail):
     diagram: StabilisationDiagram | None = None
     dofs: tuple[str, ...] = ()
     geometry: Geometry | None = None
+    returns: FloatArray | None = None
 
 
 # What a fitted free decay shows beside its parameters: the course over time, and damping and frequency over

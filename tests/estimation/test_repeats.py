@@ -178,6 +178,17 @@ def test_outliers_are_few_and_far() -> None:
     assert isinstance(kept_repeats(y, v), Kept)
 
 
+def test_the_last_two_of_ten_are_a_step_and_two_in_between_are_bad() -> None:
+    """Far outside the others by construction: neighbours at one end stay and are a second population."""
+    values = np.random.default_rng(4).normal(size=(10, 1))
+    for at, step in (([8, 9], True), ([0, 1], True), ([4, 5], False), ([0, 9], False), ([9], False)):
+        moved = values.copy()
+        moved[at] += 50.0
+        kept = kept_repeats(moved, np.ones_like(values))
+        assert kept.two_populations == step
+        assert kept.used.sum() == (10 if step else 10 - len(at))
+
+
 def test_too_few_repeats_are_refused() -> None:
     with pytest.raises(FitError, match="2 repeats do not tell 2 numbers and a spread"):
         repeat_mean(np.array([1.0, 2.0]), np.ones(2), 0.3, np.array([0.0, 1.0]))

@@ -53,6 +53,12 @@ class Stated:
     def holds(self) -> bool:
         return self.interval is not None and self.interval[0] <= self.reference <= self.interval[1]
 
+    @property
+    def beyond(self) -> float:
+        """Distance of the reference from the nearer end, in half-widths; 0 where it is held."""
+        low, high = self.interval or (np.nan, np.nan)
+        return max(low - self.reference, self.reference - high, 0.0) / ((high - low) / 2)
+
     def claim(self, source: str, why: str, note: str) -> Claim:
         factor, unit = (1.0, "Hz") if self.quantity == "frequency" else (1e3, "10^-3")
         low, high = self.interval or (np.nan, np.nan)
@@ -182,6 +188,13 @@ def tool_places() -> list[Place]:
     return places
 
 
+def band_places() -> list[Place]:
+    """The third of them in five bands."""
+    others = joined({"frequency": [2617.0]}, *nearest_places("tool")["2617"])
+    runs = [run for run in SETS["tool"]["labpipe"] if run.endswith(" Hz")]
+    return [Place("tool", run, "modes", {"frequency": others["frequency"]}) for run in runs]
+
+
 def ruler_places() -> list[Place]:
     return [Place("ruler", "ruler", "modes", joined(*said)) for said in nearest_places("ruler").values()]
 
@@ -246,13 +259,20 @@ def intervals() -> list[Claim]:
             (f"{name} wrong without a warning", float(len(silent)), 0.0, -0.5, 0.5, "1"),
         ):
             places = dict.fromkeys(f"{stated.place.run}" for stated in of if stated.interval is None)
-            missed = dict.fromkeys(stated.place.run for stated in with_interval if not stated.holds)
+            missed = [
+                f"{stated.place.run} near {np.median(stated.place.others['frequency']):.4g} Hz "
+                f"({stated.beyond:.2f})"
+                for stated in with_interval
+                if not stated.holds
+            ]
             alone = dict.fromkeys(stated.place.run for stated in silent)
+            quiet = [stated for stated in with_interval if not stated.warnings]
             why = {
                 0: f"none in {', '.join(places)}",
-                1: f"missed in {', '.join(missed)}",
+                1: f"missed, in brackets by how many half-widths beyond the end: {', '.join(missed)}",
                 2: "too long",
-                3: f"in {', '.join(alone)}",
+                3: f"in {', '.join(alone)}; of {len(quiet)} intervals without a warning "
+                f"{0.05 * len(quiet):.1g} are expected to miss at 95 %",
             }[len(claims) % 4]
             claims.append(Claim(said, value, aim, unit, low, high, MEASURED, "all sets below", why))
     return claims

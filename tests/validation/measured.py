@@ -10,6 +10,7 @@ from tests.validation.claims import Claim, Kind, Method, within
 from tests.validation.gaps import gaps
 from tests.validation.held import (
     Place,
+    band_places,
     beams_places,
     bearing_places,
     bench_places,
@@ -68,6 +69,7 @@ ONE_NUMBER = (
     "one number for a damping that changes with the amplitude; the authors leave an offset in the peaks"
 )
 SPLIT = "several poles stand for one peak of 3 to 5 % damping; sdypy-EMA's scatter as widely"
+BANDS = "another band finds another of the poles that stand for this peak"
 MOVED = "from point to point the mode moves, and a pair of poles fits better than one"
 NARROW = (
     "the modes are as narrow as a line, and one pole stands for nine FRFs that differ by up to four lines"
@@ -85,8 +87,25 @@ EXCITED = (
 
 def tool() -> list[Claim]:
     source = "Li 2019; sdypy-EMA"
+    bands = [of for place in band_places() for of in quantities(place)]
+    ends = [of.interval for of in bands if of.interval is not None]
+    widest = max(high - low for low, high in ends)
+    shared = min(high for _, high in ends) - max(low for low, _ in ends)
     return [
         *stated(tool_places(), source, SPLIT),
+        *stated(band_places(), source, BANDS),
+        Claim(
+            "what the intervals of five bands share",
+            shared,
+            widest,
+            "Hz",
+            0.0,
+            widest,
+            MEASURED,
+            source,
+            BANDS if shared < 0 or len(ends) < len(bands) else "",
+            said("tool"),
+        ),
         number_of_modes("tool", "700 to 3000 Hz", 3, source, SPLIT),
     ]
 

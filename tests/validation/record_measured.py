@@ -145,6 +145,14 @@ RUNS = {
         "tool", "Tool in a spindle", {"identify.modes.modal": {"poles": ["1074 Hz", "1961 Hz", "2617 Hz"]}}
     ),
     "tool, one hit": Run("tool", "One hit"),
+    **{
+        f"tool, {band} Hz": Run(
+            "tool",
+            "Tool in a spindle",
+            {"identify.modes.band": f"{band} Hz", "identify.modes.modal": {"poles": ["2617 Hz"]}},
+        )
+        for band in ("2485-2725", "2500-2725", "2450-2750", "2400-2900", "2300-2900")
+    },
     "ruler": Run("ruler", "Ruler, ten points"),
     "free beam": Run("free beam", "Free beam, nine points"),
     "kit": Run("kit", "Magnet of a levitation kit"),

@@ -333,6 +333,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         sides.references,
         sides.forces_move,
         _diagram_record(sides.lines, diagram),
+        diagram.returns(estimate.refined.poles, estimate.refined.participation),
     )
     driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
     modes = replace(modes, driving_points=driving, geometry=modal.structure)

@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.estimation.residual import jackknifed
 
 
 @dataclass(frozen=True)
@@ -268,9 +269,7 @@ class _State:
         psi, inverse = self._shapes()
         of_shapes = _shape_columns(self.participation)
         weight = 1 / self.variance[:, :, None, None]
-        by_theta = _theta_columns(self.participation, psi)
-        if self.real:
-            by_theta[..., 2 * self.n_mode + 1 :: 2] = 0.0
+        by_theta = self.theta_columns(psi)
         gram, k, n = self.sums.gram, 2 * self.n_mode, by_theta.shape[-1]
         weighted = weight * np.matmul(gram, by_theta)
         d = by_theta.reshape(-1, n).T @ weighted.reshape(-1, n)
@@ -279,6 +278,13 @@ class _State:
         gradient = by_theta.reshape(-1, n).T @ (weight[..., 0] * residual).ravel()
         eliminated = inverse @ b
         return d - b.reshape(-1, n).T @ eliminated.reshape(-1, n), gradient, inverse, eliminated, psi
+
+    def theta_columns(self, psi: ComplexArray) -> FloatArray:
+        """As _theta_columns; real modes have a real participation."""
+        columns = _theta_columns(self.participation, psi)
+        if self.real:
+            columns[..., 2 * self.n_mode + 1 :: 2] = 0.0
+        return columns
 
     def result(self, converged: bool, steps: int) -> Refined:
         normal, _, inverse, eliminated, psi = self._schur()
@@ -298,6 +304,59 @@ def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexAr
     return np.asarray(
         terms.remainder
         - np.einsum("lf,oif->loi", pairs, _coefficients(refined.participation, refined.shapes))
+    )
+
+
+def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+    """The refined modes with covariances from the scatter of every line by itself, as line_scatter gives it
+    for all parameters at once, with terms and shapes eliminated output by output.
+
+    S_o: slopes by poles and participation without the shapes, r_o: residual; shares of a line in the former x
+    = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *real*: as in refine.
+    """
+    lines, n_line = terms.lines, terms.lines.omega.size
+    state = _State.at(lines, terms, refined.poles, refined.participation, real)
+    state = replace(state, variance=refined.noise)
+    normal, _, inverse, eliminated, psi = state._schur()
+    functions, residual = terms.without(_functions(lines, refined.poles)), remaining(lines, terms, refined)
+    of_shapes, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
+    by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
+
+    def of_output(output: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Columns by shapes, by poles and participation; these and the residual over 1 - H_o."""
+        root = np.sqrt(refined.noise[output])
+        own, slopes, rest = (
+            np.concatenate([columns.real, columns.imag], axis=1)
+            for columns in (
+                np.einsum("lf,ifn->lin", functions[:, : 2 * psi.shape[1]], of_shapes / root[:, None, None]),
+                np.einsum("lf,ifn->lin", functions, by_theta[output] / root[:, None, None]),
+                (residual[:, output] / root)[:, :, None],
+            )
+        )
+        slopes = slopes - own @ eliminated[output]
+        taken = own @ inverse[output] @ own.swapaxes(1, 2) + by_terms * np.eye(rest.shape[1])
+        return own, slopes, jackknifed(taken, np.concatenate([slopes, rest], axis=2))
+
+    products = np.zeros((n_line, normal.shape[0], normal.shape[0] + 1))
+    for output in range(len(psi)):
+        _, slopes, scatter = of_output(output)
+        products += slopes.swapaxes(1, 2) @ scatter
+    # Real modes have no slopes by imaginary parts.
+    whole = normal + np.diag(np.where(np.diag(normal) > 0, 0.0, 1.0))
+    shares = np.linalg.solve(whole - products[:, :, :-1], products[:, :, -1:])
+    of_outputs = []
+    for output in range(len(psi)):
+        own, _, scatter = of_output(output)
+        rest = scatter[:, :, -1:] + scatter[:, :, :-1] @ shares
+        of_outputs.append(
+            (own.swapaxes(1, 2) @ rest)[:, :, 0] @ inverse[output] - shares[:, :, 0] @ eliminated[output].T
+        )
+    of_poles = shares[:, :, 0]
+    return replace(
+        refined,
+        covariance=of_poles.T @ of_poles,
+        crossed=np.array([of.T @ of_poles for of in of_outputs]),
+        shape_covariance=np.array([of.T @ of for of in of_outputs]),
     )
 
 

@@ -32,8 +32,11 @@ def shape_record(
     references: Sequence[Port],
     forces_move: bool,
     diagram: StabilisationDiagram | None,
+    returns: FloatArray | None = None,
 ) -> Modes:
-    """The record of the modes in ascending frequency, every shape 1 at its largest point."""
+    """The record of the modes in ascending frequency, every shape 1 at its largest point; *returns* (n_mode,)
+    [1] in the order of *refined*.
+    """
     order = np.argsort(np.abs(refined.poles))
     poles, raw, participation = refined.poles[order], refined.shapes[:, order], refined.participation[order]
     scale = raw[np.argmax(np.abs(raw), axis=0), np.arange(order.size)]
@@ -56,6 +59,7 @@ def shape_record(
         lower=terms.lower,
         upper=terms.upper,
         diagram=diagram,
+        returns=None if returns is None else returns[order],
     )
 
 

@@ -181,14 +181,20 @@ class Diagram:
     """Poles of all orders [rad/s], and the modes chosen from them: *poles*; *group* (n_pole,): index of the
     mode, -1 for none.
 
-    *modes*: one row per mode, ascending in frequency; *share* (n_mode,): share of the orders in which the
-    mode appears.
+    *modes*: one row per mode, ascending in frequency; *counted*: orders in which a mode may return.
     """
 
     poles: Poles
     group: IntArray
     modes: Poles
-    share: FloatArray
+    counted: list[int]
+
+    def returns(self, values: ComplexArray, participation: ComplexArray) -> FloatArray:
+        """Share (n,) [1] of the orders that have a pole at each of *values* (n,) [rad/s], *participation* (n,
+        n_input) [1]: how sure it is that each is a mode.
+        """
+        near = _near(self.poles, values, participation)
+        return np.array([np.mean(np.isin(self.counted, self.poles.orders[at])) for at in near])
 
 
 def stabilisation(equations: NormalEquations, band: tuple[float, float], highest: int) -> Diagram:
@@ -205,9 +211,9 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
         np.concatenate([part.orders for part in parts]),
     )
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
-    group, share = _groups(poles, counted)
+    group = _groups(poles, counted)
     modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
-    return Diagram(poles, group, modes, share)
+    return Diagram(poles, group, modes, counted)
 
 
 # Share by which named frequencies differ that are two modes, whichever pole is the nearest.
@@ -255,7 +261,7 @@ def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> Bo
     )
 
 
-def _groups(poles: Poles, counted: list[int]) -> tuple[IntArray, FloatArray]:
+def _groups(poles: Poles, counted: list[int]) -> IntArray:
     """Greedy choice: the pole with neighbours in most orders takes them out, until none returns in enough
     orders.
     """
@@ -264,7 +270,6 @@ def _groups(poles: Poles, counted: list[int]) -> tuple[IntArray, FloatArray]:
     position = {order: n for n, order in enumerate(counted)}
     column = np.array([position.get(int(order), -1) for order in poles.orders], np.intp)
     centres: list[int] = []
-    shares: list[float] = []
     while True:
         free = near & (group < 0) & (group < 0)[:, None] & (column >= 0)
         present = np.zeros((poles.values.size, len(counted)), np.bool_)
@@ -279,12 +284,11 @@ def _groups(poles: Poles, counted: list[int]) -> tuple[IntArray, FloatArray]:
         centre = int(best[np.argmin(np.abs(poles.values[best] - middle))])
         group[near[centre] & (group < 0)] = len(centres)
         centres.append(centre)
-        shares.append(float(count.max()) / len(counted))
     order = np.argsort(np.abs(poles.values[centres])) if centres else np.empty(0, np.intp)
     rank = np.empty(len(centres), np.intp)
     rank[order] = np.arange(len(centres))
     named = np.where(group >= 0, rank[group] if centres else -1, -1)
-    return named.astype(np.intp), np.array(shares)[order]
+    return named.astype(np.intp)
 
 
 def _least_biased(

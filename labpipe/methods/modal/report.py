@@ -58,6 +58,7 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
             modes.points[largest[n]],
             modes.references[strongest[n]],
             f"{modes.collinearity[n]:.4f}",
+            "" if modes.returns is None else f"{100 * modes.returns[n]:.0f}",
             modes.driving_points[n] if modes.driving_points else "",
         )
         for n in range(modes.frequency.size)
@@ -69,9 +70,10 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
         "largest at",
         "strongest reference",
         "phase collinearity",
+        "returns [%]",
         "m, k, c at",
     )
-    return Table(header, rows, f"Modes of {fit_title(fit)}", (1, 2, 5))
+    return Table(header, rows, f"Modes of {fit_title(fit)}", (1, 2, 5, 6))
 
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
@@ -97,6 +99,12 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         "`poles:` for the section `modal:` then stands below."
     )
     chart = stack(panels[1:], 2.0) if alone else stack(panels, 3.6)
+    if modes.returns is not None:
+        least = int(np.argmin(modes.returns))
+        caption += (
+            f" Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz, whose pole returns in "
+            f"{100 * modes.returns[least]:.0f} % of the orders."
+        )
     return Figure(chart, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 
 

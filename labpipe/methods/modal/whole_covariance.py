@@ -16,7 +16,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.weights import has_noise, singular_lines, weight_uncertainty, whitener
-from labpipe.methods.modal.likelihood import Refined, ResidualTerms, pole_functions
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, by_lines, pole_functions
 
 # Largest number of entries of the Jacobian.
 MOST_ENTRIES = 40_000_000
@@ -188,6 +188,8 @@ def whole_covariance_fit(
     model = ModalReceptance.of(terms, refined, measured, real=real)
     start = model.joined(refined, measured)
     dof = measured.n_equation - model.n_parameter
+    if not has_noise(measured) and measured.line_noise is None and refined.converged:
+        refined = by_lines(terms, refined, real=real)
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
     try:

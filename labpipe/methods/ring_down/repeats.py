@@ -159,8 +159,8 @@ def _outliers(
 ) -> list[Finding]:
     if kept.two_populations:
         message = (
-            "more than a quarter of the decays lie apart from the others: two populations, and the "
-            "mean is of both. Name the groups (repeat_groups)"
+            "more than a quarter of the decays, or the first or last ones, lie apart: two populations, and "
+            "the mean is of both. Name the groups (repeat_groups)"
         )
         return [Finding("two-populations", message)]
     findings = []

@@ -21,6 +21,7 @@ from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import DETAILS, Modes
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.report.document import Figure
 from labpipe.report.fits import _single
 from tests.methods.modal.structures import (
     BEAM_DAMPING,
@@ -214,7 +215,13 @@ def test_result_is_read_back_and_reported() -> None:
         again.detail(Modes).diagram.order if again.detail(Modes).diagram else None,
         fit.detail(Modes).diagram.order,
     )
-    blocks = modal_blocks(fit, fit.detail(Modes))
+    modes, blocks = again.detail(Modes), modal_blocks(fit, fit.detail(Modes))
+    # How sure it is that each is a mode, in result and report: in what share of the orders its pole returns.
+    np.testing.assert_array_equal(modes.returns, fit.detail(Modes).returns)
+    assert modes.returns.shape == modes.frequency.shape and np.all((modes.returns > 0) & (modes.returns <= 1))
+    least = int(np.argmin(modes.returns))
+    (caption,) = (b.caption for b in blocks if isinstance(b, Figure) and "stable poles" in b.caption)
+    assert f"Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz" in caption
     assert len(blocks) == 4 and len(_single(fit)) > len(blocks)
 
 

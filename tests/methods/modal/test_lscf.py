@@ -112,7 +112,10 @@ def test_all_modes_of_a_structure_and_none_of_noise(level: float) -> None:
     diagram = stabilisation(normal_equations(omega, structure.noisy(level, 0), 60), (omega[0], omega[-1]), 60)
     assert diagram.modes.values.size == 9
     np.testing.assert_allclose(diagram.modes.values.imag, structure.poles.imag, rtol=2e-4)
-    assert diagram.group.max() == 8 and diagram.share.min() > 0.3
+    assert (
+        diagram.group.max() == 8
+        and diagram.returns(diagram.modes.values, diagram.modes.participation).min() > 0.3
+    )
 
 
 def test_noise_has_no_modes() -> None:
