@@ -11,7 +11,6 @@ import click
 
 from labpipe.cli import options
 from labpipe.cli.output import echo
-from labpipe.distributions import chi2_tail
 
 if TYPE_CHECKING:
     from labpipe.methods.balancing.balance_file import Balanced
@@ -46,6 +45,7 @@ def sentences(result: Balanced) -> Iterator[str]:
     import numpy as np
 
     from labpipe.display import plain_text
+    from labpipe.distributions import chi2_tail
 
     file, residual = result.file, result.residual
     for name, weight in zip(file.planes, result.weights, strict=True):
