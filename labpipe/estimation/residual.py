@@ -59,7 +59,7 @@ def line_scatter(
     orthogonal, triangle = np.linalg.qr(jacobian)
     by_line = _by_line(orthogonal, n_line)
     leverage = by_line @ by_line.swapaxes(1, 2)
-    scatter = jackknifed(leverage, _by_line(residual[:, None], n_line))
+    scatter = jackknife_residual(leverage, _by_line(residual[:, None], n_line))
     to_parameters = np.linalg.inv(triangle)
     shares = (by_line.swapaxes(1, 2) @ scatter)[:, :, 0] @ to_parameters.T
     weights = np.zeros(0) if alone else _bartlett(n_line)
@@ -71,7 +71,7 @@ def line_scatter(
     return LineScatter(covariance, _effective(influence, shares**2) / (1 + 2 * float(weights @ weights)))
 
 
-def jackknifed(leverage: FloatArray, residual: FloatArray) -> FloatArray:
+def jackknife_residual(leverage: FloatArray, residual: FloatArray) -> FloatArray:
     """(1 - H_ll)^-1 r_l: residuals (n_line, n, 1) [1] without what each line takes from its own, by its
     *leverage* H_ll (n_line, n, n) [1].
     """

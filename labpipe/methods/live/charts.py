@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from scipy import special
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
@@ -76,7 +75,7 @@ class Series:
         """The normal score of the next *value*, studentised by the values before it."""
         dof = PRIOR + len(self.past)
         spread = np.sqrt((PRIOR + sum(entry**2 for entry in self.past)) / dof)
-        size = -float(special.ndtri(max(special.stdtr(dof, -abs(value) / spread), 1e-300)))
+        size = -float(scipy.special.ndtri(max(scipy.special.stdtr(dof, -abs(value) / spread), 1e-300)))
         return float(np.copysign(size, value))
 
     def take(self, value: float, score: float, number: int) -> None:
@@ -232,7 +231,7 @@ class Forecast:
 
 def half_of_noise(std_error: FloatArray, dof: FloatArray, coverage: float) -> FloatArray:
     """t(nu) sqrt(1 + 2 / nu) s (n_parameter,) [parameter units]: it keeps its coverage at the stop."""
-    return np.asarray(special.stdtrit(dof, (1 + coverage) / 2) * np.sqrt(1 + 2 / dof) * std_error)
+    return np.asarray(scipy.special.stdtrit(dof, (1 + coverage) / 2) * np.sqrt(1 + 2 / dof) * std_error)
 
 
 def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale: float = 1.0) -> int | None:
@@ -295,7 +294,7 @@ def sequence_factor(n: float, tuned: float, dof: float, alpha: float = 0.05) -> 
     rho = n_opt / (-W_-1(-alpha^2 / e) - 1), q = (sqrt((n + rho) / rho) / alpha)^(2 / (nu + 1)),
     factor^2 = nu (q - 1) / (1 - q rho / (n + rho)); infinite where the denominator is not positive.
     """
-    rho = tuned / (-float(special.lambertw(-(alpha**2) / math.e, -1).real) - 1)
+    rho = tuned / (-float(scipy.special.lambertw(-(alpha**2) / math.e, -1).real) - 1)
     q = (np.sqrt((n + rho) / rho) / alpha) ** (2 / (dof + 1))
     below = 1 - q * rho / (n + rho)
     return float(np.sqrt(dof * (q - 1) / below)) if below > 0 else np.inf

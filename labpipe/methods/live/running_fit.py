@@ -167,9 +167,8 @@ class Equation:
         of_motion = -stiffness / self._view[:, None, None]
         shape = (self.omega.size, self.n_output, self.n_force)
         force = np.broadcast_to(self.model.whole(values).force.astype(np.complex128), shape)
-        return np.concatenate(
-            [of_motion, force - self._offset * of_motion if self._offset else force], axis=2
-        )
+        force = force - self._offset * of_motion if self._offset else force
+        return np.concatenate([of_motion, force], axis=2)
 
     def slopes(self, z: ComplexArray) -> ComplexArray:
         """de/dp of *z*, (n_line, n_experiment, n_output, n_parameter) [N per parameter unit]."""

@@ -201,8 +201,7 @@ class Session:
         rested, waited = 0.0, (time.monotonic(), 0)
         try:
             while not self.stopped():
-                rows = self.stream.read()
-                if rows is None:
+                if (rows := self.stream.read()) is None:
                     break
                 if not rows.shape[0]:
                     if rested >= self.idle or (rested > 1.0 and self.path and is_old(self.path, self.idle)):

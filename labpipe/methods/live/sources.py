@@ -238,22 +238,19 @@ class Folder:
     """Whole recordings of a folder, or a single one, each once it no longer changes."""
 
     def __init__(self, path: Path, columns: Sequence[str], settle: float = 1.0) -> None:
-        self.path, self.columns, self._settle = path, list(columns), settle
+        self.path, self.columns, self._settle, self.restarted = path, list(columns), settle, False
         self.sample_rate: float | None = None
-        self.restarted = False
         self._chunks: Iterator[FloatArray] = iter(())
         self.files: list[Path] = []
 
     def read(self) -> FloatArray | None:
         """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
         self.restarted = False
-        chunk = next(self._chunks, None)
-        if chunk is not None:
+        if (chunk := next(self._chunks, None)) is not None:
             return chunk
         for path in sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]:
-            if path in self.files or path.name.startswith(".") or not is_old(path, self._settle):
-                continue
-            if not path.is_file() or not path.stat().st_size:
+            is_whole = path.is_file() and is_old(path, self._settle) and path.stat().st_size
+            if not is_whole or path in self.files or path.name.startswith("."):
                 continue
             try:
                 table = open_table(path)

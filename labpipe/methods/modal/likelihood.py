@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.estimation.residual import jackknifed
+from labpipe.estimation.residual import jackknife_residual
 
 
 @dataclass(frozen=True)
@@ -335,7 +335,7 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
         )
         slopes = slopes - own @ eliminated[output]
         taken = own @ inverse[output] @ own.swapaxes(1, 2) + by_terms * np.eye(rest.shape[1])
-        return own, slopes, jackknifed(taken, np.concatenate([slopes, rest], axis=2))
+        return own, slopes, jackknife_residual(taken, np.concatenate([slopes, rest], axis=2))
 
     products = np.zeros((n_line, normal.shape[0], normal.shape[0] + 1))
     for output in range(len(psi)):
