@@ -104,6 +104,8 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         caption += (
             f" Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz, whose pole returns in "
             f"{100 * modes.returns[least]:.0f} % of the orders."
+            if modes.returns[least] < 1
+            else " The poles of all modes return in every order."
         )
     return Figure(chart, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 
