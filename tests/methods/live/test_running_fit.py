@@ -17,6 +17,7 @@ from labpipe.methods.live.charts import (
 from labpipe.methods.live.running_fit import (
     Directions,
     Equation,
+    HitCutter,
     HitSums,
     PeriodCutter,
     PeriodSums,
@@ -24,7 +25,7 @@ from labpipe.methods.live.running_fit import (
     moving_mean,
 )
 from labpipe.records.recording import Channel
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import FrfSettings, ImpactSettings
 
 # Estimates relative to the truth, standard errors, degrees of freedom, half-widths and chi-square per degree
 # of freedom of k, c, m after n periods: an independent implementation of the method, on the stream below.
@@ -233,3 +234,21 @@ def test_a_period_that_begins_elsewhere_is_turned_to_the_phases_of_the_first():
         ]
         np.testing.assert_allclose(after[0].amplitude, before[0].amplitude, rtol=0, atol=tolerance)
         assert np.abs(before[0].amplitude[:, 0]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("trigger", "faults"), [(0.1, ["", ""]), (0.05, ["", "weak: 7 % of the usual force", ""])]
+)
+def test_what_is_a_hit_and_what_is_too_weak_goes_by_the_hits_so_far(trigger, faults):
+    """Pulses of 5 ms and 100, 7 and 100 N: below a tenth of the largest there is no hit, with a lower trigger
+    a weak one.
+    """
+    rate, pulse = 1000.0, np.sin(np.pi * np.arange(5) / 5)
+    samples = 1e-3 * np.random.default_rng(1).normal(size=(3000, 2))
+    for start, size in ((400, 100.0), (1200, 7.0), (2000, 100.0)):
+        samples[start : start + pulse.size, 0] += size * pulse
+    channels = (Channel("f", "force", "input", "x"), Channel("y", "displacement", "output", "x"))
+    settings = FrfSettings("impact", block=0.5, impact=ImpactSettings(trigger=trigger))
+    hits = list(HitCutter(channels, rate, settings).add(samples))
+    assert [hit.fault for hit in hits] == faults
+    assert [hit.number for hit in hits] == list(range(1, len(faults) + 1))
