@@ -21,7 +21,7 @@ from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Uncertainty
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
-from labpipe.uncertainty.bandwise import TwoTests, bandwise, holm
+from labpipe.uncertainty.bandwise import TwoTests, bandwise, holm, two_tests
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings
 from tests.methods.magnetic_bearing.loop_cases import SETTINGS, bearing, measured
@@ -150,6 +150,15 @@ def test_a_difference_is_found_in_its_bands(rng: np.random.Generator) -> None:
     differing = [band for band in found.bands if band.p_value is not None and band.p_value < 0.05]
     assert found.verdict == "different"
     assert any(band.parameter == "c" and band.band_hz[0] <= 67 <= band.band_hz[1] for band in differing)
+
+
+def test_each_group_is_the_fits_of_its_one_test() -> None:
+    first, second = made([(1e4, 5.0)], "turning"), made([(1e4, 5.0)], "still")
+    groups = [("turning", "8000 rpm"), ("still", "0 rpm"), ("warm", "0 C")]
+    found = two_tests(ASKED, (*first, *second), groups)
+    assert found == TwoTests(("0 rpm", "8000 rpm"), (second, first))
+    with pytest.raises(ConfigError, match="2 tests have speed: 0 rpm"):
+        two_tests(ASKED, (*first, *second), [*groups, ("cold", "0 rpm")])
 
 
 @pytest.mark.long
