@@ -103,6 +103,7 @@ def test_oil_of_another_temperature_is_a_conflict() -> None:
     assert other.enlarged and max(abs(pull.z) for pull in pulls(other)) > 4
 
 
+@pytest.mark.long
 def test_a_missing_pedestal_is_the_most_probable_alternative() -> None:
     of, rng = built(), np.random.default_rng(21)
     truth = true_values(of)
