@@ -222,8 +222,8 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         averages.append(average)
     findings = [finding for average in averages for finding in average.findings]
     why = "it holds no hit whose block is complete"
-    found = zip(sources, averages, strict=True)
-    findings += [left_out(source, why) for source, average in found if not average.n_found]
+    pairs = zip(sources, averages, strict=True)
+    findings += [left_out(source, why) for source, average in pairs if not average.n_found]
     averages, layout = _with_hits(averages, layout)
     spectra = [average.spectra() for average in averages]
     findings.extend(average.slow_finding() for average in averages if average.slow)

@@ -123,9 +123,9 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
     rows = [names["reading"].index(name) for name in lines]
     mean, root = (each[:, rows][:, :, columns] for each in (mean, root))
     flat = root.reshape(mean.size, -1)
-    known = Influence(mean[0] + 1j * mean[1], flat @ flat.T, modelled=True)
-    narrow = replace(known, joint=known.joint / widened**2) if widened > 1 else None
-    return replace(known, narrow=narrow), lines
+    modelled = Influence(mean[0] + 1j * mean[1], flat @ flat.T, modelled=True)
+    narrow = replace(modelled, joint=modelled.joint / widened**2) if widened > 1 else None
+    return replace(modelled, narrow=narrow), lines
 
 
 def polar(text: str, unit: str) -> complex:

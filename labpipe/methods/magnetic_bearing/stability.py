@@ -4,7 +4,6 @@ open.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial
@@ -112,7 +111,7 @@ def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial,
     return pid, differentiator * lag
 
 
-def _polynomials(blocks: Sequence[ControllerBlock], time: float) -> tuple[Polynomial, Polynomial]:
+def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Polynomial, Polynomial]:
     if not blocks:
         return Polynomial([0.0]), Polynomial([1.0])
     continuous, _ = in_series(blocks)

@@ -407,7 +407,7 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
 
 
 @lru_cache(maxsize=64)
-def in_series(blocks: Iterable[ControllerBlock]) -> tuple[Transfer, Transfer]:
+def in_series(blocks: tuple[ControllerBlock, ...]) -> tuple[Transfer, Transfer]:
     """All blocks in series: those of s, and those of z, which are 1 where there are none."""
     parts = [block.transfer for block in blocks]
     continuous = Transfer()

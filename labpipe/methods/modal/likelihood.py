@@ -325,7 +325,7 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     def of_output(output: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Columns by shapes, by poles and participation; these and the residual over 1 - H_o."""
         root = np.sqrt(refined.noise[output])
-        own, slopes, rest = (
+        of_shape, slopes, rest = (
             np.concatenate([columns.real, columns.imag], axis=1)
             for columns in (
                 np.einsum("lf,ifn->lin", functions[:, : 2 * psi.shape[1]], of_shapes / root[:, None, None]),
@@ -333,9 +333,9 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
                 (residual[:, output] / root)[:, :, None],
             )
         )
-        slopes = slopes - own @ eliminated[output]
-        taken = own @ inverse[output] @ own.swapaxes(1, 2) + by_terms * np.eye(rest.shape[1])
-        return own, slopes, jackknife_residual(taken, np.concatenate([slopes, rest], axis=2))
+        slopes = slopes - of_shape @ eliminated[output]
+        taken = of_shape @ inverse[output] @ of_shape.swapaxes(1, 2) + by_terms * np.eye(rest.shape[1])
+        return of_shape, slopes, jackknife_residual(taken, np.concatenate([slopes, rest], axis=2))
 
     products = np.zeros((n_line, normal.shape[0], normal.shape[0] + 1))
     for output in range(len(psi)):
@@ -346,10 +346,11 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     shares = np.linalg.solve(whole - products[:, :, :-1], products[:, :, -1:])
     of_outputs = []
     for output in range(len(psi)):
-        own, _, scatter = of_output(output)
+        of_shape, _, scatter = of_output(output)
         rest = scatter[:, :, -1:] + scatter[:, :, :-1] @ shares
         of_outputs.append(
-            (own.swapaxes(1, 2) @ rest)[:, :, 0] @ inverse[output] - shares[:, :, 0] @ eliminated[output].T
+            (of_shape.swapaxes(1, 2) @ rest)[:, :, 0] @ inverse[output]
+            - shares[:, :, 0] @ eliminated[output].T
         )
     of_poles = shares[:, :, 0]
     return replace(

@@ -427,8 +427,6 @@ def _decimate(
     factor = max(1, int(rate / (SAMPLES_PER_PERIOD * _highest(centred[0], rate, band, n_mode))))
     if factor == 1:
         return [samples[:MOST_SAMPLES] for samples in centred], rate
-    # Imported here, since scipy.signal brings scipy.stats along: half a second.
-
     slow = [scipy.signal.resample_poly(samples, 1, factor) for samples in centred]
     inside = [
         samples[FILTER:-FILTER][:MOST_SAMPLES] if samples.size > 4 * FILTER else samples for samples in slow

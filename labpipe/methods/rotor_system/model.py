@@ -452,9 +452,9 @@ class SystemModel:
 
         each = [self.roots(values, spin, slopes=False, omega=float(middle)) for middle in MIDDLES]
         edges = np.sqrt(MIDDLES[1:] * MIDDLES[:-1])
-        inside = [np.searchsorted(edges, np.abs(one.values)) == band for band, one in enumerate(each)]
-        root = np.concatenate([one.values[kept] for one, kept in zip(each, inside, strict=True)])
-        shapes = np.concatenate([one.shapes[:, kept].T for one, kept in zip(each, inside, strict=True)])
+        inside = [np.searchsorted(edges, np.abs(roots.values)) == band for band, roots in enumerate(each)]
+        root = np.concatenate([roots.values[kept] for roots, kept in zip(each, inside, strict=True)])
+        shapes = np.concatenate([roots.shapes[:, kept].T for roots, kept in zip(each, inside, strict=True)])
         first = np.argsort(np.abs(root))[: most or None]
         root, right, left = root[first], shapes[first, :, None], shapes[first, :, None]
         for _ in range(ROUNDS):

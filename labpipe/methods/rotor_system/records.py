@@ -149,9 +149,9 @@ class RotorSystemResult:
     decrement: the least logarithmic decrement there, its standard error, and the probability that it is above
     .1. onset: speed [Hz] of instability and standard error of its logarithm. alternative: what the model was
     replaced by; widened: factor on intervals of predictions. next_tests: standard error of ln decrement
-    there, if that test is made once more. measured: (speed, natural frequency) [Hz] of tests in the bearings.
-    budget: shares of its variance that would go if one unknown, or all
-    small errors of a group, were known.
+    there, if that test is made once more; budget: the shares [1] of the variance of ln decrement there that
+    would go if one unknown, or all small errors of a group, were known. measured: (speed, natural frequency)
+    [Hz] of tests in the bearings.
     """
 
     rotor: str

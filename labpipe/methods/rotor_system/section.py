@@ -261,9 +261,9 @@ def unknown_table(result: RotorSystemResult) -> Table:
 
 def budget_table(result: RotorSystemResult) -> Table:
     """What the uncertainty of the least decrement rests on."""
+    groups = {group.name for group in result.small_errors}
     rows = tuple(
         (f"small errors of {name.replace('_', ' ')}" if name in groups else name, number(100 * share, 2))
-        for groups in [{each.name for each in result.small_errors}]
         for name, share in result.budget.items()
         if share > LEAST_SHARE
     )
