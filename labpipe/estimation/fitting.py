@@ -68,7 +68,7 @@ from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode, place_notes, transfer_of
 from labpipe.estimation.unstated import with_unstated
-from labpipe.estimation.weights import fit_weights, has_noise
+from labpipe.estimation.weights import fit_weights, has_noise, weighted_by_model
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
@@ -290,17 +290,20 @@ def _fit_band(
     setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool
 ) -> _BandFit:
     settings = setup.settings
+    estimator = settings.estimates
     estimate = _estimate(measured, model, settings)
+    if estimator.likelihood and not setup.closed_loop:
+        by_model = weighted_by_model(measured, model.receptance(estimate.values, measured.omega))
+        if by_model is not measured:
+            measured, estimate = by_model, _estimate(by_model, model, settings)
     dropped: list[str] = []
     beside = None if isinstance(model, TransferMode) else _beside_others(setup, measured, estimate, band)
     if beside is not None:
-        model, estimate = beside[:2]
+        model, estimate, said = beside
         settings = replace(settings, residuals=True)
-        setup = replace(setup, settings=settings)
-        dropped.append(beside[2])
+        setup, dropped = replace(setup, settings=settings), [said]
     if settings.eliminate and isinstance(model, DynamicModel):
         model, estimate, dropped = _eliminate(measured, model, estimate, settings)
-    estimator = settings.estimates
     shown = expected(measured, model) if estimator.models_leakage else model
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
@@ -315,16 +318,15 @@ def _fit_band(
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
-    notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
-    notes = (*notes, *motion_notes(measured), *place_notes(setup))
+    parameters = budgeted.parameters
     # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
-    ml_estimate = estimate if of_model else None
     compared_models, left_out = (
-        candidates(measured, setup, ml_estimate)
+        candidates(measured, setup, estimate if of_model else None)
         if settings.compare or settings.damping != VISCOUS
         else ((), ())
     )
+    notes = (*notes, *budgeted.notes, *motion_notes(measured), *place_notes(setup))
     notes = (*notes, *comparison_notes(left_out))
     fit = replace(
         reported_fit(settings, estimate, parameters, band, measured.omega.size),

@@ -43,8 +43,9 @@ class Measured:
       lines; *noise*: that of lines
     that each have gains of their own. *offset* (n_line,) [m/N]: what was taken off the measured form, a
       gain's error acts on both; None for
-    0. *blocks* of random data and their *leakage* where it is known (H1), or None. *errors*: of sums of
-      channels, as receptance.
+    0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces
+      first, where the covariance follows from it by the measured FRF; None else. *blocks* of random data and
+      their *leakage* where it is known (H1), or None. *errors*: of sums of channels, as receptance.
     """
 
     omega: FloatArray
@@ -61,6 +62,7 @@ class Measured:
     line_noise: SharedNoise | None = None
     leakage: Leakage | None = None
     offset: FloatArray | None = None
+    noise_of_channels: FloatArray | None = None
     blocks: Blocks | None = None
     errors: tuple[MatrixError, ...] = ()
 
@@ -174,6 +176,7 @@ def measured_part(
         noise=None if gains is None else line_noise,
         line_noise=line_noise,
         offset=view.offset / np.real(factor) if view.offset else None,
+        noise_of_channels=_noise_of_channels(response, rows, columns, lines),
         change=None
         if response.change is None
         else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
@@ -182,6 +185,16 @@ def measured_part(
             for error in response.errors
         ),
     )
+
+
+def _noise_of_channels(
+    response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray
+) -> FloatArray | None:
+    # Of a mean over realisations the covariance is what they scatter by.
+    if response.snr is None or response.distortion is not None:
+        return None
+    channels = [*columns, *(len(response.inputs) + row for row in rows)]
+    return np.asarray(np.maximum(response.snr[lines][:, channels], 1.0) ** -2.0)
 
 
 def _chosen_covariance(

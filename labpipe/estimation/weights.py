@@ -1,7 +1,5 @@
 """Weights of the lines in an output-error fit, and the effect of estimated weights.
 
-Weights of the lines in an output-error fit, and the effect of estimated weights.
-
 A covariance S estimated from nu complex degrees of freedom is complex Wishart, S = C W / nu. With a = nu - n
 for n outputs (several forces share or have separate estimates of the outputs' noise, so they do not count in
 n): E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald and Kraus 2000, IEE Proc.
@@ -101,6 +99,9 @@ def deviation_factors(deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
 NOISE_FREE = 1e-10
 # A covariance of normalised FRFs is rank deficient if its smallest eigenvalue is below this many roundings.
 SINGULAR_ROUNDINGS = 100
+# Standard errors by which noise of the forces may move an estimate through its weights, and standard
+# deviations of a line that its noise may reach.
+LEAST_SHIFT, FARTHEST = 0.05, 3.0
 # Complex numbers that are whitened together: few enough to stay in the cache.
 CACHED_TERMS = 1 << 16
 
@@ -237,6 +238,39 @@ def equal_weights(measured: Measured) -> ComplexArray:
 
 def _size(measured: Measured) -> float:
     return float(np.sqrt(np.mean(np.abs(measured.matrix) ** 2)))
+
+
+def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
+    """The data with the covariance that noise of the forces has at the *fitted* FRF H (n_line, n_output,
+    n_input) [m/N] and the likeliest forces; as they are where that moves no estimate by LEAST_SHIFT.
+
+    In cov = S (x) (U U^H)^-1, S = H N_u H^H + N_y, of the measured H + E and U, lines at which noise made
+    U large and H small weigh too much: H comes out low by 2 a v, v its relative variance, a the part of
+    the forces in it. With K = N_u H^H S^-1, errors dH become (1 - E K) dH (1 + K E)^-1: the first takes E
+    out of S, the second is the most likely U over the measured one. N by the channels' noise as if all
+    forces were of one size. Equation (est-model-weights).
+    """
+    variance, channels = measured.variance, measured.noise_of_channels
+    if channels is None or variance is None or not has_noise(measured):
+        return measured
+    shown, model = measured.plus_offset(measured.matrix), measured.plus_offset(fitted)
+    _, n_output, n_input = shown.shape
+    size = np.max(np.abs(model) ** 2, axis=2)
+    crossed = channels[:, :n_input, None] * model.conj().swapaxes(1, 2)
+    of_outputs = (channels[:, n_input:] * size)[..., None] * np.eye(n_output)
+    gain = crossed @ np.linalg.inv(model @ crossed + of_outputs)
+    share = np.einsum("loi,lio->lo", model, gain).real
+    variance = variance.reshape(shown.shape)
+    if np.sqrt(8 * np.sum((share**2 / size)[..., None] * variance)) < LEAST_SHIFT:
+        return measured
+    error = shown - model
+    # What is further off is no noise.
+    error *= np.minimum(1, FARTHEST * np.sqrt(variance) / np.maximum(np.abs(error), np.finfo(float).tiny))
+    left, right = np.eye(n_output) - error @ gain, np.linalg.inv(np.eye(n_input) + gain @ error)
+    n = n_output * n_input
+    change = np.einsum("lop,lji->loipj", left, right).reshape(-1, n, n)
+    assert measured.covariance is not None
+    return replace(measured, covariance=change @ measured.covariance @ change.conj().swapaxes(1, 2))
 
 
 def whitener(measured: Measured) -> ComplexArray:

@@ -26,6 +26,8 @@ ENOUGH_DOF = 16.0
 # must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
+# Noise in the power of the forces up to which it is taken out of it.
+MOST_NOISE = 0.5
 # Numbers of matrices that are made together: a part of the cache.
 CACHED_NUMBERS = 1 << 16
 
@@ -156,6 +158,29 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
     # As many lines as are averaged have ENOUGH_DOF degrees of freedom together.
     covariance = np.linalg.pinv(weighted.T @ weighted) * (2 * half_width + 1) / ENOUGH_DOF
     return shape if values[1] > SIGNIFICANT * np.sqrt(covariance[1, 1]) else np.ones_like(variance)
+
+
+def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArray | None) -> ComplexArray:
+    """H = (Y U^H - N_yu) (U U^H - N_uu)^-1 (n_line, n_output, n_input) [unit/N] of all recordings,
+    N = sum_e (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H.
+
+    Noise adds N_e of every recording to Y U^H and U U^H; the error of the inverse takes the part h_e of
+    it back, in first order, which is all where recordings are as many as forces. mean (n_line, n_input +
+    n_output, n_recording) [unit], forces first; inverse (n_line, n_recording, n_input) [1/N] = U^+; noise
+    (n_recording, n_line, n_channel, n_channel) [unit^2]. Y U^+ as it is where the noise is not known, and
+    at lines where it is more than half of the forces. Equation (frf-joined).
+    """
+    n_input = inverse.shape[2]
+    response = mean[:, n_input:] @ inverse
+    if noise is None or mean.shape[2] == n_input:
+        return response
+    spare = 1 - np.einsum("lei,lie->el", inverse, mean[:, :n_input]).real
+    share = np.einsum("el,elab->lab", spare, noise)[:, :, :n_input] @ (hermitian(inverse) @ inverse)
+    of_forces = share[:, :n_input]
+    # The trace of a product of two non-negative matrices bounds its eigenvalues.
+    clear = (np.einsum("lii->l", of_forces).real < MOST_NOISE)[:, None, None]
+    whole = np.eye(n_input) - np.where(clear, of_forces, 0)
+    return (response - np.where(clear, share[:, n_input:], 0)) @ np.linalg.inv(whole)
 
 
 def covariance_of_periodic(

@@ -174,10 +174,10 @@ def is_double(force: FloatArray, share: float) -> bool:
 
 
 def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
-    """Force window: one up to *length* [samples] after the hit, then half a cosine to zero within a tenth of
-    it, (n_sample,).
+    """Force window: one up to *length* [samples] before and after the hit, then half a cosine to zero within
+    a tenth of it, (n_sample,).
     """
-    past = np.arange(n_sample) - (trigger + length)
+    past = np.abs(np.arange(n_sample) - trigger) - length
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0)))
 
 
@@ -204,6 +204,10 @@ def check_single_force(source: SampleSource) -> int:
 
 # Recordings of hammer hits -> FRF matrix averaged over the good hits, with coherence and covariance.
 
+# Standard errors of a gain common to all lines by which noise of the force may move it without a word.
+MOST_COMMON = 0.5
+# Relative standard deviation of an FRF below which its scatter is rounding.
+ROUNDING = 1e-10
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
 DIED_AWAY = 0.05
 # Share at which the advised block ends, and the fall of ln(rms) within a block that tells its length.
@@ -243,10 +247,47 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
         parts = _undamped(parts, settings.damping_window, correlation)
-    return _select(
-        dataclasses.replace(parts, findings=(*findings, *parts.findings)),
-        lines_left(parts.frequency, settings),
-    )
+    chosen = lines_left(parts.frequency, settings)
+    parts = _select(dataclasses.replace(parts, findings=(*findings, *parts.findings)), chosen)
+    errors = [average.force_noise()[chosen] for average in averages]
+    windowed = settings.impact.force_window is not None
+    findings = list(force_noise_findings(parts, errors, layout, windowed))
+    return dataclasses.replace(parts, findings=(*parts.findings, *findings))
+
+
+def force_noise_findings(
+    parts: Parts, errors: Sequence[FloatArray], layout: Layout, windowed: bool
+) -> Iterator[Finding]:
+    """A warning of every force whose noise moves H, alike at all lines, by more than MOST_COMMON standard
+    errors of a gain common to all lines.
+
+    *errors* of each recording's force, relative, (n_line,) [1] each. With the relative variance v of a line:
+    sum(error / v) sqrt(2 / sum(1 / v)).
+    """
+    if parts.covariance is None:
+        return
+    held = parts.covariance
+    variance = np.einsum("lii->li", held).real if isinstance(held, np.ndarray) else held.variance
+    size = np.maximum(np.abs(parts.matrix) ** 2, np.finfo(float).tiny)
+    precision = size / np.maximum(variance.reshape(size.shape), ROUNDING**2 * size)
+    forces = [max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns]
+    for force in dict.fromkeys(forces):
+        of_force = [error for error, number in zip(errors, forces, strict=True) if number == force]
+        error, weights = np.mean(of_force, axis=0), precision[:, :, force]
+        total = np.maximum(np.sum(weights, axis=0), np.finfo(float).tiny)
+        common = float(np.max(error @ weights * np.sqrt(2 / total), initial=0.0))
+        if common > MOST_COMMON:
+            what, hint = (
+                ("within its window moves H by", "shorten `force_window` to a little more than the contact")
+                if windowed
+                else ("after its hits makes H low by", "give `impact: {force_window: ...}`")
+            )
+            yield Finding(
+                "force-noise",
+                f"noise of the force {layout.inputs[force].label} {what} {100 * np.median(error):.2g} % "
+                f"(median over the lines), {common:.2g} standard errors of a gain that all lines have in "
+                f"common; {hint}",
+            )
 
 
 def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAverage], Layout]:
@@ -300,6 +341,8 @@ class _HitAverage:
         n_line = int(self._lines.stop - self._lines.start)
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self._n_hit = self.n_found = 0
+        # Mean power of the force's noise at the lines, summed over the hits.
+        self._noise = 0.0
         self._origins: list[float] = []
         # Of each hit alone: number, peak force [N], amplitudes (n_line, n_channel).
         self._alone: list[tuple[int, float, ComplexArray]] = []
@@ -320,6 +363,7 @@ class _HitAverage:
         amplitude = fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self._n_hit += 1
+        self._noise += self._noise_power(hit)
         self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
@@ -336,6 +380,34 @@ class _HitAverage:
             samples *= exponential_window(self.n_sample, impact.decay * rate)[:, None]
         self._note_slow(samples)
         return samples
+
+    def _noise_power(self, hit: Hit) -> float:
+        """Mean |X|^2 over the lines of the noise of the force under its windows, by what the hammer shows in
+        the second half of what follows the hit.
+        """
+        rate, length, decay = (
+            self._source.sample_rate,
+            self._settings.impact.force_window,
+            self._settings.damping_window,
+        )
+        rest = hit.samples[(self.n_sample + hit.trigger) // 2 :, self.force]
+        ends = np.array([self._lines.start, self._lines.stop]) * rest.size // self.n_sample
+        lines = slice(ends[0], ends[1] + 1)
+        power = float(np.mean(np.abs(fft.rfft(rest - np.mean(rest))[lines]) ** 2)) / rest.size
+        window = np.ones(self.n_sample)
+        if length is not None:
+            window *= force_window(self.n_sample, hit.trigger, length * rate)
+        if decay is not None:
+            window *= exponential_window(self.n_sample, decay * rate)
+        return power * float(np.sum(window**2))
+
+    def force_noise(self) -> FloatArray:
+        """Relative error (n_line,) [1] of the mean force by its noise that is alike at many lines: its share
+        in the power of the force, by which H1 is low, or under a force window the standard deviation of what
+        the short window leaves, which lines nearer than its inverse share.
+        """
+        share = self._noise / np.maximum(self._sum[:, self.force, self.force].real, np.finfo(float).tiny)
+        return share if self._settings.impact.force_window is None else np.sqrt(share / (2 * self._n_hit))
 
     def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])

@@ -19,7 +19,7 @@ from labpipe.records.response import FrequencyResponse, uncorrelated
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import covariance_of_periodic
+from labpipe.spectra.covariance import covariance_of_periodic, joined_response
 from labpipe.spectra.feedback import feedback_of_periods
 from labpipe.spectra.joint import check_references, covariance_by_neighbours, open_loop_note
 from labpipe.spectra.period_average import (
@@ -63,10 +63,9 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
-    forces, responses = mean[:, :n_input], mean[:, n_input:]
-    inverse = force_inverse(forces, layout)
-    matrix = responses @ inverse
+    inverse = force_inverse(mean[:, :n_input], layout)
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
+    matrix = joined_response(mean, inverse, np.stack(noises) if len(noises) == len(spectra) else None)
     covariance = None
     if len(noises) == len(spectra) and settings.reference:
         covariance = covariance_by_neighbours(spectra[0].frequency, matrix, mean, noises)

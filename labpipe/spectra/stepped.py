@@ -14,7 +14,7 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import ENOUGH_DOF, covariance_of_periodic
+from labpipe.spectra.covariance import ENOUGH_DOF, covariance_of_periodic, joined_response
 from labpipe.spectra.period_average import neighbourhood_mean
 from labpipe.spectra.ports import Layout, Parts, lines_left
 from labpipe.spectra.quality import force_inverse
@@ -265,7 +265,7 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     half_width = min(settings.smooth, int(np.ceil((ENOUGH_DOF / dof - 1) / 2))) if dof < ENOUGH_DOF else 0
     noise = np.stack([layout.padded(e, _noise(lines, half_width), 2) for e, lines in enumerate(columns)])
     inverse = force_inverse(mean[:, :n_input], layout)
-    matrix = mean[:, n_input:] @ inverse
+    matrix = joined_response(mean, inverse, noise)
     return Parts(
         frequency=frequency[chosen],
         matrix=matrix,

@@ -264,6 +264,34 @@ def test_the_force_window_takes_the_noise_between_hits_away(rng: np.random.Gener
     assert errors[1] < 2 * np.sqrt(1 / 250) * errors[0]
 
 
+@pytest.mark.parametrize(("window", "said"), [(None, "after its hits"), (8e-3, "within its window")])
+def test_noise_of_the_hammer_that_moves_all_lines_alike_is_named(
+    window: float | None, said: str, rng: np.random.Generator
+) -> None:
+    """H1 is low by N_uu / S_uu: noise s white over a block of n samples has |X|^2 = n s^2. Under a window of
+    17.6 ms it is one gain error of all lines, sqrt(n_w s^2 / |U|^2 / 2 / 5) of five hits.
+    """
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    clean = hammered(rng, half_sine(LENGTH, [20, *STARTS[1:]], [1.0] * 5), quick)
+    impact = ImpactSettings(trigger=0.4, double_hit=0.4, force_window=window)
+    settings = FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0), impact=impact)
+
+    def finding(force: float) -> str:
+        scales = np.array([force, 1e-3 * np.max(np.abs(clean.samples[:, 1]))])
+        noisy = Recording(clean.channels, clean.samples + scales * rng.normal(size=(LENGTH, 2)), RATE, "taps")
+        return next((f.message for f in measure([noisy], settings).findings if f.code == "force-noise"), "")
+
+    size, n = 0.02, round(2 * RATE)
+    power = np.median(np.abs(np.fft.rfft(half_sine(n, [20], [1.0])))[40:201] ** 2)
+    share = n * size**2 / power if window is None else np.sqrt(0.0176 * RATE * size**2 / power / 10)
+    message = finding(size)
+    assert said in message
+    # Five tails of half a block tell noise to 4 %, two digits are printed.
+    printed = float(message.split(" %")[0].split()[-1])
+    assert printed == pytest.approx(100 * share, rel=0.15)
+    assert not finding(1e-5)
+
+
 def one_hit(
     start: int, peak: float, second: float = 0.0, decay: float | None = None, channels=(HAMMER, X)
 ) -> Recording:
