@@ -58,8 +58,8 @@ def _of_others(kind: str) -> Mapping[str, EntryPoint]:
     Cached, since it reads the metadata of every installed package.
     """
     group = group_of(kind)
-    own = _shipped().get(group, {})
-    return {entry.name: entry for entry in entry_points(group=group) if entry.name not in own}
+    shipped = _shipped().get(group, {})
+    return {entry.name: entry for entry in entry_points(group=group) if entry.name not in shipped}
 
 
 def group_of(kind: str) -> str:

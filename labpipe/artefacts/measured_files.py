@@ -108,7 +108,7 @@ def _stored_pairs(covariance: StoredCovariance) -> Iterator[tuple[int, int]]:
 
 
 def _contents(response: FrequencyResponse) -> dict[str, Any]:
-    dof, held = response.covariance_dof, response.stored_covariance
+    dof, stored = response.covariance_dof, response.stored_covariance
     return {
         "name": response.name,
         "form": response.form,
@@ -119,7 +119,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         # A number where it is real, as files have always had it; real and imaginary part of a complex one.
         "line_correlation": [c.real if c.imag == 0 else [c.real, c.imag] for c in response.line_correlation],
         "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
-        **({"covariance_blocks": held.elements.tolist()} if isinstance(held, BlockCovariance) else {}),
+        **({"covariance_blocks": stored.elements.tolist()} if isinstance(stored, BlockCovariance) else {}),
         "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "errors": [dataclasses.asdict(error.uncertainty) for error in response.errors],

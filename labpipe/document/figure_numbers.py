@@ -68,15 +68,15 @@ def _read_digits(series: Series) -> int:
 
 def _round(values: FloatArray, digits: int) -> FloatArray:
     """The double nearest to each of *values* (n,) [any unit] with so many decimal digits; nan for none."""
-    known = np.where(np.isfinite(values), values, np.nan)
-    size = np.log10(np.abs(known), out=np.zeros(known.size), where=known != 0)
+    finite = np.where(np.isfinite(values), values, np.nan)
+    size = np.log10(np.abs(finite), out=np.zeros(finite.size), where=finite != 0)
     places = digits - 1 - np.nan_to_num(np.floor(size))
     # A whole number over a power of ten that is one itself is the nearest double.
     power = 10.0 ** np.minimum(np.abs(places), EXACT_POWER)
     with np.errstate(over="ignore"):
-        rounded = np.where(places >= 0, np.round(known * power) / power, np.round(known / power) * power)
+        rounded = np.where(places >= 0, np.round(finite * power) / power, np.round(finite / power) * power)
     for n in np.flatnonzero(np.abs(places) > EXACT_POWER):
-        rounded[n] = float(f"{known[n]:.{digits}g}")
+        rounded[n] = float(f"{finite[n]:.{digits}g}")
     return rounded
 
 

@@ -125,8 +125,8 @@ def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
     these: far above the noise it is not linear. Of unknown noise the fit as it was made. FitError as
     `solve_scaled`.
     """
-    sources, known = sources_of(case.setup, case.measured), has_noise(case.measured)
-    noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if known else 1.0
+    sources, is_noisy = sources_of(case.setup, case.measured), has_noise(case.measured)
+    noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
     weights, uncertainties = fit_weights(case.measured), tuple(uncertainty for uncertainty, _ in sources)
     moved, at, before = case, np.zeros(len(sources)), np.inf
     likely, followed = (
@@ -151,7 +151,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
         change = move @ stated.changes
         step = inverse @ (jacobian.T @ change)
         left = change - jacobian @ step
-        if not known or left @ left < NEGLIGIBLE:
+        if not is_noisy or left @ left < NEGLIGIBLE:
             break
         at = at + move
         moved = _move(case, sources, at, values - step - along + followed)

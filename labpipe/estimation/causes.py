@@ -429,8 +429,8 @@ def delay_finding(
     explain it.
     """
     changed = ", ".join(
-        f"{one} = {_amount(value, unit, std_error)}"
-        for one, unit, value, std_error in of_fit
+        f"{name} = {_amount(value, unit, std_error)}"
+        for name, unit, value, std_error in of_fit
         if unit in ("N/m", "N.s/m", "N/A")
     )
     side = "late" if delay[0] > 0 else "early"

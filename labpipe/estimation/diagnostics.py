@@ -476,8 +476,8 @@ def narrow_findings(parameters: Sequence[Parameter], spacing: float) -> list[Fin
     f_n, of_damping = by_name["f_n"].value, by_name["zeta"]
     zeta = of_damping.value
     # A damping that cannot be told from none is said to be insignificant.
-    told = of_damping.ci95 is None or of_damping.ci95[0] > 0
-    if not told or not 0 < 2 * zeta * f_n < spacing:
+    is_positive = of_damping.ci95 is None or of_damping.ci95[0] > 0
+    if not is_positive or not 0 < 2 * zeta * f_n < spacing:
         return []
     message = (
         f"the mode at {f_n:.5g} Hz is {2 * zeta * f_n:.2g} Hz wide (half power), less than the "

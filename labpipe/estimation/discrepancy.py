@@ -344,7 +344,7 @@ def mixture(base: Fitted) -> Mixture:
     amplitude_prior = np.where(AMPLITUDES == 0, np.log(SOUND), np.log((1 - SOUND) / (AMPLITUDES.size - 1)))
     fits = {base.model.member: base} | {fit.model.member: fit for fit in extensions(base)}
     ladder = {member: LADDER[member] / sum(LADDER[other] for other in fits) for member in fits}
-    found: list[Component] = []
+    components: list[Component] = []
     sources: list[tuple[Fitted, Course]] = []
 
     def add(member: str, fit: Fitted) -> None:
@@ -354,25 +354,31 @@ def mixture(base: Fitted) -> Mixture:
             parts = _components(
                 member, of.kind, fit, of, AMPLITUDES, rows, prior + amplitude_prior, LINEARISATIONS, base
             )
-            found.extend(parts)
+            components.extend(parts)
             sources.extend([(fit, of)] * len(parts))
 
     for member, fit in fits.items():
         add(member, fit)
-    if not found:
+    if not components:
         raise FitError("no course of a model error continues the fit")
-    best = int(np.argmax([component.log_weight for component in found]))
-    together = second_beside_moving(base, fits) if found[best].amplitude > 0 or found[best].member else None
+    best = int(np.argmax([component.log_weight for component in components]))
+    together = (
+        second_beside_moving(base, fits)
+        if components[best].amplitude > 0 or components[best].member
+        else None
+    )
     if together is not None:
         ladder[together.model.member] = LADDER[SECOND] ** 2
         add(together.model.member, together)
-        best = int(np.argmax([component.log_weight for component in found]))
-    if found[best].amplitude > 0:
-        found.extend(_second_courses(base, *sources[best], found[best], float(amplitude_prior[1]), ladder))
-    logs = np.array([component.log_weight for component in found])
+        best = int(np.argmax([component.log_weight for component in components]))
+    if components[best].amplitude > 0:
+        components.extend(
+            _second_courses(base, *sources[best], components[best], float(amplitude_prior[1]), ladder)
+        )
+    logs = np.array([component.log_weight for component in components])
     weights = np.exp(logs - special.logsumexp(logs))
     keep = weights > 1e-9
-    kept = tuple(component for component, chosen in zip(found, keep, strict=True) if chosen)
+    kept = tuple(component for component, chosen in zip(components, keep, strict=True) if chosen)
     weights = weights[keep] / np.sum(weights[keep])
     second = float(np.exp(fits[SECOND].theta[model.n_interest])) if SECOND in fits else None
     moving = [law for law in MOVED if law in fits]
@@ -446,7 +452,7 @@ def _second_courses(
     prior = np.log(ladder[fit.model.member]) + fit.occam - np.log(3 * counts[first.kind]) + amplitude_prior
     prior += np.log(3 / 7 / 7 / (AMPLITUDES.size - 1))
     rows = base.model.prior_rows(base.theta, fit.theta.size)
-    found: list[Component] = []
+    components: list[Component] = []
     begin = best.theta
     for kind, length in tried:
         if kind == first.kind and abs(length - first.length) < 0.3 * first.length:
@@ -454,7 +460,7 @@ def _second_courses(
         of = course_beside(base, first, best.amplitude, kind, float(length))
         priors = np.full(AMPLITUDES.size - 1, prior)
         name = f"+{first.kind}{kind}"
-        found.extend(
+        components.extend(
             _components(fit.model.member, name, fit, of, AMPLITUDES[1:], rows, priors, 2, base, begin)
         )
-    return found
+    return components

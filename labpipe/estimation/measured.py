@@ -204,9 +204,9 @@ def _chosen_covariance(
 
     In blocks where that of the response is.
     """
-    held = response.stored_covariance
-    if isinstance(held, BlockCovariance):
-        return held.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
+    stored = response.stored_covariance
+    if isinstance(stored, BlockCovariance):
+        return stored.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
     if response.covariance is None:
         return None
     covariance: ComplexArray = (

@@ -217,12 +217,12 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
     errors = np.array([number.error for number in numbers], dtype=float)
     limits = [number.limits for number in numbers]
     covariance = np.diag(errors**2)
-    known = True
+    is_known = True
     for first, second in itertools.combinations(range(len(numbers)), 2):
         common = _covariance(numbers[first], numbers[second])
-        known = known and common is not None
+        is_known = is_known and common is not None
         covariance[first, second] = covariance[second, first] = common or 0.0
-    if known:
+    if is_known:
         probability = joint_conformance(values, covariance, limits)
     else:
         singles = [conformance(*single) for single in zip(values, errors, limits, strict=True)]
@@ -238,9 +238,9 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
         probability=probability,
         specific_risk=_specific(outcome, probability),
         together=len(numbers),
-        least=not known,
+        least=not is_known,
     )
-    least = "" if known else "at least: some correlations are not known; "
+    least = "" if is_known else "at least: some correlations are not known; "
     shown = f"{least}all {len(numbers)} {within(probability)}: {outcome}"
     passed = outcome in decision.outcomes
     return RuleOutcome(rule.section, rule.text, probability, passed, shown=shown, decision=record)

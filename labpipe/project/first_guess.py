@@ -345,12 +345,12 @@ def highest_peak(mobility: Numbers, coherence: FloatArray | None = None) -> tupl
     follow no pole; without any it is the highest of all.
     """
     size = np.abs(mobility)
-    found = peaks_of(size)
-    ordered = found[np.argsort(-size[found])] if found.size else np.array([np.argmax(size)])
+    peaks = peaks_of(size)
+    ordered = peaks[np.argsort(-size[peaks])] if peaks.size else np.array([np.argmax(size)])
     explained = np.zeros(size.size) if coherence is None else coherence
     like_a_mode: Callable[[Any, int], bool] = _is_pole if np.iscomplexobj(mobility) else _is_mode
     for peak in map(int, ordered):
-        if found.size and (explained[peak] > EXPLAINED or like_a_mode(mobility, peak)):
+        if peaks.size and (explained[peak] > EXPLAINED or like_a_mode(mobility, peak)):
             return peak, True
     return int(ordered[0]), False
 

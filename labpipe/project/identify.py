@@ -135,9 +135,9 @@ def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> di
 
 
 def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
-    own: dict[str, Any] = {"frf": test.frf} if test.frf is not None else {}
-    own |= {"repeats": test.repeats} if test.repeats else {}
-    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **own}
+    entry: dict[str, Any] = {"frf": test.frf} if test.frf is not None else {}
+    entry |= {"repeats": test.repeats} if test.repeats else {}
+    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **entry}
 
 
 def rig_entry(pipeline: Pipeline) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def measured_header(
     return Header(
         kind,
         {**parameters, **({RIGS: rigs} if rigs else {})},
-        inputs=tuple(one.source_ref() for one in recordings),
+        inputs=tuple(recording.source_ref() for recording in recordings),
     )
 
 
@@ -130,8 +130,10 @@ def frf(
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
     """The raw files behind recordings, for messages."""
     return ", ".join(
-        one.header.inputs[0].path if isinstance(one, StoredRecording) and one.header.inputs else one.path.name
-        for one in recordings
+        recording.header.inputs[0].path
+        if isinstance(recording, StoredRecording) and recording.header.inputs
+        else recording.path.name
+        for recording in recordings
     )
 
 

@@ -396,12 +396,16 @@ def _seen_in_files(job: Job) -> list[Finding]:
     if job.frf is None or job.frf.windowed is None:
         return []
     for source in job.test.recordings:
-        measured = [one.column for one in source.rig.channels if one.channel.role == "output"]
-        found = (
+        measured = [
+            measured_channel.column
+            for measured_channel in source.rig.channels
+            if measured_channel.channel.role == "output"
+        ]
+        finding = (
             None if is_recording(source.path) else windows_of_copies_alone(open_table(source.path), measured)
         )
-        if found is not None:
-            return [found]
+        if finding is not None:
+            return [finding]
     return []
 
 

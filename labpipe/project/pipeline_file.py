@@ -276,18 +276,18 @@ def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> Comp
         faults.add(node, key, "a fit or calibration has this name already", "rules could not tell them apart")
     entries, before = faults.mapping(node, key), len(faults)
     kind = entries["kind"].text if "kind" in entries else ""
-    own = comparison_kind(kind) if kind in COMPARISONS else None
+    comparison = comparison_kind(kind) if kind in COMPARISONS else None
     presets: dict[str, Any] = {"name": name}
-    if own is not None and own.settings is not None and own.section in entries:
+    if comparison is not None and comparison.settings is not None and comparison.section in entries:
         presets["kind_settings"] = read_settings(
-            own.settings, entries[own.section], join(key, own.section), faults
+            comparison.settings, entries[comparison.section], join(key, comparison.section), faults
         )
         node = Marked(
-            {entry: part for entry, part in entries.items() if entry != own.section},
+            {entry: part for entry, part in entries.items() if entry != comparison.section},
             node.where,
             node.key_where,
         )
-    for entry in sorted(set(node.content if own else ()) - set(settings_of(CompareSettings))):
+    for entry in sorted(set(node.content if comparison else ()) - set(settings_of(CompareSettings))):
         kinds = [name for name in COMPARISONS if comparison_kind(name).section == entry]
         if kinds:
             faults.add(

@@ -54,7 +54,10 @@ class FirstLook:
 
     def with_forces_apart(self) -> FirstLook:
         """The same, with forces that act at no point of a response: its phase denies it."""
-        apart = (replace(one, dof=one.key) if one.role == "input" else one for one in self.channels)
+        apart = (
+            replace(channel, dof=channel.key) if channel.role == "input" else channel
+            for channel in self.channels
+        )
         return replace(self, channels=tuple(apart))
 
     def column_of(self, role: str) -> list[int]:
@@ -178,8 +181,11 @@ def _proposals(
         response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
     except DataError:
         return {}
-    known = all(first.channels[number].quantity != DECIDE for number in chosen)
-    return {port.label: proposal_of(response, row, stated=known) for row, port in enumerate(response.outputs)}
+    has_quantities = all(first.channels[number].quantity != DECIDE for number in chosen)
+    return {
+        port.label: proposal_of(response, row, stated=has_quantities)
+        for row, port in enumerate(response.outputs)
+    }
 
 
 def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Proposal:

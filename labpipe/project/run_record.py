@@ -198,12 +198,12 @@ def faults_of_record(path: Path) -> list[str]:
             faults.append(f"before run {run.number} of {run.time} a line was changed, removed or put in")
             break
         previous = hashlib.sha256(run.line).hexdigest()
-    known: dict[str, str] = dict(runs[0].results) if runs else {}
-    known.update({run.result: run.digest for run in runs if run.digest})
+    digests: dict[str, str] = dict(runs[0].results) if runs else {}
+    digests.update({run.result: run.digest for run in runs if run.digest})
     for name, digest in _digests(path.parent).items():
-        if name not in known:
+        if name not in digests:
             faults.append(f"'{name}' was made by no run that is recorded")
-        elif known[name] != digest:
+        elif digests[name] != digest:
             faults.append(f"'{name}' is not what the last recorded run made")
     return faults
 

@@ -152,7 +152,7 @@ def _rig(first: FirstLook, path: Path) -> str:
         channel.quantity for channel in first.channels if channel.unit == DECIDE != channel.quantity
     ]
     for number, channel in enumerate(first.channels):
-        before = [one.quantity for one in first.channels[:number] if one.unit == DECIDE]
+        before = [channel.quantity for channel in first.channels[:number] if channel.unit == DECIDE]
         anchor = "&" if channel.quantity not in before else "*"
         several = channel.unit == DECIDE and open_units.count(channel.quantity) > 1
         lines.append(_channel_line(channel, anchor if several else ""))
@@ -325,12 +325,12 @@ def _all_fit_lines(force: str, fits: Fits, estimator: str = "ml") -> list[str]:
 
 
 def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator: str = "ml") -> list[str]:
-    own = {
+    by_model = {
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
         "modal": ["    model: modal               # `sdof` gives k and c where force and response meet"],
     }
     last = {"modal": ["    modal: {order: 6}".ljust(31) + "# few poles for one peak; higher for close modes"]}
-    lines = [f"  {name}:", *own[proposal.model]]
+    lines = [f"  {name}:", *by_model[proposal.model]]
     lines += [f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
         low, high = proposal.band

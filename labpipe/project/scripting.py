@@ -219,9 +219,9 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
         if suffix in TEXT_SUFFIXES and path.is_file()
         else ()
     )
-    known = next((record for record in records if record is not None), None)
-    if known is not None or rig is None:
-        return known or _by_itself(path)
+    stored = next((record for record in records if record is not None), None)
+    if stored is not None or rig is None:
+        return stored or _by_itself(path)
     return _calibrate(path, rig if isinstance(rig, Rig) else load_rig(Path(rig)))
 
 

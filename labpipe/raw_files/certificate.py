@@ -74,8 +74,8 @@ class Certificate:
             return named[0]
         if named:
             raise UnitError(f"the certificate has {len(named)} quantities '{name}'", "name one by its id")
-        known = list(dict.fromkeys(name for quantity in quantities for name in quantity.names))
-        hint = nearest(name, known) or f"known: {', '.join(known[:12])}"
+        names = list(dict.fromkeys(name for quantity in quantities for name in quantity.names))
+        hint = nearest(name, names) or f"known: {', '.join(names[:12])}"
         raise UnitError(f"the certificate has no quantity '{name}'", hint)
 
 
@@ -292,10 +292,10 @@ _UNCERTAINTIES = (
 
 def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] | None:
     """The standard uncertainties of a number or a list; one for all of a list may be stated once."""
-    known = {f"{part}{end}" for part in (*_PARTS, *(path[0] for path, _, _ in _UNCERTAINTIES))}
-    known |= {f"{part}{ending}" for part in ("uncertainty", "distribution") for ending in ("", end)}
+    elements = {f"{part}{end}" for part in (*_PARTS, *(path[0] for path, _, _ in _UNCERTAINTIES))}
+    elements |= {f"{part}{ending}" for part in ("uncertainty", "distribution") for ending in ("", end)}
     for child in number:
-        if not child.tag.startswith(SI) or _local(child) not in known:
+        if not child.tag.startswith(SI) or _local(child) not in elements:
             raise UnitError(f"unknown element '{_local(child)}' in '{_local(number)}'")
     stated = [
         (element, size, factor)

@@ -220,7 +220,7 @@ def _header(
     if len(set(texts)) > 1 and not spectrum:
         # Every channel has X values of its own, or none: its step says the same.
         rates = tuple(_rate([text], decimal, path) or 0.0 for text in texts)
-        if all(0 < one < float("inf") for one in rates) and len(set(rates)) > 1:
+        if all(0 < rate < float("inf") for rate in rates) and len(set(rates)) > 1:
             counts = tuple(_whole(text) for text in padded["Samples"])
             starts = tuple(_seconds(text, decimal) for text in padded["X0"])
             return LvmHeader(

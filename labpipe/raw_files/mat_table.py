@@ -141,8 +141,8 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         and not names
         and not isinstance(value, MatlabOpaque)
     ):
-        boxed = [(number, one) for number, one in enumerate(value.flat, 1) if hasattr(one, "dtype")]
-        if any(one.dtype.names or one.dtype.kind == "O" for _, one in boxed):
+        boxed = [(number, item) for number, item in enumerate(value.flat, 1) if hasattr(item, "dtype")]
+        if any(item.dtype.names or item.dtype.kind == "O" for _, item in boxed):
             for number, one in boxed:
                 yield from _fields(f"{name}{{{number}}}", one)
             return

@@ -104,23 +104,23 @@ class TdmsTable:
         """
         places = [self._places[column] for column in columns]
         parts: list[list[FloatArray]] = [[] for _ in places]
-        held, done = np.zeros(len(places), int), 0
+        waiting, done = np.zeros(len(places), int), 0
         try:
             with self.path.open("rb") as stream, TdmsFile.open(stream) as file:
                 for chunk in file.data_chunks():
                     for n, (group, name) in enumerate(places):
                         parts[n].append(chunk[group][name][:])
-                        held[n] += parts[n][-1].size
-                    whole = int(held.min()) // CHUNK_ROWS * CHUNK_ROWS
+                        waiting[n] += parts[n][-1].size
+                    whole = int(waiting.min()) // CHUNK_ROWS * CHUNK_ROWS
                     if whole:
                         values = [np.concatenate(pieces) for pieces in parts]
                         yield from _blocks(values, whole)
-                        parts, held, done = (
+                        parts, waiting, done = (
                             [[column[whole:]] for column in values],
-                            held - whole,
+                            waiting - whole,
                             done + whole,
                         )
-            if np.any(done + held != self.n_row):
+            if np.any(done + waiting != self.n_row):
                 raise EOFError("cut off")
             yield from _blocks([np.concatenate(pieces) for pieces in parts], self.n_row - done)
         except _BROKEN as error:

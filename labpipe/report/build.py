@@ -294,11 +294,13 @@ def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...
         return tuple(row for path, entry in entries for row in _stated_settings(entry, path))
     if isinstance(settings, list) and settings and isinstance(settings[0], Mapping):
         # What all of several fits share stands once.
-        shared = {k: v for k, v in settings[0].items() if all(one.get(k) == v for one in settings)}
+        shared = {
+            k: v for k, v in settings[0].items() if all(fit_settings.get(k) == v for fit_settings in settings)
+        }
         shared = shared if len(settings) > 1 else {}
         named = [(entry.get("name", number), entry) for number, entry in enumerate(settings, 1)]
-        own = [(name, {k: v for k, v in entry.items() if k not in shared}) for name, entry in named]
-        paths = [(f"{key}.{name}", {**entry, "name": None}) for name, entry in own]
+        differing = [(name, {k: v for k, v in entry.items() if k not in shared}) for name, entry in named]
+        paths = [(f"{key}.{name}", {**entry, "name": None}) for name, entry in differing]
         paths = [*([(f"{key}.*", shared)] if shared else []), *paths]
         return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
     if settings in (None, False, "", []):
@@ -402,10 +404,10 @@ def _each_figure_once(sections: Sequence[Section]) -> tuple[Section, ...]:
     first, *others = sections
     shown = {block.caption for block in first.blocks if isinstance(block, Figure)}
     kept = (
-        tuple(block for block in one.blocks if not (isinstance(block, Figure) and block.caption in shown))
-        for one in others
+        tuple(block for block in other.blocks if not (isinstance(block, Figure) and block.caption in shown))
+        for other in others
     )
-    return (first, *(replace(one, blocks=blocks) for one, blocks in zip(others, kept, strict=True)))
+    return (first, *(replace(other, blocks=blocks) for other, blocks in zip(others, kept, strict=True)))
 
 
 def _in_matrix(identification: Identification) -> bool:

@@ -214,8 +214,8 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
         (outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS")
         for outcome in outcomes
     )
-    found = "found: in the first test that fails, else in the first test"
-    caption = f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}; {found}"
+    place = "found: in the first test that fails, else in the first test"
+    caption = f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}; {place}"
     if not rows:
         return tuple(blocks)
     table = Table(("section", "rule", "found", "outcome"), rows, caption)

@@ -145,24 +145,24 @@ def interval_text(fit: Fit) -> str:
             " The residual is not noise and nothing explains it: no standard errors and intervals are "
             "given (model-mismatch above)."
         )
-    told = [
+    widened = [
         parameter
         for parameter in fit.parameters
         if parameter.std_error_inflated is not None and parameter.std_error
     ]
     repeated = _times(
-        (p.name, math.hypot(p.std_error or 0.0, _repeats_part(p)) / (p.std_error or 1.0)) for p in told
+        (p.name, math.hypot(p.std_error or 0.0, _repeats_part(p)) / (p.std_error or 1.0)) for p in widened
     )
     between = (
         (f" The intervals hold the scatter between repeats; they are those of noise alone times: {repeated}.")
         if repeated
         else ""
     )
-    wider = _times((p.name, _beyond_noise(p) / (p.std_error or 1.0)) for p in told)
+    wider = _times((p.name, _beyond_noise(p) / (p.std_error or 1.0)) for p in widened)
     # Small given numbers of a floating bearing stay with its noise.
     if not wider or (not mismatch and any(detail.given_in_noise for detail in fit.details)):
         return between
-    reasons = "; ".join(dict.fromkeys(p.reason for p in told if p.reason))
+    reasons = "; ".join(dict.fromkeys(p.reason for p in widened if p.reason))
     why = f"; the model error is most likely {reasons}" if reasons else ""
     noise = (
         f" The residual is not noise (model-mismatch above{why}): errors and intervals are those of "

@@ -266,8 +266,8 @@ def force_noise_findings(
     """
     if parts.covariance is None:
         return
-    held = parts.covariance
-    variance = np.einsum("lii->li", held).real if isinstance(held, np.ndarray) else held.variance
+    stored = parts.covariance
+    variance = np.einsum("lii->li", stored).real if isinstance(stored, np.ndarray) else stored.variance
     size = np.maximum(np.abs(parts.matrix) ** 2, np.finfo(float).tiny)
     precision = size / np.maximum(variance.reshape(size.shape), ROUNDING**2 * size)
     forces = [max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns]

@@ -221,17 +221,17 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool =
     power = np.where(power > (ROUNDING * size) ** 2, power, 0.0)
     broadband = _broadband_lines(power, float(np.min(spectrum.line_dof)), half_width)
     smooth = neighbourhood_mean(spectrum.noise, broadband, half_width)
-    own = spectrum.noise
-    without_inverse = with_inverse and np.min(spectrum.line_dof) < own.shape[-1]
+    noise_of_line = spectrum.noise
+    without_inverse = with_inverse and np.min(spectrum.line_dof) < noise_of_line.shape[-1]
     if without_inverse:
-        power, around = (np.einsum("fii->fi", noise).real for noise in (own, smooth))
+        power, around = (np.einsum("fii->fi", noise).real for noise in (noise_of_line, smooth))
         raised = np.sqrt(np.maximum(np.divide(power, around, out=np.ones_like(power), where=around > 0), 1))
-        own = np.where(
+        noise_of_line = np.where(
             np.all((around > 0) | (power == 0), axis=1)[:, None, None],
             smooth * raised[:, :, None] * raised[:, None],
-            own,
+            noise_of_line,
         )
-    noise = np.where(broadband[:, None, None], smooth, own)
+    noise = np.where(broadband[:, None, None], smooth, noise_of_line)
     count = _neighbourhood_count(broadband, half_width, centre=True)
     line_dof = spectrum.line_dof * np.where(broadband | without_inverse, count, 1.0)
     return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, line_dof)

@@ -171,7 +171,11 @@ def random_lines(
         dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
         blocks=Blocks(
-            settings.block, settings.window, settings.overlap, sum(one.n_block for one in spectra), "H1"
+            settings.block,
+            settings.window,
+            settings.overlap,
+            sum(spectrum.n_block for spectrum in spectra),
+            "H1",
         ),
         findings=(*findings, *_unexplained(s_zz, residual, layout), *_fed_back(sources, drives, layout)),
         weak=weak,

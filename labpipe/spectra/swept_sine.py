@@ -104,7 +104,10 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         )
     n_sample = _common_length(swept)
     blocks = np.concatenate(
-        [layout.padded(number, _transforms(one, n_sample), 1) for number, one in enumerate(swept)]
+        [
+            layout.padded(number, _transforms(swept_recording, n_sample), 1)
+            for number, swept_recording in enumerate(swept)
+        ]
     )
     spectra = _in_band(blocks, rate / n_sample, _common_band(sweeps, rate), n_input, settings)
     spectra = spectra.select(
@@ -410,12 +413,12 @@ def _notes(swept: Sequence[_Swept], n_sample: int, rate: float) -> tuple[Finding
     return tuple(
         note(
             "sweeps",
-            f"'{one.name}': {len(one.sweeps)} sweep(s): "
-            f"{'; '.join(dict.fromkeys(_description(sweep, rate) for sweep in one.sweeps))}; "
+            f"'{recording.name}': {len(recording.sweeps)} sweep(s): "
+            f"{'; '.join(dict.fromkeys(_description(sweep, rate) for sweep in recording.sweeps))}; "
             f"{n_sample / rate:.4g} s of each with what follows it are transformed, lines every "
-            f"{rate / n_sample:.3g} Hz{_cut_note(one, rate)}",
+            f"{rate / n_sample:.3g} Hz{_cut_note(recording, rate)}",
         )
-        for one in swept
+        for recording in swept
     )
 
 

@@ -195,7 +195,7 @@ def test_rotors_and_virtual_rigs_by_name() -> None:
 def test_a_fit_is_one_line_in_a_list_and_a_table_in_print(fit: Fit) -> None:
     line, text = repr(fit), str(fit)
     assert "\n" not in line and len(line) < 300
-    assert line.startswith("<Fit pedestal: sdof, ml, 60-70 Hz, G.o.F 0.9999; k = 134.4981 +- 0.0087 kN/m")
+    assert line.startswith("<Fit pedestal: sdof, ml, 60-70 Hz, G.o.F 0.9999; k = 134.4983 +- 0.0087 kN/m")
     assert [row.split()[0] for row in text.splitlines() if row[:2] in ("k ", "c ", "f_", "ze")] == [
         "k",
         "c",

@@ -136,13 +136,13 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
     noise = np.trace(covariance, axis1=-2, axis2=-1).real
     weight = 1 / np.maximum(noise, np.finfo(float).tiny)
     size = np.sum(np.abs(shaft) ** 2, axis=-1)
-    known = stator.spectra.covariance_dof
-    excess = float(np.sum(weight * size)) - noise.size * (known / (known - 1) if np.isfinite(known) else 1.0)
+    dof = stator.spectra.covariance_dof
+    excess = float(np.sum(weight * size)) - noise.size * (dof / (dof - 1) if np.isfinite(dof) else 1.0)
     # |X|^2 of complex noise of covariance C has the variance tr C^2; lines share noise, and its estimate.
     square = np.sum(np.abs(covariance) ** 2, axis=(-2, -1)) * weight**2
     lines = stator.omega.size
-    shared = stator.shared_power * (1 + 1 / known if np.isfinite(known) else 1.0)
-    spread = float(np.sqrt(shared * np.sum(square) + noise.size**2 / min(known * lines, 1e300)))
+    shared = stator.shared_power * (1 + 1 / dof if np.isfinite(dof) else 1.0)
+    spread = float(np.sqrt(shared * np.sum(square) + noise.size**2 / min(dof * lines, 1e300)))
     relatively = float(np.sum(weight * np.sum(np.abs(relative) ** 2, axis=-1)))
     return float(np.sqrt(max(excess, 0.0) / relatively)), excess / spread
 

@@ -235,8 +235,8 @@ class FollowedFit:
         if self._by_turns[0] != self.now.n:
             self._by_turns = self.now.n, self._round(forces)
         rounds = (NORMAL / goal) ** 2 * self._by_turns[1][number]
-        each = max(math.ceil(rounds), LEAST_AVERAGES)
-        more = int(np.maximum(each - self.sums.counts, 0).sum()) + each * len(forces)
+        per_direction = max(math.ceil(rounds), LEAST_AVERAGES)
+        more = int(np.maximum(per_direction - self.sums.counts, 0).sum()) + per_direction * len(forces)
         return OtherForces(tuple(self.setup.inputs[n].label for n in forces), more)
 
     def _round(self, forces: Sequence[int]) -> FloatArray:

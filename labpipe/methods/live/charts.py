@@ -135,11 +135,11 @@ class Charts:
         )
         scale = scaled(before.information)[1]
         both = np.outer(scale, scale)
-        own, others = (
+        covariance_here, others = (
             np.linalg.pinv(matrix / both, hermitian=True) for matrix in (information, before.information)
         )
-        shift = -own @ (gradient / scale)
-        whitened = np.linalg.solve(np.linalg.cholesky(own + others), shift)
+        shift = -covariance_here @ (gradient / scale)
+        whitened = np.linalg.solve(np.linalg.cholesky(covariance_here + others), shift)
         energy = np.sum(of_energy * np.sum((residual.conj() * scaled_residual).real, axis=2))
         return whitened, float(energy / residual.size)
 
@@ -432,9 +432,9 @@ def check_names(goals: Sequence[Goal], names: Mapping[str, Sequence[str]]) -> No
     for goal in goals:
         if goal.fit and goal.fit not in names:
             raise ConfigError(f"--until: no fit '{goal.fit}'", hint=nearest(goal.fit, names))
-        known = names[goal.fit] if goal.fit else [name for listed in names.values() for name in listed]
-        if goal.name not in known:
-            raise ConfigError(f"--until: no coefficient '{goal.name}'", hint=nearest(goal.name, known))
+        coefficients = names[goal.fit] if goal.fit else [name for listed in names.values() for name in listed]
+        if goal.name not in coefficients:
+            raise ConfigError(f"--until: no coefficient '{goal.name}'", hint=nearest(goal.name, coefficients))
 
 
 @dataclass

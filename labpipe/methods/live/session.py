@@ -96,7 +96,7 @@ class WholeFits(Watch):
         left = [standing.remaining for standing in looked[0].standings.values() if standing.remaining]
         if left:
             # Not later than where all goals are expected to be reached.
-            due = max(LEAST_WHOLE, self.averages + 1, *(one.expected or math.inf for one in left))
+            due = max(LEAST_WHOLE, self.averages + 1, *(progress.expected or math.inf for progress in left))
             ratio = min(ratio, due / self.averages)
         self._next = ratio * self.n_sample
         return looked
@@ -286,12 +286,12 @@ class Session:
         linear = [fit for fit in fits if fit.kind.equations is not None]
         layout = layout_of(self.rig.all_channels, rate) if linear else None
         names = {fit.name: names_of_fit(fit, layout) for fit in linear if layout is not None}
-        known = {name for fit in followed for name in names.get(fit.name, ())}
+        coefficients = {name for fit in followed for name in names.get(fit.name, ())}
         return {goal.fit for goal in self.goals} | {
             fit.name
             for fit in fits
             for goal in self.goals
-            if not goal.fit and (goal.name in names.get(fit.name, ()) or goal.name not in known)
+            if not goal.fit and (goal.name in names.get(fit.name, ()) or goal.name not in coefficients)
         }
 
     def _without_gaps(self, rows: FloatArray) -> Iterator[FloatArray]:

@@ -45,7 +45,9 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
 
 def level_text(session: Session, name: str, size: float) -> str:
     """The largest size of a channel in its unit, and its share of the range where the rig states one."""
-    unit = shown_unit(next(one.unit for one in session.rig.all_channels if one.name == name), size, None)
+    unit = shown_unit(
+        next(channel.unit for channel in session.rig.all_channels if channel.name == name), size, None
+    )
     text = f"{difference_in(size, unit):.3g} {unit_label(unit)}"
     of_rig = {channel.channel.name: channel for channel in session.rig.channels}.get(name)
     if of_rig is None or of_rig.limits is None:

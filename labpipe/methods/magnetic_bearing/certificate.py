@@ -338,10 +338,10 @@ def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tup
 
 
 def resolve(settings: CompareSettings) -> CertificateSettings:
-    own: CertificateSettings = settings.kind_settings
-    if own.after:
-        return own
-    return replace(own, before=own.before or (settings.before,), after=(settings.after,))
+    certificate: CertificateSettings = settings.kind_settings
+    if certificate.after:
+        return certificate
+    return replace(certificate, before=certificate.before or (settings.before,), after=(settings.after,))
 
 
 def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:

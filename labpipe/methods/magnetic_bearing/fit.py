@@ -169,8 +169,8 @@ def magnet_error(rotor: Levitation, best: MagnetEstimate) -> BalanceError:
 def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
     """A warning where a magnet's force per current along its own axis is negative beyond its uncertainty."""
     pairs = zip(model.places, parameters, strict=False)
-    own = [parameter for (kind, row, column), parameter in pairs if kind == "k_i" and row == column]
-    negative = [parameter.name for parameter in own if parameter.is_negative]
+    direct = [parameter for (kind, row, column), parameter in pairs if kind == "k_i" and row == column]
+    negative = [parameter.name for parameter in direct if parameter.is_negative]
     if not negative:
         return ()
     what = f"{', '.join(negative)} is negative: the sign of a current or of a reading is wrong"

@@ -300,7 +300,7 @@ def _roots(
         rows, n = np.arange(places.size), np.argmax(at[:, :-1] * at[:, 1:] <= 0, axis=1)
         low, high = points[rows, n], points[rows, n + 1]
     first, last = at[rows, n], at[rows, n + 1]
-    return [float(each) for each in low + (high - low) * first / (first - last)]
+    return [float(crossing) for crossing in low + (high - low) * first / (first - last)]
 
 
 def _largest(

@@ -300,13 +300,13 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     free = np.ones(start.size, bool)
     if _without_influence(problem, problem.jacobian(start)):
         free[: len(unknowns)] = False
-    held = HeldProblem(problem, start, free)
+    reduced = HeldProblem(problem, start, free)
     if not free.any():
         return _loop_fit(problem, Minimum(start, True, 0))
     if free.all():
         return _loop_fit(problem, _settle(problem, along_the_edge(problem, minimise(problem, start))))
-    end = minimise(held, start[free])
-    return _loop_fit(problem, replace(end, values=held.whole(end.values)))
+    end = minimise(reduced, start[free])
+    return _loop_fit(problem, replace(end, values=reduced.whole(end.values)))
 
 
 def _settle(problem: LoopProblem, minimum: Minimum) -> Minimum:
@@ -414,13 +414,18 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     )
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
-    bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
+    bent = tuple(
+        (parameter.name, float(size)) for parameter, size in zip(plain, at_end.bent(whole), strict=True)
+    )
     if curved and max(size for _, size in bent) > CURVED:
         parameters = tuple(
             _curve(parameter, at_end, number, inflation, limit, bool(fit.at_zero))
             for number, parameter in enumerate(parameters)
         )
-    parameters = tuple(replace(one, at_bound=True) if one.name in fit.at_zero else one for one in parameters)
+    parameters = tuple(
+        replace(parameter, at_bound=True) if parameter.name in fit.at_zero else parameter
+        for parameter in parameters
+    )
     return replace(
         fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent
     )

@@ -412,7 +412,7 @@ def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
     size, covariance, changes = _modulus(near, part)
     curvature = -float(bend @ outline)
     height, error = float(size[1]), float(np.sqrt(covariance[1, 1]))
-    sideways, of_slope = (float(slope @ each @ slope) / curvature for each in (noise, covariance))
+    sideways, of_slope = (float(slope @ matrix @ slope) / curvature for matrix in (noise, covariance))
     height += min(sideways / 2, error) * (1 if follows else -1) - error**2 / (2 * height)
     spread = float(np.sqrt(of_slope / curvature))
     shift = float(np.clip(slope @ size / curvature, -step - spread, step + spread))

@@ -137,8 +137,8 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
         raise ConfigError(
             "model rotor-2dof needs the mass of the rotor", hint="for example mass: 0.92 kg", field="mass"
         )
-    names, known = _matrix_names("kc"), np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
-    return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), known)
+    names, inertia = _matrix_names("kc"), np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
+    return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), inertia)
 
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:

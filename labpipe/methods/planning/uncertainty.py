@@ -182,8 +182,8 @@ class Earlier:
 
     def places(self, model: PlannedModel) -> list[tuple[int, int]]:
         """Numbers of the coefficients of a model with theirs here."""
-        known = [name for name in self.names if name in model.names]
-        return [(model.names.index(name), self.names.index(name)) for name in known]
+        shared = [name for name in self.names if name in model.names]
+        return [(model.names.index(name), self.names.index(name)) for name in shared]
 
     def covariance_of(self, model: PlannedModel, without: Sequence[str] = ()) -> FloatArray:
         """(n_coefficient, n_coefficient) [squared SI units] of a model's coefficients.
