@@ -58,8 +58,8 @@ class StatedRow:
 class ModelError:
     """The mixture of a fit, and its parameters by name as rows of it.
 
-    apart: mean and ends of the logarithm of parameters that differ from point to point, which count where
-    they are the longer; *unloaded*: they are those without what moves, and count always.
+    apart: mean and ends of the logarithm of parameters of a mode that differs from point to point, which the
+    interval holds as well; *unloaded*: they are those without what moves, and count alone.
     """
 
     mixture: Mixture
@@ -115,10 +115,11 @@ class ModelError:
             )
         centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
-        if apart is not None and (self.unloaded or apart[2] - apart[1] > high - low):
+        if apart is not None:
             # Both are explanations: the interval holds either, but for a stated mass.
-            held = apart if self.unloaded else (apart[0], min(low, apart[1]), max(high, apart[2]))
-            (centre, low, high), reason = held, UNLOADED if self.unloaded else APART
+            first = self.unloaded or apart[2] - apart[1] > high - low
+            centre, reason = (apart[0], self.likely) if first else (centre, reason)
+            low, high = apart[1:] if self.unloaded else (min(low, apart[1]), max(high, apart[2]))
         noise = float(np.sqrt(row.row @ self.mixture.noise @ row.row))
         if row.log:
             # The sign of the fit: coefficients of a sensor of the wrong sign are negative together.

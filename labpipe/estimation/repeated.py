@@ -216,7 +216,11 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
                 None if course is None else course.at,
                 len(set(of_groups)),
             )
-            stated.append(_statement(parameter, means[name], of, common.get(name), pooled.dof, summary))
+            ends = () if groups or name not in columns else (0, -1)
+            aside = [by_name[end][name] for end in ends if not used[end]]
+            stated.append(
+                _statement(parameter, means[name], of, common.get(name), pooled.dof, summary, aside)
+            )
         else:
             stated.append(parameter)
     return replace(
@@ -343,9 +347,17 @@ def _common_part(common: Parameter | None, *, log: bool) -> tuple[float, float]:
 
 
 def _statement(
-    parameter: Parameter, mean: RepeatMean, of: _Values, common: Parameter | None, dof: int, summary: Repeats
+    parameter: Parameter,
+    mean: RepeatMean,
+    of: _Values,
+    common: Parameter | None,
+    dof: int,
+    summary: Repeats,
+    aside: Sequence[Parameter] = (),
 ) -> Parameter:
-    """The mean with the hull of its own interval and that with the model error that all repeats share."""
+    """The mean with the hull of its own interval, that with the model error that all repeats share, and the
+    first or last repeat *aside*, which may be another state.
+    """
     shift, extra = _common_part(common, log=of.log)
     between, wide = mean.half_width, float(np.hypot(mean.half_width, extra))
     low = min(mean.value - between, mean.value + shift - wide)
@@ -358,10 +370,15 @@ def _statement(
     value, ends = back(mean.value), sorted((back(low), back(high)))
     unit, limit, systematic = abs(value) if of.log else 1.0, student_limit(dof), parameter.systematic or 0.0
     error = float(np.sqrt(mean.weights**2 @ of.variances)) * unit
-    scatter = float(np.sqrt(max((between * unit / limit) ** 2 - error**2, 0.0)))
     full = float(np.hypot(max((high - low) / 2 / limit * unit, error), systematic))
     sides = [float(np.hypot(side, limit * systematic)) for side in (value - ends[0], ends[1] - value)]
     interval = (value - sides[0], value + sides[1])
+    for other in aside:
+        reach = limit * float(np.hypot(other.std_error or 0.0, mean.spread * unit))
+        interval = (min(interval[0], other.value - reach), max(interval[1], other.value + reach))
+        between = max(between, (interval[1] - interval[0]) / 2 / unit)
+    scatter = float(np.sqrt(max((between * unit / limit) ** 2 - error**2, 0.0)))
+    full = max(full, float(np.hypot(scatter, error)))
     return replace(
         parameter,
         value=value,
@@ -410,7 +427,7 @@ def _findings(
         )
         return [Finding("two-populations", message)]
     # One state before, or after, all others looks like a bad recording.
-    step = "; if the structure changed there, it is a step: name the groups (repeat_groups)"
+    step = "; the interval holds it as well, since it may be another state: name the groups (repeat_groups)"
     findings = [
         note(
             "repeat-left-out",

@@ -65,15 +65,10 @@ def number_of_modes(name: str, band: str, expected: int, source: str, why: str) 
     )
 
 
-ONE_NUMBER = (
-    "one number for a damping that changes with the amplitude; the authors leave an offset in the peaks"
-)
+ONE_NUMBER = "one number for a damping that changes with the amplitude, by its peaks and by all samples"
 SPLIT = "several poles stand for one peak of 3 to 5 % damping; sdypy-EMA's scatter as widely"
 BANDS = "another band finds another of the poles that stand for this peak"
 MOVED = "from point to point the mode moves, and a pair of poles fits better than one"
-NARROW = (
-    "the modes are as narrow as a line, and one pole stands for nine FRFs that differ by up to four lines"
-)
 CHANCE = (
     "the reference lies up to 0.2 half-widths beyond the end; the quarters of the record scatter by 1.3 of "
     "their standard errors, so that no drift shows, and of 300 simulated records of this length, block and "
@@ -111,7 +106,7 @@ def tool() -> list[Claim]:
 
 
 def ruler() -> list[Claim]:
-    source = "pydvma, Woodhouse; sdypy-EMA"
+    source = "pydvma, Woodhouse; sdypy-EMA; independent"
     return [
         *stated(ruler_places(), source, MOVED),
         number_of_modes("ruler", "20 to 600 Hz", 6, source, MOVED),
@@ -160,7 +155,7 @@ METHOD = Method(
         "beams": lambda: stated(beams_places(), "dexpilab1, 2022; curve_fit", ONE_NUMBER),
         "tool": tool,
         "ruler": ruler,
-        "free beam": lambda: stated(free_beam_places(), "ModeLAB; sdypy-EMA", NARROW),
+        "free beam": lambda: stated(free_beam_places(), "ModeLAB; sdypy-EMA; independent", ""),
         "kit": kit,
         "piezo": lambda: stated(piezo_places(), "SSCSA; sdypy-EMA; independent", CHANCE),
         "hammer": lambda: stated(hammer_places(), "Diegues 2025; sdypy-EMA; independent", MOVED),

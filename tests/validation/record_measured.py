@@ -260,6 +260,29 @@ def fitted_decays(folder: Path, run: Run, band: tuple[float, float]) -> dict[str
     return found
 
 
+def by_peaks(folder: Path) -> dict[str, dict[str, list[float]]]:
+    """The way of the beams' authors: logarithms of the peaks from 1 to 3 s over their number, as they are and
+    without the offset, the mean of the record. The frequency is that of the peaks.
+    """
+    from scipy.io import loadmat
+    from scipy.signal import find_peaks
+
+    said, file = {}, loadmat(folder / "VDeXpiLab1_Exp.mat", squeeze_me=True, struct_as_record=False)
+    for title, name in (("steel", "Fe"), ("aluminium", "Al")):
+        y, rate = file[name].Out.Acc[1], 2048
+        at = find_peaks(y, distance=0.05 * rate, height=0)[0]
+        at = at[(at + 1 > rate) & (at + 1 < 3 * rate)]
+        slopes = [-np.polyfit(np.arange(at.size), np.log(y[at] - off), 1)[0] for off in (0.0, np.mean(y))]
+        as_it_is, ratio = (float(slope / np.hypot(2 * np.pi, slope)) for slope in slopes)
+        damped = rate * (at.size - 1) / float(at[-1] - at[0])
+        said[title] = {
+            "frequency": [damped / float(np.sqrt(1 - ratio**2))],
+            "ratio": [ratio],
+            "with offset": [as_it_is],
+        }
+    return said
+
+
 def lscf(
     frequency: np.ndarray, h: np.ndarray, band: tuple[float, float], form: str, near: list[float]
 ) -> dict[str, dict[str, list[float]]]:
@@ -316,6 +339,20 @@ SINGLE = {
         "227.7": ((222, 234), (227.7, 0.009)),
     },
 }
+
+
+def around(
+    line: float, places: dict[float, float]
+) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
+    """Bands of four half-power widths, or eight lines [Hz], about places [Hz] with their damping ratios."""
+    half = {place: 8 * max(place * ratio, line) for place, ratio in places.items()}
+    return {f"{at:g}": ((at - half[at], at + half[at]), (at, ratio)) for at, ratio in places.items()}
+
+
+SINGLE["ruler"] = around(
+    0.61, {39.38: 0.0065, 108.55: 0.0063, 212.81: 0.012, 351.78: 0.007, 525.5: 0.005, 551.5: 0.0012}
+)
+SINGLE["free beam"] = around(0.0195, {111.99: 1.4e-4, 306.86: 1.2e-4, 596.37: 9e-5, 974.14: 9e-5})
 PIEZO = {
     "20.13": ((17.5, 24.0), (20.13, 0.009)),
     "115.7": ((110.0, 122.0), (115.7, 0.0046)),
@@ -487,6 +524,8 @@ def recorded(data: Path, names: Sequence[str] = tuple(SETS)) -> Iterator[tuple[s
                 "sha256": unpacked(data, of, folder),
             }
             entry["labpipe"], entry["curve_fit"], entry["lscf"] = {}, {}, {}
+            if name == "beams":
+                entry["by peaks"] = by_peaks(folder)
             for title, run in RUNS.items():
                 if run.raw != name:
                     continue

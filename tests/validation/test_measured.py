@@ -17,6 +17,7 @@ from labpipe.methods.live.session import Session
 from labpipe.methods.live.sources import GrowingText
 from labpipe.project.pipeline_file import load_for_stream, load_pipeline
 from labpipe.project.rig_file import load_rig
+from tests.validation.held import Place, Stated
 from tests.validation.measured_page import BLOCKS, RIGS
 from tests.validation.peers import recorded
 from tests.validation.record_measured import RUNS, SETS, pipeline_of
@@ -59,6 +60,16 @@ def test_the_record_names_commit_and_digest_of_every_raw_file() -> None:
             len(digest) == 64 for digest in record[name]["sha256"].values()
         )
         assert set(record[name]["labpipe"]) == {title for title, run in RUNS.items() if run.raw == name}
+
+
+@pytest.mark.parametrize(("value", "agrees"), [(1.0, True), (0.5, False), (5.1, False)])
+def test_a_reference_is_as_sure_as_the_others_agree(value: float, agrees: bool) -> None:
+    """Median 3 of 1 to 5, half of them within 1: u = 1.25 * 1.483 / sqrt(5) = 0.829, so that U = 1.658; with
+    1.5 on the side of the reference and 0.5 on the other, E_n is 1 at 3 - 2.236 and at 3 + 1.732.
+    """
+    others = {"frequency": (5.0, 1.0, 3.0, 2.0, 4.0)}
+    stated = Stated(Place("", "", "", others), "frequency", value, (value - 0.5, value + 1.5), ())
+    assert stated.reference_error == pytest.approx(0.829, abs=5e-4) and stated.agrees == agrees
 
 
 @pytest.mark.long

@@ -102,7 +102,7 @@ class ResidualTerms:
         return np.asarray(np.sum(np.abs(self.remainder) ** 2, axis=0))
 
 
-MOST_STEPS = 40
+MOST_STEPS = 200
 # A step below this part of every standard error ends the descent.
 NEGLIGIBLE = 1e-3
 # Part of a standard error within which a point counts as the minimum where rounding lets no step lower the

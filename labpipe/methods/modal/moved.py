@@ -312,22 +312,23 @@ def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> Moved
 
 
 def apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str, tuple[float, float, float]]:
-    """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves from
-    point to point loads it.
+    """Mean and ends of ln f_n and ln zeta over the points, where these disagree in one of them beyond noise:
+    what moves from point to point loads it, and smears the damping of all points together.
 
     mean +- t s sqrt(1 + 1/n), for another point; of the points *seen*, *values* (n, 2) with *errors* (n, 2)
     [1] by noise.
     """
-    if len(seen) < FEWEST_POINTS:
+    n = len(seen)
+    if n < FEWEST_POINTS:
         return {}
-    pieces = {}
-    for place, name in enumerate(("f_n", "zeta")):
-        x, weight = values[:, place], errors[:, place] ** -2.0
-        scatter = float(np.sum(weight * (x - np.average(x, weights=weight)) ** 2))
-        if chi2_tail(scatter, x.size - 1) < DISAGREE:
-            reach = student_quantile(0.975, x.size - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / x.size)
-            pieces[name] = (float(np.mean(x)), float(np.mean(x) - reach), float(np.mean(x) + reach))
-    return pieces
+    weights = errors**-2.0
+    scatter = np.sum(weights * (values - np.average(values, axis=0, weights=weights)) ** 2, axis=0)
+    if chi2_tail(float(np.max(scatter)), n - 1) >= DISAGREE:
+        return {}
+    mean = np.mean(values, axis=0)
+    reach = student_quantile(0.975, n - 1) * np.std(values, axis=0, ddof=1) * np.sqrt(1 + 1 / n)
+    ends = zip(mean.tolist(), (mean - reach).tolist(), (mean + reach).tolist(), strict=True)
+    return dict(zip(("f_n", "zeta"), ends, strict=True))
 
 
 def unloaded(

@@ -247,18 +247,25 @@ def _parameter(
     value = factor * float(np.exp(powers @ [mean.value for mean in pair]))
     reach = float(np.hypot(*(powers * [mean.half_width for mean in pair])))
     error = value * float(np.hypot(*(powers * own[1])))
-    interval = (value * float(np.exp(-reach)), value * float(np.exp(reach)))
     used = tuple(bool(is_used) for is_used in repeated.kept.used)
-    spread = value * float(np.hypot(*(powers * [mean.spread for mean in pair])))
+    limit, spread = student_limit(dof), value * float(np.hypot(*(powers * [mean.spread for mean in pair])))
+    interval = (value * float(np.exp(-reach)), value * float(np.exp(reach)))
+    half = value * reach
+    for end in (0, -1):
+        # A first or last decay that is left out may be of another state.
+        if not used[end] and not repeated.groups:
+            other = float(own[0][end])
+            interval = (min(interval[0], other - limit * spread), max(interval[1], other + limit * spread))
+            half = max(half, (interval[1] - interval[0]) / 2)
     follows = bool(np.isfinite(at))
-    full = value * reach / student_limit(dof)
+    full = half / limit
     return replace(
         parameter,
         value=value,
         std_error=error,
         std_error_inflated=full,
         interval=IntervalParts(error, repeats=float(np.sqrt(max(full**2 - error**2, 0.0)))),
-        t_ratio=None if parameter.derived else student_limit(dof) / reach,
+        t_ratio=None if parameter.derived else value / full,
         ci95=interval,
         significant=None if parameter.derived else True,
         repeats=Repeats(

@@ -209,3 +209,25 @@ def test_noise_that_grows_with_the_response_is_in_the_errors_of_modes(n_output: 
     ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(off), axis=0))
     assert len(off) > 90 and np.all(np.abs(ratio - 1) < 0.21), ratio
     assert np.all(np.sum(holds, axis=0) >= 87), np.sum(holds, axis=0)
+
+
+def test_the_last_digit_of_the_start_decides_nothing() -> None:
+    """Of two poles that begin on one mode, one wanders off to a peak of the noise, step by step: both starts
+    come to the same minimum, and none is left on its way.
+    """
+    rng, omega = np.random.default_rng(46), 2 * np.pi * np.linspace(60.0, 140.0, 161)
+    frequency, damping = np.array([80.0, 115.0, 79.5, 80.5]), np.array([0.02, 0.03, 0.02, 0.02])
+    poles = 2 * np.pi * frequency * (-damping + 1j * np.sqrt(1 - damping**2))
+    away = 1j * omega[:, None] - poles[:2], 1j * omega[:, None] - poles[:2].conj()
+    h = (-1j / away[0] + 1j / away[1]) @ np.array([1.0, 0.5])
+    noise = rng.standard_normal(omega.size) + 1j * rng.standard_normal(omega.size)
+    h = h + 0.05 * np.std(h) * noise / np.sqrt(2)
+    lines = Lines(omega, h[:, None, None], 0, np.ones(omega.size))
+    terms, start = ResidualTerms(lines, 1, 3), poles[[2, 3, 1]]
+    ends = [refine(lines, terms, at, np.ones((3, 1), complex)) for at in (start, start * (1 + 1e-10))]
+    assert all(end.converged for end in ends)
+    error = np.sqrt(np.diag(ends[0].covariance))
+    off = np.abs(ends[0].poles - ends[1].poles)
+    assert (
+        np.all(off < 0.02 * np.hypot(error[0::2], error[1::2])) and abs(ends[0].poles[0]) > 2 * np.pi * 80.9
+    )

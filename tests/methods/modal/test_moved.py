@@ -4,11 +4,14 @@ frequencies of its own, df/f = -pull 2 zeta phi^2 as a mass at the point pulls t
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal.moved import apart
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit
@@ -73,6 +76,36 @@ def test_without_a_stated_mass_the_points_scatter_about_their_mean() -> None:
     low, high = fit.parameter("f_n_1").ci95
     assert low < np.mean(own) < high and high - low > np.ptp(own) / 2
     assert "what moves loads the structure" in fit.parameter("f_n_1").reason
+
+
+def test_points_that_disagree_in_frequency_have_an_interval_of_both() -> None:
+    """The prediction interval of a normal sample, t(3) = 3.182446 of printed tables; a chi-square of 3
+    degrees of freedom below 16.27 is noise.
+    """
+    errors = np.full((4, 2), [0.001, 0.05])
+    values = np.array([[4.6, -5.0], [4.61, -5.02], [4.62, -5.01], [4.63, -5.03]])
+    pieces = apart([0, 1, 2, 3], values, errors)
+    for place, name in enumerate(("f_n", "zeta")):
+        mean, s = np.mean(values[:, place]), np.std(values[:, place], ddof=1)
+        reach = 3.182446 * s * np.sqrt(5 / 4)
+        np.testing.assert_allclose(pieces[name], (mean, mean - reach, mean + reach), rtol=1e-6)
+    assert apart([0, 1, 2, 3], values, 10 * errors) == {} and apart([0, 1], values[:2], errors[:2]) == {}
+
+
+@pytest.mark.long
+def test_dampings_of_points_that_differ_a_little_are_held() -> None:
+    """Frequencies 0.05 and 0.15 half-power widths apart and noise of unknown size: of 12 dampings at 95 %
+    fewer than 10 hold once in 50. Where what points say did not count, 11 of 24 of such draws held.
+    """
+    held = 0
+    for seed, pull in ((100, 0.05), (100, 0.15), (101, 0.05), (101, 0.15)):
+        fit = fitted(replace(roving(seed, pull), covariance=None))
+        for f_n in MODES:
+            of = [p for p in fit.parameters if p.name.startswith("f_n")]
+            number = min(of, key=lambda p: abs(p.value - f_n)).name.removeprefix("f_n")
+            low, high = fit.parameter(f"zeta{number}").ci95
+            held += low < ZETA < high
+    assert held >= 10
 
 
 @pytest.mark.long
