@@ -30,12 +30,20 @@ import yaml
 
 from labpipe.errors import LabpipeError
 from labpipe.methods.balancing.balance_file import model
-from labpipe.methods.balancing.influence import Noise, Run, best_weights, influence, residual_of
+from labpipe.methods.balancing.influence import (
+    Noise,
+    Run,
+    best_weights,
+    influence,
+    residual_of,
+    rms_left,
+    square_of,
+)
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built
 from labpipe.methods.rotor_system.evaluate import FAINT, most_probable
-from labpipe.methods.rotor_system.posterior import Posterior, common_changes, fit_system
+from labpipe.methods.rotor_system.posterior import SystemPosterior, common_changes, fit_system
 from labpipe.methods.rotor_system.predictions import (
     MOST_MODES,
     at_speed,
@@ -45,7 +53,7 @@ from labpipe.methods.rotor_system.predictions import (
     unbalance_forces,
 )
 from labpipe.methods.rotor_system.records import InfluenceResult
-from labpipe.methods.rotor_system.weights import expected, interval_of, known_influence, vectors_of_unbalance
+from labpipe.methods.rotor_system.weights import drawn_influence, interval_of, stated_influence
 from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, run_up
 
 ROOT = Path(__file__).parent.parent.parent
@@ -74,7 +82,7 @@ def truth_of(kind: str, of: Built, rng: np.random.Generator) -> np.ndarray:
     return values
 
 
-def fitted(kind: str, tests: list) -> tuple[Built, Posterior]:
+def fitted(kind: str, tests: list) -> tuple[Built, SystemPosterior]:
     """As the section does it: alternatives where a test misfits or small errors are large."""
 
     def on(this: Built, test: object) -> object:
@@ -84,7 +92,7 @@ def fitted(kind: str, tests: list) -> tuple[Built, Posterior]:
             test, planes=tuple(this.planes.values()), gains=this.gains["run"], phases=this.phases["run"]
         )
 
-    def fit(alternative: str) -> tuple[Built, Posterior]:
+    def fit(alternative: str) -> tuple[Built, SystemPosterior]:
         pedestals = kind != "pedestal"
         together, bearings = 0.3 if kind == "declared" else 0.0, kind if kind in BEARINGS else ""
         this = built(pedestals, alternative, together=together, bearings=bearings)
@@ -114,7 +122,13 @@ def turning_modes(of: Built, values: np.ndarray) -> Modes:
 
 
 def judge(
-    held: Held, of: Built, truth: np.ndarray, this: Built, found: Posterior, peak: Critical | None, read: int
+    held: Held,
+    of: Built,
+    truth: np.ndarray,
+    this: Built,
+    found: SystemPosterior,
+    peak: Critical | None,
+    read: int,
 ) -> None:
     true = turning_modes(of, truth)
     diagram = campbell(found, np.array([OPERATING]))
@@ -157,16 +171,16 @@ def judge(
             what = "small errors" if unknown.group else "unknowns"
             held[what].append(abs(off) < 1.96 * found.standard_errors[number])
     speeds = 60 * peak.speed * np.array([0.6, 0.72, 0.84]) if peak is not None else np.array([1600.0, 2000.0])
-    weights, predicted, _ = expected(this, run_up(this, speeds), found, 200, 5)
-    h, unbalance = vectors_of_unbalance(of, run_up(of, speeds), truth)
-    left = np.sqrt(np.mean(np.abs(h @ (unbalance + weights)) ** 2))
-    before = np.sqrt(np.mean(np.abs(h @ unbalance) ** 2))
-    low, high = interval_of(predicted, found.widened)
+    predicted = drawn_influence(this, run_up(this, speeds), found.draws(200, 5))
+    weights = best_weights(square_of(predicted))
+    (true_influence,) = drawn_influence(of, run_up(of, speeds), truth[None])
+    before, left = (rms_left(true_influence, acting) for acting in (0 * weights, weights))
+    low, high = interval_of(rms_left(predicted, weights), found.widened)
     held["left"].append(low < left < high)
     held["left, upper"].append(left < high)
     held["% left"].append(100 * left / before)
     for _ in range(read):
-        ways_to_balance(held, (h, unbalance), known_influence(this, found, run_up(this, speeds)), before)
+        ways_to_balance(held, true_influence, stated_influence(this, found, run_up(this, speeds)), before)
 
 
 # What readings repeat to, a trial weight in either plane [kg m], and how often the readings of a rotor are
@@ -174,13 +188,10 @@ def judge(
 READING, TRIAL, READ = Noise(1.5e-7, 0.01), 1.5e-4, 3
 
 
-def ways_to_balance(
-    held: Held, truth: tuple[np.ndarray, np.ndarray], stated: InfluenceResult, before: float
-) -> None:
+def ways_to_balance(held: Held, truth: np.ndarray, stated: InfluenceResult, before: float) -> None:
     """Weights by the model, by trial runs, and by both, set and measured again: the rms of the readings
     within its interval, and what is left without noise.
     """
-    h, unbalance = truth
     rng = np.random.default_rng([len(held["left"]), len(held["by model"])])
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "identification.json"
@@ -189,12 +200,12 @@ def ways_to_balance(
         prior, _ = model(path, stated.planes, ())
 
     def run(weights: np.ndarray) -> Run:
-        z = h @ (unbalance + weights)
+        z = truth @ np.concatenate([[1.0], weights])
         noise = rng.standard_normal(z.size) + 1j * rng.standard_normal(z.size)
         return Run("", weights, z + np.sqrt(READING.variance(z) / 2) * noise)
 
     trials = [run(weights) for weights in np.array([[0, 0], [TRIAL, 0], [0, TRIAL]], complex)]
-    first = run(best_weights(prior))
+    first = run(best_weights(prior.square))
     ways = {
         "model": influence([], READING, prior),
         "model, found, 1 trial": influence(trials[:2], READING, prior),
@@ -203,13 +214,12 @@ def ways_to_balance(
         "found, 2 trials": influence(trials, READING),
     }
     for name, known in ways.items():
-        weights = best_weights(known)
+        weights = best_weights(known.square)
         low, high = residual_of(known, weights, READING).interval
         reading = np.sqrt(np.mean(np.abs(run(weights).readings) ** 2))
         held[f"by {name}"].append(low < reading < high)
         held[f"by {name}, below"].append(reading > low)
-        left = np.sqrt(np.mean(np.abs(h @ (unbalance + weights)) ** 2))
-        held[f"% left by {name}"].append(100 * left / before)
+        held[f"% left by {name}"].append(100 * rms_left(truth, weights) / before)
 
 
 def by_numbers(kind: str, n_draw: int, seconds: float, seed: int) -> tuple[Held, Counter[str]]:

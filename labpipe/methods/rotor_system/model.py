@@ -146,6 +146,11 @@ class SystemModel:
         """Standard uncertainties of the priors (n_unknown,) [unit of each]."""
         return np.array([unknown.error for unknown in self.unknowns])
 
+    @cached_property
+    def groups(self) -> dict[str, float]:
+        """Declared standard deviations of the small errors, by group [unit of each]."""
+        return {unknown.group: unknown.error for unknown in self.unknowns if unknown.group}
+
     def number(self, name: str) -> int:
         return [unknown.name for unknown in self.unknowns].index(name)
 
