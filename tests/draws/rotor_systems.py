@@ -42,7 +42,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built
-from labpipe.methods.rotor_system.evaluate import FAINT, most_probable
+from labpipe.methods.rotor_system.evaluate import FAINT, _findings, most_probable
 from labpipe.methods.rotor_system.posterior import SystemPosterior, common_changes, fit_system
 from labpipe.methods.rotor_system.predictions import (
     MOST_MODES,
@@ -249,6 +249,8 @@ def by_numbers(kind: str, n_draw: int, seconds: float, seed: int) -> tuple[Held,
             continue
         held["fit"].append(True)
         counts["flagged"] += bool(found.misfits or found.enlarged or found.alternative)
+        disagree = [each for each in _findings(found) if each.code == "tests-disagree"]
+        counts["tests disagree"] += bool(disagree)
         for name, was in (
             ("named", found.alternative or next(iter(found.enlarged), "nothing")),
             ("refitted", found.refits is not None),

@@ -12,6 +12,7 @@ from operator import itemgetter
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import plain_text
 from labpipe.distributions import chi2_tail, normal_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
 from labpipe.methods.rotor.theory import LEAST_DECREMENT
@@ -36,10 +37,12 @@ from labpipe.methods.rotor_system.evidence import (
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import (
     WIDENED,
+    Explanation,
     Pull,
     SystemPosterior,
     budget,
     common_changes,
+    explanations,
     fit_system,
     normality,
     pulls,
@@ -85,6 +88,9 @@ DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 SPEEDS = 41
 # A common change of all bearings that the tests at speed tell no better than this, is not told.
 FAINT = 0.15
+# Fall of chi-square by one further unknown from which tests disagree, the square of standard errors; falls
+# that differ by less, a factor of 20 between likelihoods, tell nothing.
+TELLING, UNDECIDED = 16.0, 6.0
 # Share of the critical speed up to which one more run-up would go.
 NEARER = 0.95
 
@@ -435,7 +441,7 @@ def _result(
         ln_evidence=posterior.ln_evidence,
         alternative=posterior.alternative,
         widened=posterior.widened,
-        findings=tuple(_findings(posterior, pulled)),
+        findings=tuple(_findings(posterior)),
     )
 
 
@@ -478,7 +484,7 @@ def _campbell_rows(diagram: Campbell) -> CampbellResult:
     )
 
 
-def _findings(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[Finding]:
+def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
     for name, tail in posterior.misfits.items():
         chi2, n = posterior.chi2[name]
         yield Finding(
@@ -498,18 +504,31 @@ def _findings(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[Fi
             f"small errors of {group.replace('_', ' ')} are {ratio:.1f} times as large as declared; "
             "intervals of predictions are widened by half",
         )
-    for pull in pulled:
-        if abs(pull.z) > 3:
-            yield Finding(
-                "tests-disagree",
-                f"test '{pull.test}' pulls {pull.unknown} by {abs(pull.z):.1f} standard errors from what the "
-                "other tests say",
-            )
+    explained = explanations(posterior)
+    if any(each.fall > TELLING and each.test for each in explained):
+        yield Finding("tests-disagree", "tests of one rotor disagree: " + _explained(posterior, explained))
     for name, z in posterior.contradicted:
         yield Finding(
             "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
         )
     yield from _notes(posterior)
+
+
+def _explained(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
+    """The best two explanations in words."""
+
+    def words(each: Explanation) -> str:
+        if each.group:
+            return (
+                f"small errors of {each.group.replace('_', ' ')} {each.value:.1f} times as large as declared"
+            )
+        unknown = posterior.model.unknowns[each.number]
+        value, unit = _people(unknown, each.value, 0.0)[0], unknown.unit or unknown.nominal_unit
+        return f"{unknown.name} of {plain_text(value, unit, 3)} in test '{each.test}'"
+
+    text = ", ".join(f"by {each.fall:.0f} with {words(each)}" for each in explained[:2])
+    same = len(explained) > 1 and explained[0].fall - explained[1].fall < UNDECIDED
+    return f"chi-square falls {text}" + ("; which of them, the tests cannot tell" if same else "")
 
 
 def _notes(posterior: SystemPosterior) -> Iterator[Finding]:

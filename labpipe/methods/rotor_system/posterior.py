@@ -43,6 +43,8 @@ LOOKED, BEARABLE, REFITS, REFIT_STEPS, LOST = 20, 3.0, 60, 6, 1e-4
 # Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
 # alternative; intervals are then widened, since sizes are poorly known.
 MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5
+# Share of what a test says of an unknown that it must say against all others, for it to have its own there.
+LEAST_CONTENT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -275,6 +277,62 @@ def pulls(posterior: SystemPosterior) -> list[Pull]:
         wider = np.sqrt(np.diag(without) / np.diag(posterior.covariance))
         all_pulls.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), wider))
     return all_pulls
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What would make tests agree: another *value* [unit of it] of the unknown of that *number* in one
+    *test*, or small errors of a *group* that are larger than declared by the factor *value*; chi-square of
+    tests and priors has a *fall* by it [1].
+    """
+
+    fall: float
+    value: float
+    test: str = ""
+    number: int = 0
+    group: str = ""
+
+
+def explanations(posterior: SystemPosterior) -> list[Explanation]:
+    """What would make the tests agree, the best first, an unknown in the test in which it explains most.
+
+    By a further unknown in the residual of one test, linearised and with small errors as declared: a that
+    column, s = a^T r - a^T J V g and i = a^T a - a^T J V J^T a, chi-square falls by s^2 / i at a change -s /
+    i; V^-1 = sum J^T J + P, g half the gradient of chi-square. Equation (system-explanation).
+    """
+    model, off = posterior.model, posterior.values - posterior.model.means
+    data = sum(jacobian.T @ jacobian for _, jacobian in posterior.by_test)
+    pull = sum(jacobian.T @ residual for residual, jacobian in posterior.by_test)
+
+    def least(errors: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        prior = errors**-2.0
+        covariance, gradient = np.linalg.inv(data + np.diag(prior)), pull + prior * off
+        return (
+            covariance,
+            covariance @ gradient,
+            float(off @ (prior * off) - gradient @ covariance @ gradient),
+        )
+
+    covariance, step, chi2 = least(model.errors)
+    best: dict[str, Explanation] = {}
+    for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
+        square = jacobian.T @ jacobian
+        score = jacobian.T @ residual - square @ step
+        content = np.diag(square - square @ covariance @ square)
+        for number, unknown in enumerate(model.unknowns):
+            if unknown.group or content[number] <= LEAST_CONTENT * square[number, number]:
+                continue
+            change = -float(score[number] / content[number])
+            # All others move with it.
+            moved = change * (1 - float(covariance[number] @ square[:, number])) - float(step[number])
+            value = float(posterior.values[number]) + moved
+            new = Explanation(change**2 * float(content[number]), value, test.name, number)
+            best[unknown.name] = max(best.get(unknown.name, new), new, key=lambda each: each.fall)
+    for group, ratio in posterior.enlarged.items():
+        of_group = np.array([unknown.group == group for unknown in model.unknowns])
+        larger = least(np.where(of_group, ratio, 1.0) * model.errors)[2]
+        best[group] = Explanation(chi2 - larger, ratio, group=group)
+    return sorted(best.values(), key=lambda each: -each.fall)
 
 
 def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]:
