@@ -17,7 +17,6 @@ weights leave, set without a trial run, by trial runs, and by both.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import tempfile
 import time
@@ -28,6 +27,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from labpipe.artefacts.json_file import entry_of
 from labpipe.errors import LabpipeError
 from labpipe.methods.balancing.balance_file import model
 from labpipe.methods.balancing.influence import (
@@ -195,7 +195,7 @@ def ways_to_balance(held: Held, truth: np.ndarray, stated: InfluenceResult, befo
     rng = np.random.default_rng([len(held["left"]), len(held["by model"])])
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "identification.json"
-        entry = {"influence": dataclasses.asdict(stated)}
+        entry = {"influence": entry_of(stated)}
         path.write_text(json.dumps({"rotor_system": {"balance": entry}}))
         prior, _ = model(path, stated.planes, ())
 

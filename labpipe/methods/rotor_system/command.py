@@ -79,7 +79,7 @@ def _plain(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[
 
 def _declared(system: RotorSystem, band: tuple[float, float]) -> tuple[dict[str, Any], Document]:
     """The same of a file whose numbers carry uncertainties, with intervals."""
-    from labpipe.artefacts.json_file import entry_of
+    from labpipe.artefacts.json_file import entry_of, without_nan
     from labpipe.methods.rotor_system.evaluate import declared_result
     from labpipe.methods.rotor_system.section import result_blocks, sentences
     from labpipe.report.document import Document, Section
@@ -88,7 +88,7 @@ def _declared(system: RotorSystem, band: tuple[float, float]) -> tuple[dict[str,
     echo(f"{result.rotor}, {60 * system.rig.speed:g} rpm, as declared")
     for line in sentences(result):
         echo(line)
-    entry = {"schema": "labpipe/rotor-declared/1", **entry_of(result)}
+    entry = {"schema": "labpipe/rotor-declared/1", **without_nan(entry_of(result))}
     sections = (Section("Result", result_blocks(result)),)
     return entry, Document(result.rotor, "Rotor as declared", sections, to_sign=False)
 

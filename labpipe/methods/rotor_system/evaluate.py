@@ -50,14 +50,12 @@ from labpipe.methods.rotor_system.posterior import (
 )
 from labpipe.methods.rotor_system.predictions import (
     DRAWS,
-    Campbell,
     campbell,
     critical_speeds,
     decrement_gradient,
     onset,
 )
 from labpipe.methods.rotor_system.records import (
-    CampbellResult,
     CriticalResult,
     RotorSystemResult,
     SmallErrorResult,
@@ -432,7 +430,7 @@ def _result(
             SmallErrorResult(group, built.model.groups[group], size)
             for group, size in posterior.sizes.items()
         ),
-        campbell=_campbell_rows(diagram),
+        campbell=diagram,
         decrement=(least, error, float(normal_tail((LEAST_DECREMENT - least) / error)) if error else 1.0),
         criticals=tuple(criticals),
         onset=onset(posterior, max(low, 0.05 * operating)),
@@ -468,20 +466,6 @@ def _people(unknown: Unknown, value: float, error: float) -> tuple[float, float]
         return value, error
     amount = unknown.nominal * float(np.exp(value))
     return amount, abs(amount) * error
-
-
-def _campbell_rows(diagram: Campbell) -> CampbellResult:
-    def rows(matrix: FloatArray) -> tuple[tuple[float | None, ...], ...]:
-        return tuple(tuple(None if np.isnan(x) else float(x) for x in row) for row in matrix)
-
-    return CampbellResult(
-        tuple(diagram.speed.tolist()),
-        rows(diagram.frequency),
-        rows(diagram.frequency_error),
-        rows(diagram.log_decrement),
-        rows(diagram.log_decrement_error),
-        rows(diagram.whirl),
-    )
 
 
 def _findings(posterior: SystemPosterior) -> Iterator[Finding]:

@@ -5,7 +5,7 @@ amplification, stability.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -18,7 +18,7 @@ from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.model import Curve, SystemModel
 from labpipe.methods.rotor_system.posterior import SystemPosterior
-from labpipe.methods.rotor_system.records import CriticalResult
+from labpipe.methods.rotor_system.records import Campbell, CriticalResult
 
 # Modes that are followed over the speed.
 MOST_MODES = 8
@@ -37,28 +37,6 @@ NORMAL = normal_quantile(0.975)
 def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
     """Values (n_unknown,) [unit of each] as they act on the turning rotor: those of single tests are zero."""
     return np.where(model.acting(RUNNING), values, 0.0)
-
-
-@dataclass(frozen=True)
-class Campbell:
-    """Modes over *speed* (n_speed,) [Hz], followed: frequency [Hz], log_decrement and whirl [1], (n_speed,
-    n_mode), with the standard errors of the first two; NaN where a mode is gone.
-    """
-
-    speed: FloatArray
-    frequency: FloatArray
-    frequency_error: FloatArray
-    log_decrement: FloatArray
-    log_decrement_error: FloatArray
-    whirl: FloatArray
-
-    def least_decrement(self, speed: float) -> tuple[float, float]:
-        """The least logarithmic decrement at the grid speed nearest to *speed* [Hz], and its standard
-        error.
-        """
-        at = int(np.argmin(np.abs(self.speed - speed)))
-        mode = int(np.nanargmin(self.log_decrement[at]))
-        return float(self.log_decrement[at, mode]), float(self.log_decrement_error[at, mode])
 
 
 def campbell(posterior: SystemPosterior, speeds: FloatArray) -> Campbell:

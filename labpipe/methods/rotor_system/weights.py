@@ -65,9 +65,8 @@ def _over_speed(
     drawn = drawn.reshape(LOOKED, SPEEDS, -1, drawn.shape[-1])
     before, after = (rms_left(drawn, acting) for acting in (np.zeros_like(weights), weights))
     low, high = np.percentile(after, (2.5, 97.5), axis=0)
-    middles = (np.sqrt(np.mean(part**2, axis=0)) for part in (before, after))
-    columns = (speed, *middles, low, posterior.widened * high)
-    return VibrationResult(*(tuple(float(value) for value in column) for column in columns))
+    before, middle = (np.sqrt(np.mean(part**2, axis=0)) for part in (before, after))
+    return VibrationResult(speed, before, middle, low, posterior.widened * high)
 
 
 def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVectors) -> InfluenceResult:
@@ -89,10 +88,8 @@ def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVector
         for speed in test.speed
         for dof in test.outputs
     )
-    columns = tuple(tuple(float(value) for value in row) for row in np.array(root).T)
     planes = tuple(f"node {node}" for node in built.planes)
-    values = tuple(float(value) for value in parts(middle))
-    return InfluenceResult(planes, readings, values, columns, posterior.widened)
+    return InfluenceResult(planes, readings, parts(middle), np.array(root).T, posterior.widened)
 
 
 def interval_of(left: FloatArray, widened: float) -> tuple[float, float]:
