@@ -7,7 +7,8 @@ to .85 of the first critical speed, deflections and weight) as numbers. Kinds: n
 stiffer and 35 % more damped at speed), declared (the same, small_errors: {together: 30 %}), pedestal (missing
 in the model), raw; and on other bearings: oil (two films by clearance and viscosity, shaken while it turns),
 seal (cross-coupled, of any sign), magnets (controlled, their pull a negative stiffness, shaken while they
-turn). Of these only rotors that are stable to the end of their run-up.
+turn), warm (oil, of 60 % of the viscosity in the run-up). Of these only rotors that are stable to the end of
+their run-up.
 
 Prints how many 95 % intervals hold the truth, by prediction: frequency and decrement of the first two modes
 at speed, first critical speed with amplification and peak, onset; of the unknowns; of the vibration that
@@ -17,7 +18,6 @@ weights leave, set without a trial run, by trial runs, and by both.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import tempfile
 import time
@@ -28,14 +28,23 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from labpipe.artefacts.json_file import entry_of
 from labpipe.errors import LabpipeError
 from labpipe.methods.balancing.balance_file import model
-from labpipe.methods.balancing.influence import Noise, Run, best_weights, influence, residual_of
+from labpipe.methods.balancing.influence import (
+    Noise,
+    Run,
+    best_weights,
+    influence,
+    residual_of,
+    rms_left,
+    square_of,
+)
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built
-from labpipe.methods.rotor_system.evaluate import FAINT, most_probable
-from labpipe.methods.rotor_system.posterior import Posterior, common_changes, fit_system
+from labpipe.methods.rotor_system.evaluate import FAINT, _findings, most_probable
+from labpipe.methods.rotor_system.posterior import SystemPosterior, common_changes, explanations, fit_system
 from labpipe.methods.rotor_system.predictions import (
     MOST_MODES,
     at_speed,
@@ -45,13 +54,27 @@ from labpipe.methods.rotor_system.predictions import (
     unbalance_forces,
 )
 from labpipe.methods.rotor_system.records import InfluenceResult
-from labpipe.methods.rotor_system.weights import expected, interval_of, known_influence, vectors_of_unbalance
+from labpipe.methods.rotor_system.weights import drawn_influence, interval_of, stated_influence
 from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, run_up
 
 ROOT = Path(__file__).parent.parent.parent
 OPERATING = 100.0
 BEARINGS = ("oil", "seal", "magnets")
-KINDS = ("none", "exact", "disc", "shaft", "probe", "bearings", "declared", "pedestal", *BEARINGS, "raw")
+KINDS = (
+    "none",
+    "exact",
+    "disc",
+    "shaft",
+    "probe",
+    "bearings",
+    "declared",
+    "pedestal",
+    *BEARINGS,
+    "warm",
+    "raw",
+)
+# Viscosity of the oil in the run-up over that in all other tests, of the kind warm.
+WARM = 0.6
 # Speed [Hz] at which a turning rotor is shaken, and the log decrement from which a mode is no oscillation to
 # speak of.
 TURNING, DAMPED = 25.0, 10.0
@@ -74,7 +97,11 @@ def truth_of(kind: str, of: Built, rng: np.random.Generator) -> np.ndarray:
     return values
 
 
-def fitted(kind: str, tests: list) -> tuple[Built, Posterior]:
+def bearings_of(kind: str) -> str:
+    return "oil" if kind == "warm" else kind if kind in BEARINGS else ""
+
+
+def fitted(kind: str, tests: list) -> tuple[Built, SystemPosterior]:
     """As the section does it: alternatives where a test misfits or small errors are large."""
 
     def on(this: Built, test: object) -> object:
@@ -84,14 +111,14 @@ def fitted(kind: str, tests: list) -> tuple[Built, Posterior]:
             test, planes=tuple(this.planes.values()), gains=this.gains["run"], phases=this.phases["run"]
         )
 
-    def fit(alternative: str) -> tuple[Built, Posterior]:
+    def fit(alternative: str) -> tuple[Built, SystemPosterior]:
         pedestals = kind != "pedestal"
-        together, bearings = 0.3 if kind == "declared" else 0.0, kind if kind in BEARINGS else ""
+        together, bearings = 0.3 if kind == "declared" else 0.0, bearings_of(kind)
         this = built(pedestals, alternative, together=together, bearings=bearings)
         found = fit_system(this.model, [on(this, test) for test in tests])
         return this, replace(found, alternative=alternative)
 
-    names = [PEDESTALS] if kind in ("pedestal", "oil", "magnets") else []
+    names = [PEDESTALS] if kind in ("pedestal", "oil", "warm", "magnets") else []
     return most_probable(fit, [*names, *([TOGETHER] if kind != "declared" else [])])
 
 
@@ -114,7 +141,13 @@ def turning_modes(of: Built, values: np.ndarray) -> Modes:
 
 
 def judge(
-    held: Held, of: Built, truth: np.ndarray, this: Built, found: Posterior, peak: Critical | None, read: int
+    held: Held,
+    of: Built,
+    truth: np.ndarray,
+    this: Built,
+    found: SystemPosterior,
+    peak: Critical | None,
+    read: int,
 ) -> None:
     true = turning_modes(of, truth)
     diagram = campbell(found, np.array([OPERATING]))
@@ -157,16 +190,16 @@ def judge(
             what = "small errors" if unknown.group else "unknowns"
             held[what].append(abs(off) < 1.96 * found.standard_errors[number])
     speeds = 60 * peak.speed * np.array([0.6, 0.72, 0.84]) if peak is not None else np.array([1600.0, 2000.0])
-    weights, predicted, _ = expected(this, run_up(this, speeds), found, 200, 5)
-    h, unbalance = vectors_of_unbalance(of, run_up(of, speeds), truth)
-    left = np.sqrt(np.mean(np.abs(h @ (unbalance + weights)) ** 2))
-    before = np.sqrt(np.mean(np.abs(h @ unbalance) ** 2))
-    low, high = interval_of(predicted, found.widened)
+    predicted = drawn_influence(this, run_up(this, speeds), found.draws(200, 5))
+    weights = best_weights(square_of(predicted))
+    (true_influence,) = drawn_influence(of, run_up(of, speeds), truth[None])
+    before, left = (rms_left(true_influence, acting) for acting in (0 * weights, weights))
+    low, high = interval_of(rms_left(predicted, weights), found.widened)
     held["left"].append(low < left < high)
     held["left, upper"].append(left < high)
     held["% left"].append(100 * left / before)
     for _ in range(read):
-        ways_to_balance(held, (h, unbalance), known_influence(this, found, run_up(this, speeds)), before)
+        ways_to_balance(held, true_influence, stated_influence(this, found, run_up(this, speeds)), before)
 
 
 # What readings repeat to, a trial weight in either plane [kg m], and how often the readings of a rotor are
@@ -174,27 +207,24 @@ def judge(
 READING, TRIAL, READ = Noise(1.5e-7, 0.01), 1.5e-4, 3
 
 
-def ways_to_balance(
-    held: Held, truth: tuple[np.ndarray, np.ndarray], stated: InfluenceResult, before: float
-) -> None:
+def ways_to_balance(held: Held, truth: np.ndarray, stated: InfluenceResult, before: float) -> None:
     """Weights by the model, by trial runs, and by both, set and measured again: the rms of the readings
     within its interval, and what is left without noise.
     """
-    h, unbalance = truth
     rng = np.random.default_rng([len(held["left"]), len(held["by model"])])
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "identification.json"
-        entry = {"influence": dataclasses.asdict(stated)}
+        entry = {"influence": entry_of(stated)}
         path.write_text(json.dumps({"rotor_system": {"balance": entry}}))
         prior, _ = model(path, stated.planes, ())
 
     def run(weights: np.ndarray) -> Run:
-        z = h @ (unbalance + weights)
+        z = truth @ np.concatenate([[1.0], weights])
         noise = rng.standard_normal(z.size) + 1j * rng.standard_normal(z.size)
         return Run("", weights, z + np.sqrt(READING.variance(z) / 2) * noise)
 
     trials = [run(weights) for weights in np.array([[0, 0], [TRIAL, 0], [0, TRIAL]], complex)]
-    first = run(best_weights(prior))
+    first = run(best_weights(prior.square))
     ways = {
         "model": influence([], READING, prior),
         "model, found, 1 trial": influence(trials[:2], READING, prior),
@@ -203,20 +233,19 @@ def ways_to_balance(
         "found, 2 trials": influence(trials, READING),
     }
     for name, known in ways.items():
-        weights = best_weights(known)
+        weights = best_weights(known.square)
         low, high = residual_of(known, weights, READING).interval
         reading = np.sqrt(np.mean(np.abs(run(weights).readings) ** 2))
         held[f"by {name}"].append(low < reading < high)
         held[f"by {name}, below"].append(reading > low)
-        left = np.sqrt(np.mean(np.abs(h @ (unbalance + weights)) ** 2))
-        held[f"% left by {name}"].append(100 * left / before)
+        held[f"% left by {name}"].append(100 * rms_left(truth, weights) / before)
 
 
 def by_numbers(kind: str, n_draw: int, seconds: float, seed: int) -> tuple[Held, Counter[str]]:
     held: Held = defaultdict(list)
     counts: Counter[str] = Counter()
-    of = built(True, bearings=kind if kind in BEARINGS else "")
-    turning = TURNING if kind in ("oil", "magnets") else 0.0
+    of = built(True, bearings=bearings_of(kind))
+    turning = TURNING if kind in ("oil", "warm", "magnets") else 0.0
     for draw in range(n_draw):
         if time.process_time() > seconds:
             break
@@ -228,24 +257,34 @@ def by_numbers(kind: str, n_draw: int, seconds: float, seed: int) -> tuple[Held,
             top = 60 * 0.85 * peak.speed if peak is not None else 2300.0
             speeds = [np.pi * top / 30, 2 * np.pi * TURNING]
             at = [of.model.roots(at_speed(of.model, truth), w, 16, slopes=False).values for w in speeds]
-            if kind not in BEARINGS or max(each.real.max() for each in at) < 0:
+            if not bearings_of(kind) or max(each.real.max() for each in at) < 0:
                 break
             counts["unstable, drawn again"] += 1
+        tests = four_tests(of, truth, rng, top, turning)
+        if kind == "warm":
+            warm = truth.copy()
+            warm[of.model.number("oil")] *= WARM
+            run = four_tests(of, warm, rng, top, turning)[2]
+            tests = [run if test.name == "run" else test for test in tests]
         try:
-            this, found = fitted(kind, four_tests(of, truth, rng, top, turning))
+            this, found = fitted(kind, tests)
         except LabpipeError as error:
             held["fit"].append(False)
             print("failed:", draw, error)
             continue
         held["fit"].append(True)
         counts["flagged"] += bool(found.misfits or found.enlarged or found.alternative)
+        disagree = [each for each in _findings(found) if each.code == "tests-disagree"]
+        if disagree:
+            first = explanations(found)[0]
+            counts[f"disagree by {first.group or found.model.unknowns[first.number].name}"] += 1
         for name, was in (
             ("named", found.alternative or next(iter(found.enlarged), "nothing")),
             ("refitted", found.refits is not None),
             ("change not told", any(spread > FAINT for spread in common_changes(found).values())),
         ):
             counts[f"{name}: {was}" if name == "named" else name] += was is not False
-        judge(held, of, truth, this, found, peak, 0 if kind in BEARINGS else READ)
+        judge(held, of, truth, this, found, peak, 0 if bearings_of(kind) else READ)
     return held, counts
 
 

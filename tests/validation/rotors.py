@@ -468,7 +468,7 @@ def vector_rows(
 def balancing() -> list[Claim]:
     """Weights by influence coefficients, and what they leave, as the authors computed them."""
     known = Influence(GOODMAN, np.zeros((18, 18)))
-    weights = best_weights(known)
+    weights = best_weights(known.square)
     left = GOODMAN @ np.concatenate([[1.0], weights])
     kind, source = "printed calculation", "Goodman 1964"
     found = [
@@ -481,7 +481,7 @@ def balancing() -> list[Claim]:
     both = np.array([[0, 0], [aft, 0], [aft, forward]])
     runs = [Run(str(number), *pair) for number, pair in enumerate(zip(both, readings, strict=True))]
     known = influence(runs, Noise(1e-9, 0.0))
-    weights = best_weights(known)
+    weights = best_weights(known.square)
     found += vector_rows("compressor at 17,500 rpm: aft weight", weights[0], 15.3, 3, "g", 0.1)
     found += vector_rows("compressor at 17,500 rpm: forward weight", weights[1], 6.6, 113, "g", 0.1)
     left = known.mean @ np.concatenate([[1.0], weights])
@@ -499,7 +499,7 @@ def balancing() -> list[Claim]:
     found.append(
         within("fan: weight per vibration", 1 / abs(known.mean[0, 1]), 10.4, 0.05, "oz in/mil", kind, source)
     )
-    found += vector_rows("fan: weight", best_weights(known)[0], 58, 341.9, "oz in", 1, source)
+    found += vector_rows("fan: weight", best_weights(known.square)[0], 58, 341.9, "oz in", 1, source)
     for grade, (printed, half) in GRADES.items():
         ours = permissible_unbalance(1e-3 * grade, 1.0, 300 / 60) / OUNCE_INCHES_PER_POUND
         why = (

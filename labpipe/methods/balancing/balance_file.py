@@ -272,7 +272,7 @@ def balanced(file: BalanceFile) -> Balanced:
     except DataError as error:
         error.where = error.where or str(file.path)
         raise
-    weights, masses = best_weights(known), {}
+    weights, masses = best_weights(known.square), {}
     if any(plane.at.size for plane in file.planes.values()):
         places = [_places(name, plane) for name, plane in file.planes.items()]
         chosen = placed_weights(known, places)

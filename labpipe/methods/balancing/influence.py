@@ -17,6 +17,7 @@ import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
+from labpipe.methods.rotor.posterior import root_of
 
 # Draws of z_0 and alpha by which intervals are stated, and their seed.
 DRAWS, SEED = 4000, 20261125
@@ -77,20 +78,17 @@ class Influence:
         )
         return np.asarray(real + imaginary + 1j * (across - crossed))
 
-    def quadratic(self) -> tuple[ComplexArray, ComplexArray]:
-        """A (n_plane, n_plane) [unit^2/(kg m)^2] and b (n_plane,) [unit^2/(kg m)] of the expected square
-        w^H A w + 2 Re b^H w + constant, in the unit of the readings.
+    @property
+    def square(self) -> ComplexArray:
+        """Q (n_plane + 1, n_plane + 1) of the expected square (1, w)^H Q (1, w), in the unit of the readings,
+        of the vibration with weights w [kg m].
         """
-        second = np.einsum("li,lj->ij", self.mean.conj(), self.mean) + self.covariance.sum(axis=0).T
-        return second[1:, 1:], second[1:, 0]
+        return square_of(self.mean[None]) + self.covariance.sum(axis=0).T
 
     def draws(self, n: int = DRAWS) -> ComplexArray:
         """Drawn z_0 and alpha, (n, n_line, n_plane + 1) [unit of the readings, per kg m]."""
-        rng = np.random.default_rng(SEED)
-        scale = np.sqrt(np.maximum(np.diag(self.joint), 1e-300))
-        values, vectors = np.linalg.eigh(self.joint / np.outer(scale, scale))
-        root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0))
-        real, imaginary = np.split(rng.standard_normal((n, scale.size)) @ root.T, 2, axis=1)
+        normal = np.random.default_rng(SEED).standard_normal((n, 2 * self.mean.size))
+        real, imaginary = np.split(normal @ root_of(self.joint).T, 2, axis=1)
         return np.asarray(self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape))
 
     def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
@@ -171,10 +169,27 @@ def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None)
     return Influence(means, joint.reshape(2 * means.size, -1), misfit, dof)
 
 
-def best_weights(known: Influence) -> ComplexArray:
-    """The weights (n_plane,) [kg m] of the least expected square of the vibration that is left."""
-    square, linear = known.quadratic()
-    return np.asarray(-np.linalg.solve(square, linear))
+def square_of(drawn: ComplexArray) -> ComplexArray:
+    """The same by draws of z_0 and alpha (n, n_line, n_plane + 1) [unit of the readings, per kg m], their
+    sum.
+    """
+    rows = drawn.reshape(-1, drawn.shape[-1])
+    return np.asarray(rows.conj().T @ rows)
+
+
+def best_weights(square: ComplexArray) -> ComplexArray:
+    """The weights (n_plane,) [kg m] of the least expected *square* (n_plane + 1, n_plane + 1) of the
+    vibration that is left: w = -A^-1 b of its blocks. Equation (system-balance).
+    """
+    return np.asarray(-np.linalg.solve(square[1:, 1:], square[1:, 0]))
+
+
+def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
+    """Root mean square over the last lines (...) [unit of the readings] of z_0 + alpha w, of drawn z_0 and
+    alpha (..., n_line, n_plane + 1) with *weights* w (n_plane,) [kg m].
+    """
+    left = drawn @ np.concatenate([[1.0], weights])
+    return np.asarray(np.sqrt(np.mean(np.abs(left) ** 2, axis=-1)))
 
 
 @dataclass(frozen=True)
@@ -192,7 +207,7 @@ def placed_weights(known: Influence, places: Sequence[Places]) -> list[FloatArra
     """Masses [kg] in every place of every plane, (n_place,) each: the least expected square that masses from
     zero to the largest can reach, by as little mass as that takes.
     """
-    square, linear = known.quadratic()
+    square, linear = known.square[1:, 1:], known.square[1:, 0]
     directions = [place.radius * np.exp(1j * place.angles) for place in places]
     onto = np.zeros((len(places), sum(d.size for d in directions)), np.complex128)
     ends = np.cumsum([0, *(direction.size for direction in directions)])
@@ -306,7 +321,7 @@ def next_runs(known: Influence, noise: Noise, candidates: Mapping[str, ComplexAr
         squares = []
         for truth, normal in zip(truths, scatter, strict=True):
             surprise = (truth - known.mean) @ whole + np.sqrt(variance) * normal
-            chosen = best_weights(replace(known.moved(gain, surprise), joint=joint))
+            chosen = best_weights(replace(known.moved(gain, surprise), joint=joint).square)
             squares.append(np.sum(np.abs(truth @ np.concatenate([[1.0], chosen])) ** 2))
         expected[name] = float(np.sqrt(np.mean(squares) / n_line))
     return expected

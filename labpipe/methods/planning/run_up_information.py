@@ -15,16 +15,10 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.joint import threshold_row
-from labpipe.methods.run_ups.misfit import ExcitedRun
+from labpipe.methods.run_ups.joint import MeasuredThreshold
+from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns
 from labpipe.methods.run_ups.records import RunUp, Shaker
-from labpipe.methods.run_ups.rotor import (
-    PARAMETERS,
-    FilmFamily,
-    RunUpRotor,
-    as_matrices,
-    largest_displacement,
-)
+from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor, as_matrices, largest_displacement
 from labpipe.records.uncertain import Uncertain
 
 # Readings with a larger relative error are not planned with: a fit weighs along and across the measured
@@ -124,15 +118,13 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     Equation (plan-run-up).
     """
     run = expected_run(expected, candidate)
-    eight, by_parameter = expected.family.coefficients_and_slopes(
-        expected.values, np.full(run.n_speed, run.load), run.speed
-    )
-    _, slopes = ExcitedRun.of(expected.rig, run).residual_and_slopes(eight)
-    rows = (slopes @ by_parameter).reshape(-1, len(PARAMETERS))
+    speeds = LoadRuns(run.load, run.speed, (ExcitedRun.of(expected.rig, run),))
+    _, rows = speeds.residual(expected.family, expected.values)
     matrix = rows.T @ rows
     if run.threshold is not None:
-        _, row = threshold_row(expected.rig, expected.family, expected.values, run.load, run.threshold)
-        matrix = matrix + np.outer(row, row)
+        measured = MeasuredThreshold(expected.rig, run.load, run.threshold)
+        _, row = measured.residual(expected.family, expected.values)
+        matrix = matrix + row.T @ row
     elif candidate.to_threshold:
         raise FitError(
             f"no threshold is expected under {candidate.load:.4g} N", hint="leave to_threshold out"

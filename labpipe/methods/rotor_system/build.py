@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from labpipe.methods.rotor.shaft import (
 )
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.rotor_system.theory import Theory
+from labpipe.records.settings import Settings, quantity
 
 # Apparent mass at a bearing that an unknown of 1 stands for [kg].
 APPARENT = 5.0
@@ -34,21 +36,19 @@ COEFFICIENTS = ("yy", "yz", "zy", "zz")
 
 
 @dataclass(frozen=True)
-class SmallErrors:
-    """Declared standard deviations of what no drawing knows, by what they act on; 0 turns one off.
-
-    elements: ln stiffness of every element. inertia: ln J_t and J_p of every disc. bearings: ln of every
-    bearing coefficient, running against standing. apparent_mass: at every bearing and direction, in 5 kg.
-    phase: of every probe [rad]. They are in the model, so that predictions carry them. together: ln of all
-    bearings' stiffness, and of their damping, running against standing: one error for all, not by group.
+class SmallErrors(Settings):
+    """Standard deviations of errors that no drawing knows and that are everywhere; 0 turns one off. They are
+    in the model, so that predictions carry them.
     """
 
-    elements: float = 0.01
-    inertia: float = 0.05
-    bearings: float = 0.1
-    apparent_mass: float = 0.03
-    phase: float = 0.01
-    together: float = 0.0
+    elements: float = quantity("stiffness of every element", "1", 0.01)
+    inertia: float = quantity("moments of inertia of every disc", "1", 0.05)
+    bearings: float = quantity("every bearing coefficient, running against standing", "1", 0.1)
+    apparent_mass: float = quantity("apparent mass at every bearing, in 5 kg", "1", 0.03)
+    phase: float = quantity("phase of every probe", "rad", 0.01)
+    together: float = quantity(
+        "stiffness and damping of all bearings alike, running against standing", "1", 0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -217,29 +217,24 @@ class _Builder:
             ]
             if all(parts):
                 planes[node] = (rig.rotor.dofs(node)[0], parts[0][0], parts[1][0])
-        gains, phases = {}, {}
+        gains: dict[str, tuple[int, ...]] = {}
+        phases: dict[str, tuple[int, ...]] = {}
         for test, each in sensors.items():
-            only, phase = frozenset([test]), self.small.phase if each.phase else 0.0
-            gains[test], phases[test] = (
-                tuple(
-                    n
-                    for label in each.labels
-                    for n in self.unknown(
-                        f"{what} {test} {label}",
-                        size,
-                        tests=only,
-                        **entries,  # type: ignore[arg-type]
-                    )
-                )
-                for what, size, entries in (
-                    ("gain", each.gain, {}),
-                    ("phase", phase, {"unit": "rad", "group": "phase"}),
-                )
-            )
+            phase = self.small.phase if each.phase else 0.0
+            gains[test] = self._of_sensors("gain", test, each, each.gain)
+            phases[test] = self._of_sensors("phase", test, each, phase, unit="rad", group="phase")
         n_shaft = 4 * rig.rotor.n_node
         n_dof = n_shaft + 2 * len(self.system.pedestals)
         model = SystemModel(tuple(self.unknowns), tuple(self.terms), n_dof, n_shaft)
         return Built(model, planes, gains, phases)
+
+    def _of_sensors(
+        self, what: str, test: str, sensors: Sensors, error: float, **entries: Any
+    ) -> tuple[int, ...]:
+        names = [f"{what} {test} {label}" for label in sensors.labels]
+        return tuple(
+            n for name in names for n in self.unknown(name, error, tests=frozenset([test]), **entries)
+        )
 
     def _shaft(self) -> None:
         rotor = self.system.rig.rotor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,6 +14,7 @@ from labpipe.errors import ConfigError
 
 if TYPE_CHECKING:
     from labpipe.methods.rotor_system.build import RotorSystem
+    from labpipe.report.document import Document
 
 
 @click.command()
@@ -39,10 +40,26 @@ def rotor(
     margins, stability, unbalance response. Uncertainties of the file's numbers, its pedestals and its
     internal damping count, and give intervals.
     """
-    import numpy as np
-
     from labpipe.artefacts.writing import output_file
     from labpipe.document.render import DOCUMENTS
+    from labpipe.methods.rotor_system.system_file import load_system
+
+    system = load_system(rotor_path, overrides)
+    band = _band(speeds, system.rig.speed)
+    entry, document = _declared(system, band) if system.is_uncertain else _plain(system, band, steps)
+    if json_path is not None:
+        with output_file(json_path) as path:
+            path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
+    if output is not None:
+        render = DOCUMENTS.load(output.suffix.lstrip("."))
+        with output_file(output) as path:
+            path.write_bytes(render(document))
+
+
+def _plain(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[dict[str, Any], Document]:
+    """JSON entry and report of a rotor by theory alone, after its lines."""
+    import numpy as np
+
     from labpipe.methods.rotor.theory import (
         crossing_rows,
         rotor_document,
@@ -50,35 +67,19 @@ def rotor(
         rotor_theory,
         sentences,
     )
-    from labpipe.methods.rotor_system.system_file import load_system
 
-    system = load_system(rotor_path, overrides)
     rig = system.rig
-    low, high = _band(speeds, rig.speed)
-    if system.is_uncertain:
-        _declare(system, (low, high), json_path, output)
-        return
-    theory = rotor_theory(rig, np.linspace(low, high, steps))
+    theory = rotor_theory(rig, np.linspace(*band, steps))
     echo(f"{rig.name}, {60 * rig.speed:g} rpm")
     echo_table(("critical speed", "damping", "whirl"), list(crossing_rows(theory)), (0, 1))
     for line in sentences(theory):
         echo(line)
-    if json_path is not None:
-        with output_file(json_path) as path:
-            path.write_text(json.dumps(rotor_entry(theory), indent=1) + "\n", encoding="utf-8")
-    if output is not None:
-        render = DOCUMENTS.load(output.suffix.lstrip("."))
-        with output_file(output) as path:
-            path.write_bytes(render(rotor_document(theory)))
+    return rotor_entry(theory), rotor_document(theory)
 
 
-def _declare(
-    system: RotorSystem, band: tuple[float, float], json_path: Path | None, output: Path | None
-) -> None:
+def _declared(system: RotorSystem, band: tuple[float, float]) -> tuple[dict[str, Any], Document]:
     """The same of a file whose numbers carry uncertainties, with intervals."""
-    from labpipe.artefacts.json_file import entry_of
-    from labpipe.artefacts.writing import output_file
-    from labpipe.document.render import DOCUMENTS
+    from labpipe.artefacts.json_file import entry_of, without_nan
     from labpipe.methods.rotor_system.evaluate import declared_result
     from labpipe.methods.rotor_system.section import result_blocks, sentences
     from labpipe.report.document import Document, Section
@@ -87,15 +88,9 @@ def _declare(
     echo(f"{result.rotor}, {60 * system.rig.speed:g} rpm, as declared")
     for line in sentences(result):
         echo(line)
-    if json_path is not None:
-        entry = {"schema": "labpipe/rotor-declared/1", **entry_of(result)}
-        with output_file(json_path) as path:
-            path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
-    if output is not None:
-        render = DOCUMENTS.load(output.suffix.lstrip("."))
-        sections = (Section("Result", result_blocks(result)),)
-        with output_file(output) as path:
-            path.write_bytes(render(Document(result.rotor, "Rotor as declared", sections, to_sign=False)))
+    entry = {"schema": "labpipe/rotor-declared/1", **without_nan(entry_of(result))}
+    sections = (Section("Result", result_blocks(result)),)
+    return entry, Document(result.rotor, "Rotor as declared", sections, to_sign=False)
 
 
 def _band(text: str, speed: float) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from operator import itemgetter
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import plain_text
 from labpipe.distributions import chi2_tail, normal_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
 from labpipe.methods.rotor.theory import LEAST_DECREMENT
@@ -26,20 +27,22 @@ from labpipe.methods.rotor_system.build import (
 )
 from labpipe.methods.rotor_system.evidence import (
     Deflections,
-    Evidence,
     FreeModes,
     Responses,
     RunUpVectors,
+    SystemEvidence,
     out_of_order,
     run_up_whitener,
 )
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import (
     WIDENED,
-    Posterior,
+    Explanation,
     Pull,
+    SystemPosterior,
     budget,
     common_changes,
+    explanations,
     fit_system,
     normality,
     pulls,
@@ -47,15 +50,12 @@ from labpipe.methods.rotor_system.posterior import (
 )
 from labpipe.methods.rotor_system.predictions import (
     DRAWS,
-    Campbell,
-    CriticalSpeed,
     campbell,
     critical_speeds,
     decrement_gradient,
     onset,
 )
 from labpipe.methods.rotor_system.records import (
-    CampbellResult,
     CriticalResult,
     RotorSystemResult,
     SmallErrorResult,
@@ -86,6 +86,9 @@ DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 SPEEDS = 41
 # A common change of all bearings that the tests at speed tell no better than this, is not told.
 FAINT = 0.15
+# Fall of chi-square by one further unknown from which tests disagree, the square of standard errors; falls
+# that differ by less, a factor of 20 between likelihoods, tell nothing.
+TELLING, UNDECIDED = 16.0, 6.0
 # Share of the critical speed up to which one more run-up would go.
 NEARER = 0.95
 
@@ -133,11 +136,11 @@ def _fit(
     sensors: Mapping[str, Sensors],
     work: Work,
     runs: Mapping[str, RunUp],
-) -> tuple[Built, Posterior]:
+) -> tuple[Built, SystemPosterior]:
     """Intervals of predictions are half as wide again where a test misfits: sizes are poorly known."""
 
-    def fitted(alternative: str) -> tuple[Built, Posterior]:
-        built = build(system, settings.small_errors.sizes, sensors, alternative)
+    def fitted(alternative: str) -> tuple[Built, SystemPosterior]:
+        built = build(system, settings.small_errors, sensors, alternative)
         tests = [_evidence(test, built, system, work, runs) for test in settings.tests]
         return built, replace(fit_system(built.model, tests), alternative=alternative)
 
@@ -148,12 +151,12 @@ def _fit(
 
 
 def most_probable(
-    fitted: Callable[[str], tuple[Built, Posterior]], alternatives: Sequence[str]
-) -> tuple[Built, Posterior]:
+    fitted: Callable[[str], tuple[Built, SystemPosterior]], alternatives: Sequence[str]
+) -> tuple[Built, SystemPosterior]:
     """The fit of the rotor as it is declared, "", or of the most probable alternative to it where a test
     misfits or small errors are large; fitted to moved data where it is not normal.
     """
-    best: tuple[Built, Posterior] | None = None
+    best: tuple[Built, SystemPosterior] | None = None
     reason: FitError | None = None
     try:
         best = fitted("")
@@ -195,7 +198,7 @@ def _response(test: SystemTest, work: Work) -> FrequencyResponse:
 
 def _evidence(
     test: SystemTest, built: Built, system: RotorSystem, work: Work, runs: Mapping[str, RunUp]
-) -> Evidence:
+) -> SystemEvidence:
     if test.kind == MODES:
         return _modes(test, work)
     if test.kind == RESPONSE:
@@ -390,7 +393,7 @@ def declared_result(system: RotorSystem, band: tuple[float, float]) -> RotorSyst
 def _result(
     system: RotorSystem,
     built: Built,
-    posterior: Posterior,
+    posterior: SystemPosterior,
     band: tuple[float, float],
     kinds: Mapping[str, str],
     n_draw: int,
@@ -403,7 +406,7 @@ def _result(
     diagram = campbell(posterior, speeds)
     least, error = diagram.least_decrement(operating)
     pulled, gradient = pulls(posterior), decrement_gradient(posterior, operating)
-    criticals: list[CriticalSpeed] = []
+    criticals: list[CriticalResult] = []
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
         outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
@@ -424,23 +427,23 @@ def _result(
             for pull in pulled
         ),
         small_errors=tuple(
-            SmallErrorResult(group, next(u.error for u in built.model.unknowns if u.group == group), size)
+            SmallErrorResult(group, built.model.groups[group], size)
             for group, size in posterior.sizes.items()
         ),
-        campbell=_campbell_rows(diagram),
+        campbell=diagram,
         decrement=(least, error, float(normal_tail((LEAST_DECREMENT - least) / error)) if error else 1.0),
-        criticals=tuple(_critical(each) for each in criticals),
+        criticals=tuple(criticals),
         onset=onset(posterior, max(low, 0.05 * operating)),
         next_tests={} if gradient is None else _next_tests(posterior, gradient, criticals),
         budget={} if gradient is None else budget(posterior, gradient),
         ln_evidence=posterior.ln_evidence,
         alternative=posterior.alternative,
         widened=posterior.widened,
-        findings=tuple(_findings(posterior, pulled)),
+        findings=tuple(_findings(posterior)),
     )
 
 
-def _unknowns(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[UnknownResult]:
+def _unknowns(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[UnknownResult]:
     shares = posterior.shares
     for number, unknown in enumerate(posterior.model.unknowns):
         value, error = float(posterior.values[number]), float(posterior.standard_errors[number])
@@ -465,36 +468,7 @@ def _people(unknown: Unknown, value: float, error: float) -> tuple[float, float]
     return amount, abs(amount) * error
 
 
-def _campbell_rows(diagram: Campbell) -> CampbellResult:
-    def rows(matrix: FloatArray) -> tuple[tuple[float | None, ...], ...]:
-        return tuple(tuple(None if np.isnan(x) else float(x) for x in row) for row in matrix)
-
-    return CampbellResult(
-        tuple(diagram.speed.tolist()),
-        rows(diagram.frequency),
-        rows(diagram.frequency_error),
-        rows(diagram.log_decrement),
-        rows(diagram.log_decrement_error),
-        rows(diagram.whirl),
-    )
-
-
-def _critical(each: CriticalSpeed) -> CriticalResult:
-    return CriticalResult(
-        f"{each.dof // 4 + 1} {'yz'[each.dof % 4]}",
-        each.speed,
-        each.speed_interval,
-        each.amplification,
-        each.amplification_interval,
-        each.amplitude,
-        each.amplitude_interval,
-        each.margin,
-        each.met,
-        each.missing,
-    )
-
-
-def _findings(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[Finding]:
+def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
     for name, tail in posterior.misfits.items():
         chi2, n = posterior.chi2[name]
         yield Finding(
@@ -514,13 +488,9 @@ def _findings(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[Finding]
             f"small errors of {group.replace('_', ' ')} are {ratio:.1f} times as large as declared; "
             "intervals of predictions are widened by half",
         )
-    for pull in pulled:
-        if abs(pull.z) > 3:
-            yield Finding(
-                "tests-disagree",
-                f"test '{pull.test}' pulls {pull.unknown} by {abs(pull.z):.1f} standard errors from what the "
-                "other tests say",
-            )
+    explained = explanations(posterior)
+    if any(each.fall > TELLING and each.test for each in explained):
+        yield Finding("tests-disagree", "tests of one rotor disagree: " + _explained(posterior, explained))
     for name, z in posterior.contradicted:
         yield Finding(
             "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
@@ -528,7 +498,24 @@ def _findings(posterior: Posterior, pulled: Sequence[Pull]) -> Iterator[Finding]
     yield from _notes(posterior)
 
 
-def _notes(posterior: Posterior) -> Iterator[Finding]:
+def _explained(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
+    """The best two explanations in words."""
+
+    def words(each: Explanation) -> str:
+        if each.group:
+            return (
+                f"small errors of {each.group.replace('_', ' ')} {each.value:.1f} times as large as declared"
+            )
+        unknown = posterior.model.unknowns[each.number]
+        value, unit = _people(unknown, each.value, 0.0)[0], unknown.unit or unknown.nominal_unit
+        return f"{unknown.name} of {plain_text(value, unit, 3)} in test '{each.test}'"
+
+    text = ", ".join(f"by {each.fall:.0f} with {words(each)}" for each in explained[:2])
+    same = len(explained) > 1 and explained[0].fall - explained[1].fall < UNDECIDED
+    return f"chi-square falls {text}" + ("; which of them, the tests cannot tell" if same else "")
+
+
+def _notes(posterior: SystemPosterior) -> Iterator[Finding]:
     """How the intervals came about, and what no test tells."""
     if posterior.refits is not None:
         yield note(
@@ -560,32 +547,21 @@ def _notes(posterior: Posterior) -> Iterator[Finding]:
 
 
 def _next_tests(
-    posterior: Posterior, gradient: FloatArray, criticals: Sequence[CriticalSpeed]
+    posterior: SystemPosterior, gradient: FloatArray, criticals: Sequence[CriticalResult]
 ) -> dict[str, float]:
     """Standard error of a prediction with this *gradient* (n_unknown,), as it is and with one more test of
     each kind: u' = sqrt(g^T (F + F_c)^-1 g).
     """
     information = np.linalg.inv(posterior.covariance)
-    candidates: dict[str, Evidence] = {f"{test.name} once more": test for test in posterior.tests}
+    candidates: dict[str, SystemEvidence] = {f"{test.name} once more": test for test in posterior.tests}
     for test in posterior.tests:
-        above = (
-            [each.speed for each in criticals if 2 * np.pi * each.speed > test.speed[-1]]
-            if isinstance(test, RunUpVectors)
-            else []
-        )
-        if isinstance(test, RunUpVectors) and above:
-            top = NEARER * 2 * np.pi * min(above)
-            if top > 1.02 * test.speed[-1]:
-                speed = np.linspace(test.speed[0], top, test.speed.size)
-                noise = np.median(1 / np.linalg.norm(test.whitener, axis=2), axis=1)[:, None] * np.ones(
-                    speed.size
-                )
-                candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = replace(
-                    test,
-                    speed=speed,
-                    measured=np.zeros((speed.size, len(test.outputs)), complex),
-                    whitener=run_up_whitener(noise, 0.0),
-                )
+        if not isinstance(test, RunUpVectors):
+            continue
+        above = [at for each in criticals if (at := 2 * np.pi * each.speed) > test.speed[-1]]
+        if above and (top := NEARER * min(above)) > 1.02 * test.speed[-1]:
+            speed = np.linspace(test.speed[0], top, test.speed.size)
+            nearer = test.planned(speed, np.median(test.noise, axis=1))
+            candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = nearer
     errors = {"as it is": float(posterior.gradient_error(gradient))}
     for name, test in candidates.items():
         _, jacobian = test.residual(posterior.model, posterior.values)

@@ -12,26 +12,20 @@ from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
+from labpipe.methods.rotor.posterior import Evidence, Residual
 from labpipe.methods.rotor_system.model import SystemModel
 
-Residual = tuple[FloatArray, FloatArray]
 # Lines of a response that the first steps look at, about.
 FEW_LINES = 48
 
 
-class Evidence(Protocol):
-    """A test: its *name*, and the weighted residual (n,) [-] of a model with its Jacobian (n, n_unknown)."""
+class SystemEvidence(Evidence[SystemModel], Protocol):
+    """A test of a rotor with all that carries it: its *name*, and its residual."""
 
     @property
     def name(self) -> str: ...
 
-    def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """Residual (n,) [1] at *values* (n_unknown,), and its Jacobian (n, n_unknown) [1 over the unknown's
-        unit].
-        """
-        ...
-
-    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Evidence:
+    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> SystemEvidence:
         """The test at *values* (n_unknown,) [SI units] with this *share* of every amplitude, measured or of
         the model, added to its noise: for the first steps from a poor start.
         """
@@ -233,11 +227,26 @@ class RunUpVectors:
         moved = np.einsum("pij,ujp->uip", self.whitener, -slopes).reshape(len(slopes), -1)
         return as_real(white), as_real(moved.T)
 
+    def planned(
+        self, speed: FloatArray, noise: FloatArray | float, added: tuple[tuple[int, complex], ...] = ()
+    ) -> RunUpVectors:
+        """A run that is not made yet, at other speeds (n_speed,) [rad/s], with an *added* unbalance and the
+        *noise* (n_probe,) [m] of a component.
+        """
+        size = np.broadcast_to(np.reshape(noise, (-1, 1)), (len(self.outputs), speed.size))
+        nothing = np.zeros((speed.size, len(self.outputs)), complex)
+        whitener = run_up_whitener(size, 0.0)
+        return replace(self, speed=speed, measured=nothing, whitener=whitener, added=added)
+
+    @property
+    def noise(self) -> FloatArray:
+        """Standard deviation of a component of each probe and speed, (n_probe, n_speed) [m]."""
+        return 1 / np.linalg.norm(self.whitener, axis=2)
+
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> RunUpVectors:
         """At *values* (n_unknown,) [SI units], see Evidence."""
         vectors, _, _ = self.readings(model, values)
-        noise = 1 / np.linalg.norm(self.whitener, axis=2)
-        error = np.hypot(noise, share * np.maximum(np.abs(self.measured), np.abs(vectors)).T)
+        error = np.hypot(self.noise, share * np.maximum(np.abs(self.measured), np.abs(vectors)).T)
         return replace(self, whitener=np.eye(self.speed.size) / error[:, :, None])
 
 

@@ -26,6 +26,9 @@ RIGID = 2
 # From spin speeds and frequencies of the motion (...) [rad/s] and the values of a term's inputs to its block
 # there, (..., k, k).
 Curve = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+# What follows the frequency, at frequencies of the motion (n_mode,) [rad/s]: power of the eigenvalue that the
+# blocks are multiplied by, dofs, blocks (n_mode, k, k).
+_Added = Callable[[FloatArray], Iterator[tuple[int, IntArray, FloatArray]]]
 # Half-width of the difference that gives the slope of a block by an input, in its standard uncertainties, and
 # by the frequency, as a part of it.
 INPUT_STEP, FREQUENCY_STEP = 1e-3, 1e-4
@@ -35,6 +38,9 @@ ROUNDS, SETTLED = 30, 1e-10
 ALIKE = 1e-6
 # Middles of the bands of frequencies [rad/s] in each of which a controlled bearing is first constant.
 MIDDLES = np.geomspace(30.0, 3e4, 9)
+# Modes of the basis in which these are computed, and the step, as a part of the eigenvalue, from which its
+# change with the frequency is counted.
+START_MODES, NEAR = 24, 0.1
 
 
 @dataclass(frozen=True)
@@ -145,6 +151,11 @@ class SystemModel:
     def errors(self) -> FloatArray:
         """Standard uncertainties of the priors (n_unknown,) [unit of each]."""
         return np.array([unknown.error for unknown in self.unknowns])
+
+    @cached_property
+    def groups(self) -> dict[str, float]:
+        """Declared standard deviations of the small errors, by group [unit of each]."""
+        return {unknown.group: unknown.error for unknown in self.unknowns if unknown.group}
 
     def number(self, name: str) -> int:
         return [unknown.name for unknown in self.unknowns].index(name)
@@ -391,18 +402,17 @@ class SystemModel:
         dofs: IntArray | None = None,
         supported: bool = True,
         slopes: bool = True,
-        omega: float | None = None,
     ) -> Roots:
         """Eigenvalues of lambda^2 M + lambda (C + Omega G) + K + Omega H, the slowest *most* or all;
         *dofs* (n_kept,): of these alone, the others held. At *values* (n_unknown,) [unit of each]; controlled
-        bearings at the frequency of each mode, or at *omega* [rad/s].
+        bearings at the frequency of each mode.
 
         d lambda = -p^H D' v / (p^H (2 lambda M + C + Omega G) v), p the left vector. Equation
         (system-eigenvalue).
         """
-        if omega is None and supported and any(term.follows for term in self.terms):
+        if supported and any(term.follows for term in self.terms):
             return self._following(values, spin, most, slopes)
-        whole = self.matrices(values, spin, supported, omega)
+        whole = self.matrices(values, spin, supported)
         kept = np.arange(self.n_dof) if dofs is None else dofs
         mass, damping, restoring = (
             matrix[np.ix_(kept, kept)] for matrix in (whole.mass, whole.at_speed(spin), whole.restoring(spin))
@@ -423,70 +433,133 @@ class SystemModel:
             return Roots(eigenvalues, shapes, np.zeros((chosen.size, 0), np.complex128))
         left = np.zeros_like(shapes)
         left[kept] = linalg.lu_solve(inverse, vectors[0][n:, chosen])
-        rows, columns = left.conj().T[:, None, :], shapes.T[:, :, None]
-        moved = self.slopes(values, spin, rows, columns, eigenvalues, supported)[:, :, 0, 0]
-        middle = 2 * eigenvalues[:, None, None] * whole.mass + whole.at_speed(spin)
-        return Roots(eigenvalues, shapes, -(moved / (rows @ middle @ columns)[:, 0, 0]).T)
+        v, p = shapes.T[:, :, None], left.T[:, :, None]
+        scale = between(p, 2 * eigenvalues[:, None, None] * whole.mass + whole.at_speed(spin), v)
+        moved = self.slopes(values, spin, adjoint(p), v, eigenvalues, supported)[:, :, 0, 0]
+        return Roots(eigenvalues, shapes, -(moved / scale).T)
+
+    @cached_property
+    def _start_basis(self) -> FloatArray:
+        """Orthonormal shapes (n_dof, n_shape) that hold the slow modes whatever the bearings do: modes of the
+        rotor at the middle of the priors on springs, and the static shapes of forces at these.
+        """
+        free, whole = (self.matrices(self.means, 0.0, supported) for supported in (False, True))
+        springs = np.abs(np.diag(whole.stiffness - free.stiffness))
+        stiffness = free.stiffness + np.diag(springs)
+        carried = np.flatnonzero(springs)
+        last = min(self.n_dof, START_MODES) - 1
+        _, modes = linalg.eigh(stiffness, whole.mass, subset_by_index=[0, last])
+        static = np.linalg.solve(stiffness, np.eye(self.n_dof)[:, carried])
+        shapes = np.column_stack([modes, static])
+        basis, size, _ = linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
+        return np.asarray(basis[:, size > 1e-6 * size[0]])
 
     def _following(self, values: FloatArray, spin: float, most: int, slopes: bool) -> Roots:
         """Eigenvalues with the coefficients at their own frequencies, from those in bands of frequencies with
         the coefficients at the middle of each: by inverse iteration of both vectors, the coefficients anew in
-        every step.
+        every step. One that does not settle is left out.
 
         With D(lambda, w) at w = Im lambda, g = p^H dD/dw v and m = p^H dD/dlambda v:
-        m d lambda + g Im d lambda = -p^H D' v.
+        m d lambda + g Im d lambda = -p^H D v in every step, and -p^H D' v for the slopes.
         """
-
         weights, _ = self._weights(values)
-        constant = dict(zip(POWERS, self._constant(weights, True), strict=True))
+        whole = SystemMatrices(**dict(zip(POWERS, self._constant(weights, True), strict=True)))
+        restoring, damping = whole.restoring(spin), whole.at_speed(spin)
+        curves = [(POWERS[t.matrix][0], np.array(t.dofs), weights[n], t) for n, t in self._curve(True)]
 
-        def at(root: ComplexArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-            whole = {name: np.repeat(matrix[None], root.size, axis=0) for name, matrix in constant.items()}
-            for number, term in self._curve(True):
-                dofs = np.array(term.dofs)
-                added = weights[number] * term.at(spin, omega, values)
-                whole[term.matrix][:, dofs[:, None], dofs] += added
-            damping = whole["damping"] + spin * whole["gyroscopic"]
-            restoring, each = whole["stiffness"] + spin * whole["circulatory"], root[:, None, None]
-            return each**2 * whole["mass"] + each * damping + restoring, 2 * each * whole["mass"] + damping
+        def added(omega: FloatArray) -> Iterator[tuple[int, IntArray, FloatArray]]:
+            return ((power, dofs, weight * t.at(spin, omega, values)) for power, dofs, weight, t in curves)
 
-        each = [self.roots(values, spin, slopes=False, omega=float(middle)) for middle in MIDDLES]
-        edges = np.sqrt(MIDDLES[1:] * MIDDLES[:-1])
-        inside = [np.searchsorted(edges, np.abs(roots.values)) == band for band, roots in enumerate(each)]
-        root = np.concatenate([roots.values[kept] for roots, kept in zip(each, inside, strict=True)])
-        shapes = np.concatenate([roots.shapes[:, kept].T for roots, kept in zip(each, inside, strict=True)])
-        first = np.argsort(np.abs(root))[: most or None]
-        root, right, left = root[first], shapes[first, :, None], shapes[first, :, None]
+        def at(root: ComplexArray) -> tuple[ComplexArray, ...]:
+            """D, dD/dlambda and dD/dw, (n_mode, n_dof, n_dof)."""
+            each, n, step = root[:, None, None], root.size, FREQUENCY_STEP * np.abs(root)
+            stiffness: ComplexArray = np.asarray(
+                each**2 * whole.mass + each * damping + restoring, np.complex128
+            )
+            by_root = np.asarray(2 * each * whole.mass + damping, np.complex128)
+            by_omega = np.zeros(by_root.shape, np.complex128)
+            # One evaluation of a bearing at all frequencies: it costs little more than at one.
+            for power, dofs, block in added(np.concatenate([root.imag, root.imag + step, root.imag - step])):
+                here = np.s_[:, dofs[:, None], dofs]
+                stiffness[here] += each**power * block[:n]
+                by_root[here] += power * block[:n]
+                change = (block[n : 2 * n] - block[2 * n :]) / (2 * step[:, None, None])
+                by_omega[here] += each**power * change
+            return stiffness, by_root, by_omega
+
+        root, shapes = self._by_bands((whole.mass, damping, restoring), added, most)
+        right, left = shapes[:, :, None], shapes[:, :, None].copy()
+        open_ones = np.arange(root.size)
         for _ in range(ROUNDS):
-            whole, middle = at(root, root.imag)
+            r = root[open_ones]
+            stiffness, by_root, by_omega = at(r)
             # A little beside the eigenvalue, where the matrix is regular.
-            beside = whole + ALIKE**2 * np.abs(root)[:, None, None] * middle
-            right = np.linalg.solve(beside, middle @ right)
-            left = np.linalg.solve(adjoint(beside), adjoint(middle) @ left)
-            right, left = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (right, left))
-            step = ((adjoint(left) @ whole @ right) / (adjoint(left) @ middle @ right))[:, 0, 0]
-            root = root - step
-            if np.all(np.abs(step) < SETTLED * np.abs(root)):
+            beside = stiffness + ALIKE**2 * np.abs(r)[:, None, None] * by_root
+            v = np.linalg.solve(beside, by_root @ right[open_ones])
+            p = np.linalg.solve(adjoint(beside), adjoint(by_root) @ left[open_ones])
+            v, p = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (v, p))
+            scale = between(p, by_root, v)
+            step = -between(p, stiffness, v) / scale
+            near = np.abs(step) < NEAR * np.abs(r)
+            step = np.where(near, bent(step, between(p, by_omega, v) / scale), step)
+            root[open_ones], right[open_ones], left[open_ones] = r + step, v, p
+            open_ones = open_ones[np.abs(step) > SETTLED * np.abs(r)]
+            if not open_ones.size:
                 break
         # Two that began apart may have met, and one may oscillate no more.
         alike = np.abs(right[:, :, 0].conj() @ right[:, :, 0].T) > 1 - ALIKE
         alike &= np.abs(root[:, None] - root) < ALIKE * np.abs(root)
-        kept = np.flatnonzero(
-            (root.imag > LEAST_OSCILLATION * np.abs(root)) & ~np.tril(alike, -1).any(axis=1)
-        )
+        good = (root.imag > LEAST_OSCILLATION * np.abs(root)) & ~np.tril(alike, -1).any(axis=1)
+        good[open_ones] = False
+        kept = np.flatnonzero(good)
         kept = kept[np.argsort(np.abs(root[kept]))]
         root, right, left = root[kept], right[kept], left[kept]
         if not slopes:
             return Roots(root, right[:, :, 0].T, np.zeros((root.size, 0), np.complex128))
         moved = self.slopes(values, spin, adjoint(left), right, root)[:, :, 0, 0]
-        step = FREQUENCY_STEP * root.imag
-        _, middle = at(root, root.imag)
-        change = at(root, root.imag + step)[0] - at(root, root.imag - step)[0]
-        by_root, by_omega = ((adjoint(left) @ each @ right)[:, 0, 0] for each in (middle, change))
-        by_omega = by_omega / (2 * step)
-        straight = -moved / by_root
-        bent = straight - by_omega / by_root * straight.imag / (1 + (by_omega / by_root).imag)
-        return Roots(root, right[:, :, 0].T, bent.T)
+        scale, by_omega = (between(left, each, right) for each in at(root)[1:])
+        slope = bent(-moved / scale, by_omega / scale)
+        return Roots(root, right[:, :, 0].T, slope.T)
+
+    def _by_bands(
+        self, matrices: tuple[FloatArray, FloatArray, FloatArray], added: _Added, most: int
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """The slowest eigenvalues (n_mode,) [1/s], and shapes (n_mode, n_dof), each with what is *added* to
+        constant mass, damping and stiffness at the middle of its band of frequencies, in a basis.
+        """
+        basis, edges = self._start_basis, np.sqrt(MIDDLES[1:] * MIDDLES[:-1])
+        n = basis.shape[1]
+        mass, damping, restoring = (basis.T @ matrix @ basis for matrix in matrices)
+        sums = [np.repeat(each[None], MIDDLES.size, axis=0) for each in (restoring, damping)]
+        for power, dofs, block in added(MIDDLES):
+            sums[power] += basis[dofs].T @ block @ basis[dofs]
+        lower = -np.linalg.solve(mass, np.concatenate(sums, axis=2))
+        roots: list[ComplexArray] = []
+        shapes: list[ComplexArray] = []
+        for band, rows in enumerate(lower):
+            state = np.concatenate([np.eye(n, 2 * n, n), rows])
+            root, vectors = (np.asarray(each, np.complex128) for each in np.linalg.eig(state))
+            inside = np.searchsorted(edges, np.abs(root)) == band
+            chosen = np.flatnonzero(inside & (root.imag > LEAST_OSCILLATION * np.abs(root)))
+            roots.append(root[chosen])
+            shapes.append(vectors[:n, chosen].T @ basis.T)
+            if most and sum(each.size for each in roots) >= most:
+                break
+        all_roots = np.concatenate(roots)
+        first = np.argsort(np.abs(all_roots))[: most or None]
+        return all_roots[first], np.concatenate(shapes)[first]
+
+
+def between(left: ComplexArray, matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """p^H A v (n_mode,) [any unit] of vectors (n_mode, n_dof, 1) and matrices (n_mode, n_dof, n_dof)."""
+    return np.asarray((adjoint(left) @ matrices @ right)[:, 0, 0])
+
+
+def bent(straight: ComplexArray, by_omega: ComplexArray) -> ComplexArray:
+    """d (..., n_mode) [1/s] of d + b Im d = a, for the steps *straight* a (..., n_mode) [1/s] of eigenvalues
+    whose coefficients stay, and *by_omega* b (n_mode,) [1] by the frequency that they follow.
+    """
+    return straight - by_omega * straight.imag / (1 + by_omega.imag)
 
 
 def adjoint(matrices: ComplexArray) -> ComplexArray:

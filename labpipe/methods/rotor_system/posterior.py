@@ -16,8 +16,9 @@ import scipy
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import minimise, sum_of_squares
-from labpipe.methods.rotor_system.evidence import Deflections, Evidence, FreeModes, Responses
+from labpipe.estimation.descent import minimise
+from labpipe.methods.rotor.posterior import Posterior, Problem, root_of
+from labpipe.methods.rotor_system.evidence import Deflections, FreeModes, Responses, SystemEvidence
 from labpipe.methods.rotor_system.model import SystemModel
 
 # Shares of an amplitude that count as noise in the first steps, one after the other.
@@ -42,95 +43,53 @@ LOOKED, BEARABLE, REFITS, REFIT_STEPS, LOST = 20, 3.0, 60, 6, 1e-4
 # Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
 # alternative; intervals are then widened, since sizes are poorly known.
 MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5
+# Share of what a test says of an unknown that it must say against all others, for it to have its own there.
+LEAST_CONTENT = 1e-6
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """Residuals of the tests and of the priors N(*means*, *errors*^2) of the *free* unknowns; *moved*: added
-    to them.
-    """
+class SystemProblem(Problem[SystemModel]):
+    """All *tests* of a rotor with all that carries it."""
 
-    model: SystemModel
-    tests: tuple[Evidence, ...]
-    means: FloatArray
-    errors: FloatArray
-    free: BoolArray
-    base: FloatArray
-    moved: FloatArray | float = 0.0
-
-    @property
-    def size(self) -> float:
-        return 1.0
-
-    def whole(self, parameters: FloatArray) -> FloatArray:
-        values = self.base.copy()
-        values[self.free] = parameters
-        return values
-
-    @cached_property
-    def _last(self) -> dict[bytes, tuple[FloatArray, FloatArray]]:
-        return {}
-
-    def _both(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        key = parameters.tobytes()
-        if key not in self._last:
-            values = self.whole(parameters)
-            parts = [test.residual(self.model, values) for test in self.tests]
-            parts.append(((values - self.means) / self.errors, np.diag(1 / self.errors)))
-            self._last.clear()
-            self._last[key] = (
-                np.concatenate([residual for residual, _ in parts]) + self.moved,
-                np.concatenate([jacobian for _, jacobian in parts])[:, self.free],
-            )
-        return self._last[key]
-
-    def residual(self, parameters: FloatArray) -> FloatArray:
-        return self._both(parameters)[0]
-
-    def jacobian(self, parameters: FloatArray) -> FloatArray:
-        return self._both(parameters)[1]
-
-    def chi2(self, parameters: FloatArray) -> float:
-        return sum_of_squares(self.residual, parameters)
+    tests: tuple[SystemEvidence, ...]
 
 
 @dataclass(frozen=True)
 class Pull:
     """What a *test* does to the unknowns that the others tell: the one it moves most, by how many standard
-    errors of that move, and chi-square of the whole move with its degrees of freedom; *wider* (n_unknown,):
-    the factor by which standard errors are larger without it [1].
+    errors of that move; *wider* (n_unknown,): the factor by which standard errors are larger without it [1].
     """
 
     test: str
     unknown: str
     z: float
-    chi2: float
-    dof: int
     wider: FloatArray
 
 
-@dataclass(frozen=True)
-class Posterior:
-    """N(*values* (n_unknown,), *covariance* (n_unknown, n_unknown)) [unit of each] of the unknowns of a
-    *model* from *tests*; *errors*: standard uncertainties
-    of the priors as they were used, *sizes* of the small errors by group. chi2: (chi-square, data) by test.
+@dataclass(frozen=True, kw_only=True)
+class SystemPosterior(Posterior[SystemModel]):
+    """The posterior of a rotor: *sizes* of the small errors by group, *widened*: factor on intervals.
 
-    ln_evidence: of the data. widened: factor on intervals. refits (n_draw, n_unknown): fits of moved data
-    where the normal approximation fails (not *normal*), in place of draws of it.
+    refits (n_draw, n_unknown) [unit of each]: fits of moved data where the normal approximation fails (not
+    *normal*), in place of draws of it.
     """
 
-    model: SystemModel
-    tests: tuple[Evidence, ...]
-    values: FloatArray
-    covariance: FloatArray
-    errors: FloatArray
+    problem: SystemProblem
     sizes: Mapping[str, float]
-    chi2: Mapping[str, tuple[float, int]]
-    ln_evidence: float
     widened: float = 1.0
     alternative: str = ""
     refits: FloatArray | None = None
     normal: bool = True
+
+    @property
+    def tests(self) -> tuple[SystemEvidence, ...]:
+        return self.problem.tests
+
+    @property
+    def chi2(self) -> dict[str, tuple[float, int]]:
+        """(chi-square, data) by test."""
+        names = (test.name for test in self.tests)
+        return {n: (float(r @ r), r.size) for n, (r, _) in zip(names, self.by_test, strict=True)}
 
     @cached_property
     def spread(self) -> FloatArray:
@@ -155,10 +114,7 @@ class Posterior:
     @property
     def enlarged(self) -> dict[str, float]:
         """Groups whose size passed 1.5 times the declared one, with the ratio, the largest first."""
-        ratios = {
-            group: size / next(u.error for u in self.model.unknowns if u.group == group)
-            for group, size in self.sizes.items()
-        }
+        ratios = {group: size / self.model.groups[group] for group, size in self.sizes.items()}
         return dict(sorted(((g, r) for g, r in ratios.items() if r > ENLARGED), key=lambda pair: -pair[1]))
 
     @property
@@ -186,51 +142,52 @@ class Posterior:
         """Draws (n_draw, n_unknown) [unit of each], of the refits where there are such."""
         if self.refits is not None:
             return self.refits[np.arange(n_draw) % len(self.refits)]
-        scale = self.standard_errors
-        sizes, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        root = scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
-        rng = np.random.default_rng(seed)
-        return np.asarray(self.values + rng.standard_normal((n_draw, self.values.size)) @ root.T)
+        return normal_draws(self.values, self.covariance, n_draw, seed)
 
 
-def fit_system(model: SystemModel, tests: Sequence[Evidence], *, estimate_sizes: bool = True) -> Posterior:
+def normal_draws(values: FloatArray, covariance: FloatArray, n_draw: int, seed: int = 0) -> FloatArray:
+    """Draws (n_draw, n_unknown) of N(*values* (n_unknown,), *covariance* (n_unknown, n_unknown)) [unit of
+    each].
+    """
+    normal = np.random.default_rng(seed).standard_normal((n_draw, values.size))
+    return np.asarray(values + normal @ root_of(covariance).T)
+
+
+def fit_system(
+    model: SystemModel, tests: Sequence[SystemEvidence], *, estimate_sizes: bool = True
+) -> SystemPosterior:
     """The posterior of all *tests*; FitError where no minimum is found.
 
     Standing tests first, then run-ups with noise that is enlarged at first: from prior means one start
     suffices in matched cases. Sizes of groups by EM: tau^2 = (sum m^2 + tr V + 2 tau_0^2) / (n + 2), between
     the declared size and six times it. Equation (system-sizes).
     """
-    errors = model.errors.copy()
-    values = _begin(model, tests, errors)
-    sizes: dict[str, float] = {}
-    for unknown in model.unknowns:
-        if unknown.group:
-            sizes.setdefault(unknown.group, unknown.error)
-    groups = {g: np.array([u.group == g for u in model.unknowns]) for g in sizes}
-    declared = dict(sizes)
+    whole = np.ones(model.means.size, dtype=bool)
+    problem = SystemProblem(model, tuple(tests), model.means, model.errors, whole, model.means)
+    values = _begin(problem)
+    single = np.array([not unknown.group for unknown in model.unknowns])
+    sizes = dict(model.groups)
     for _ in range(ROUNDS if estimate_sizes else 1):
-        values = _descend(model, tests, errors, values)
-        posterior = _posterior(model, tests, errors, values, sizes)
-        before = errors.copy()
+        values = _descend(problem, values)
+        off, errors = values - model.means, problem.errors.copy()
         if estimate_sizes:
-            spread = np.diag(posterior.covariance)
-            for group, members in groups.items():
-                amount = float(np.sum((values - model.means)[members] ** 2 + spread[members]))
-                size = np.sqrt((amount + 2 * declared[group] ** 2) / (members.sum() + 2))
-                sizes[group] = float(np.clip(size, declared[group], MOST_SIZE * declared[group]))
+            spread = np.diag(SystemPosterior(problem=problem, values=values, sizes=sizes).covariance)
+            for group, declared in model.groups.items():
+                members = np.array([unknown.group == group for unknown in model.unknowns])
+                amount = float(np.sum(off[members] ** 2 + spread[members]))
+                size = np.sqrt((amount + 2 * declared**2) / (members.sum() + 2))
+                sizes[group] = float(np.clip(size, declared, MOST_SIZE * declared))
                 errors[members] = sizes[group]
-        single = np.array([not unknown.group for unknown in model.unknowns])
-        off = values - model.means
         far = single & (np.abs(off) > GIVES_WAY * model.errors)
         errors[single] = model.errors[single]
         errors[far] = np.sqrt((STUDENT * model.errors[far] ** 2 + off[far] ** 2) / (STUDENT + 1))
+        before, problem = problem.errors, replace(problem, errors=errors)
         if np.all(np.abs(errors / before - 1) < SETTLED):
             break
-    values = _descend(model, tests, errors, values)
-    return _posterior(model, tests, errors, values, sizes)
+    return SystemPosterior(problem=problem, values=_descend(problem, values), sizes=sizes)
 
 
-def _begin(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) -> FloatArray:
+def _begin(problem: SystemProblem) -> FloatArray:
     """Values at a minimum: from the middle of the priors, and where that ends in none or in one that no test
     fits, from draws about it as well; the least of them.
     """
@@ -238,18 +195,16 @@ def _begin(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) ->
     best: tuple[float, FloatArray] | None = None
     reason: FitError | None = None
     for attempt in range(RESTARTS + 1):
-        moved = DRAWN * model.errors * rng.standard_normal(errors.size) if attempt else 0.0
+        moved = DRAWN * problem.errors * rng.standard_normal(problem.errors.size) if attempt else 0.0
         try:
             # A prior that is far off needs longer to come near under enlarged noise.
-            steps = STEPS * (1 + 2 * attempt)
-            begun = _start(model, tests, errors, model.means + moved, steps)
-            values = _descend(model, tests, errors, begun)
+            values = _descend(problem, _start(problem, problem.means + moved, STEPS * (1 + 2 * attempt)))
         except FitError as error:
             reason = error
             continue
-        residuals = [test.residual(model, values)[0] for test in tests]
+        residuals = [residual for residual, _ in problem.parts(values)]
         n, chi2 = sum(r.size for r in residuals), sum(float(r @ r) for r in residuals)
-        cost = chi2 + float(np.sum(((values - model.means) / errors) ** 2))
+        cost = chi2 + float(np.sum(((values - problem.means) / problem.errors) ** 2))
         best = (cost, values) if best is None or cost < best[0] else best
         if chi2 < n + 4 * np.sqrt(2 * n):
             break
@@ -259,47 +214,43 @@ def _begin(model: SystemModel, tests: Sequence[Evidence], errors: FloatArray) ->
     return best[1]
 
 
-def _start(
-    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray, steps: int
-) -> FloatArray:
+def _start(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray:
     """Values near the minimum: modes and deflections, then responses, then all, noise enlarged less and
     less, so many *steps* with each.
     """
-    early = [test for test in tests if isinstance(test, FreeModes | Deflections)]
-    standing = [test for test in tests if isinstance(test, FreeModes | Deflections | Responses)]
-    unbalance = np.array([unknown.unit == "kg.m" for unknown in model.unknowns])
-    if early:
-        values = _descend(model, early, errors, values)
-    if len(early) < len(standing):
-        values = _temper(model, standing, errors, values, steps)
-    if len(standing) < len(tests):
+    early, standing = (
+        replace(problem, tests=tuple(test for test in problem.tests if isinstance(test, kinds)))
+        for kinds in ((FreeModes, Deflections), (FreeModes, Deflections, Responses))
+    )
+    if early.tests:
+        values = _descend(early, values)
+    if len(early.tests) < len(standing.tests):
+        values = _temper(standing, values, steps)
+    if len(standing.tests) < len(problem.tests):
         # The unbalance alone first, in which the vectors are linear.
-        loosened = [test.loosened(model, values, SLACK[0]) for test in tests]
-        values = _descend(model, loosened, errors, values, unbalance, steps)
-        values = _temper(model, tests, errors, values, steps)
+        unbalance = np.array([unknown.unit == "kg.m" for unknown in problem.model.unknowns])
+        values = _descend(_loosened(problem, values, SLACK[0]), values, unbalance, steps)
+        values = _temper(problem, values, steps)
     return values
 
 
-def _temper(
-    model: SystemModel, tests: Sequence[Evidence], errors: FloatArray, values: FloatArray, steps: int
-) -> FloatArray:
+def _loosened(problem: SystemProblem, values: FloatArray, share: float) -> SystemProblem:
+    return replace(
+        problem, tests=tuple(test.loosened(problem.model, values, share) for test in problem.tests)
+    )
+
+
+def _temper(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray:
     for share in SLACK:
-        loosened = [test.loosened(model, values, share) for test in tests]
-        values = _descend(model, loosened, errors, values, most_steps=steps)
+        values = _descend(_loosened(problem, values, share), values, most_steps=steps)
     return values
 
 
 def _descend(
-    model: SystemModel,
-    tests: Sequence[Evidence],
-    errors: FloatArray,
-    start: FloatArray,
-    free: BoolArray | None = None,
-    most_steps: int = MOST_STEPS,
+    problem: SystemProblem, start: FloatArray, free: BoolArray | None = None, most_steps: int = MOST_STEPS
 ) -> FloatArray:
-    chosen = np.ones(start.size, dtype=bool) if free is None else free
-    problem = _Problem(model, tuple(tests), model.means, errors, chosen, start)
-    minimum = minimise(problem, start[chosen], NEAR, most_steps)
+    problem = replace(problem, base=start, free=problem.free if free is None else free)
+    minimum = minimise(problem, start[problem.free], NEAR, most_steps)
     if not minimum.converged and most_steps == MOST_STEPS:
         raise FitError(
             "the tests of the rotor lead to no minimum",
@@ -308,39 +259,13 @@ def _descend(
     return problem.whole(minimum.values)
 
 
-def _posterior(
-    model: SystemModel,
-    tests: Sequence[Evidence],
-    errors: FloatArray,
-    values: FloatArray,
-    sizes: Mapping[str, float],
-) -> Posterior:
-    information = np.diag(errors**-2.0)
-    chi2: dict[str, tuple[float, int]] = {}
-    cost = float(np.sum(((values - model.means) / errors) ** 2))
-    for test in tests:
-        residual, jacobian = test.residual(model, values)
-        information = information + jacobian.T @ jacobian
-        chi2[test.name] = (float(residual @ residual), residual.size)
-        cost += chi2[test.name][0]
-    scale = np.sqrt(np.diag(information))
-    scaled = information / np.outer(scale, scale)
-    covariance = np.linalg.inv(scaled) / np.outer(scale, scale)
-    determinant = float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.sum(np.log(scale)))
-    ln_evidence = -cost / 2 - float(np.sum(np.log(errors))) - determinant / 2
-    return Posterior(
-        model, tuple(tests), values, (covariance + covariance.T) / 2, errors, dict(sizes), chi2, ln_evidence
-    )
-
-
-def pulls(posterior: Posterior) -> list[Pull]:
+def pulls(posterior: SystemPosterior) -> list[Pull]:
     """What each test does to what the others say: theta_-t - theta = (F - F_t)^-1 J_t^T r_t, J_t of the
     residual r_t, is N(0, V_-t - V) where all is well (Hausman 1978). Equation (system-pull).
     """
     model, all_pulls = posterior.model, []
     information = np.linalg.inv(posterior.covariance)
-    for test in posterior.tests:
-        residual, jacobian = test.residual(model, posterior.values)
+    for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
         without = np.linalg.inv(information - jacobian.T @ jacobian)
         shift = without @ jacobian.T @ residual
         change = without - posterior.covariance
@@ -349,17 +274,68 @@ def pulls(posterior: Posterior) -> list[Pull]:
         single = np.array([not unknown.group for unknown in model.unknowns])
         z = np.where(single & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
         worst = int(np.argmax(np.abs(z)))
-        scale = np.sqrt(np.diag(without))
-        parts, vectors = np.linalg.eigh(change / np.outer(scale, scale))
-        kept = parts > 0.01
-        chi2 = float(np.sum((vectors[:, kept].T @ (shift / scale)) ** 2 / parts[kept]))
-        wider = scale / np.sqrt(np.diag(posterior.covariance))
-        name = model.unknowns[worst].name
-        all_pulls.append(Pull(test.name, name, float(z[worst]), chi2, int(kept.sum()), wider))
+        wider = np.sqrt(np.diag(without) / np.diag(posterior.covariance))
+        all_pulls.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), wider))
     return all_pulls
 
 
-def budget(posterior: Posterior, gradient: FloatArray) -> dict[str, float]:
+@dataclass(frozen=True)
+class Explanation:
+    """What would make tests agree: another *value* [unit of it] of the unknown of that *number* in one
+    *test*, or small errors of a *group* that are larger than declared by the factor *value*; chi-square of
+    tests and priors has a *fall* by it [1].
+    """
+
+    fall: float
+    value: float
+    test: str = ""
+    number: int = 0
+    group: str = ""
+
+
+def explanations(posterior: SystemPosterior) -> list[Explanation]:
+    """What would make the tests agree, the best first, an unknown in the test in which it explains most.
+
+    By a further unknown in the residual of one test, linearised and with small errors as declared: a that
+    column, s = a^T r - a^T J V g and i = a^T a - a^T J V J^T a, chi-square falls by s^2 / i at a change -s /
+    i; V^-1 = sum J^T J + P, g half the gradient of chi-square. Equation (system-explanation).
+    """
+    model, off = posterior.model, posterior.values - posterior.model.means
+    data = sum(jacobian.T @ jacobian for _, jacobian in posterior.by_test)
+    pull = sum(jacobian.T @ residual for residual, jacobian in posterior.by_test)
+
+    def least(errors: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        prior = errors**-2.0
+        covariance, gradient = np.linalg.inv(data + np.diag(prior)), pull + prior * off
+        return (
+            covariance,
+            covariance @ gradient,
+            float(off @ (prior * off) - gradient @ covariance @ gradient),
+        )
+
+    covariance, step, chi2 = least(model.errors)
+    best: dict[str, Explanation] = {}
+    for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
+        square = jacobian.T @ jacobian
+        score = jacobian.T @ residual - square @ step
+        content = np.diag(square - square @ covariance @ square)
+        for number, unknown in enumerate(model.unknowns):
+            if unknown.group or content[number] <= LEAST_CONTENT * square[number, number]:
+                continue
+            change = -float(score[number] / content[number])
+            # All others move with it.
+            moved = change * (1 - float(covariance[number] @ square[:, number])) - float(step[number])
+            value = float(posterior.values[number]) + moved
+            new = Explanation(change**2 * float(content[number]), value, test.name, number)
+            best[unknown.name] = max(best.get(unknown.name, new), new, key=lambda each: each.fall)
+    for group, ratio in posterior.enlarged.items():
+        of_group = np.array([unknown.group == group for unknown in model.unknowns])
+        larger = least(np.where(of_group, ratio, 1.0) * model.errors)[2]
+        best[group] = Explanation(chi2 - larger, ratio, group=group)
+    return sorted(best.values(), key=lambda each: -each.fall)
+
+
+def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]:
     """The share [1] of the variance of a prediction with this *gradient* (n_unknown,) that would go if one
     unknown, or all small errors of a group, were known: (V g)_s^T V_ss^-1 (V g)_s / g^T V g; largest first.
 
@@ -376,7 +352,7 @@ def budget(posterior: Posterior, gradient: FloatArray) -> dict[str, float]:
     return dict(sorted(shares.items(), key=lambda pair: -pair[1]))
 
 
-def common_changes(posterior: Posterior) -> dict[str, float]:
+def common_changes(posterior: SystemPosterior) -> dict[str, float]:
     """Standard uncertainties to which the tests alone tell ln of the stiffness, and of the damping, of all
     bearings at speed against rest: (1 / u^2 - 1 / u_0^2)^-1/2 of their mean, u_0 as declared [1].
 
@@ -395,24 +371,18 @@ def common_changes(posterior: Posterior) -> dict[str, float]:
     return changes
 
 
-def normality(posterior: Posterior) -> tuple[float, float]:
+def normality(posterior: SystemPosterior) -> tuple[float, float]:
     """How normal a posterior is: the median excess of chi-square of its draws over that of its middle, and
     the largest one that chance gives a normal posterior, about its number of unknowns [1].
     """
-    problem, n = _problem(posterior), posterior.values.size
+    problem, n = posterior.problem, posterior.values.size
     middle = problem.chi2(posterior.values)
     excess = np.array([problem.chi2(draw) for draw in posterior.draws(LOOKED)]) - middle
     # A median of so many draws scatters 1.25 times as much as their mean.
     return float(np.median(excess)), n + BEARABLE * 1.25 * float(np.sqrt(2 * n / LOOKED))
 
 
-def _problem(posterior: Posterior) -> _Problem:
-    model = posterior.model
-    whole = np.ones(posterior.values.size, dtype=bool)
-    return _Problem(model, posterior.tests, model.means, posterior.errors, whole, posterior.values)
-
-
-def refit(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Posterior:
+def refit(posterior: SystemPosterior, n_draw: int = REFITS, seed: int = 0) -> SystemPosterior:
     """The posterior by randomised maximum likelihood where the normal approximation fails: data and prior
     means are moved by their own standard uncertainties and fitted again, *n_draw* times (Chen and Oliver
     2012). Equation (system-draws).
@@ -420,7 +390,7 @@ def refit(posterior: Posterior, n_draw: int = REFITS, seed: int = 0) -> Posterio
     The chi-square of moved data is a non-central one about that of the posterior; a fit that ends beyond it
     has lost the rotor, and where most have, the normal approximation stands.
     """
-    problem, rng = _problem(posterior), np.random.default_rng(seed)
+    problem, rng = posterior.problem, np.random.default_rng(seed)
     residual, jacobian = problem.residual(posterior.values), problem.jacobian(posterior.values)
     least, dof = float(residual @ residual), residual.size - posterior.values.size
     highest = float(scipy.stats.ncx2.isf(LOST, dof, least))

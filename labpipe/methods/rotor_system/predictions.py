@@ -5,7 +5,7 @@ amplification, stability.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -17,7 +17,8 @@ from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.model import Curve, SystemModel
-from labpipe.methods.rotor_system.posterior import Posterior
+from labpipe.methods.rotor_system.posterior import SystemPosterior
+from labpipe.methods.rotor_system.records import Campbell, CriticalResult
 
 # Modes that are followed over the speed.
 MOST_MODES = 8
@@ -38,29 +39,7 @@ def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
     return np.where(model.acting(RUNNING), values, 0.0)
 
 
-@dataclass(frozen=True)
-class Campbell:
-    """Modes over *speed* (n_speed,) [Hz], followed: frequency [Hz], log_decrement and whirl [1], (n_speed,
-    n_mode), with the standard errors of the first two; NaN where a mode is gone.
-    """
-
-    speed: FloatArray
-    frequency: FloatArray
-    frequency_error: FloatArray
-    log_decrement: FloatArray
-    log_decrement_error: FloatArray
-    whirl: FloatArray
-
-    def least_decrement(self, speed: float) -> tuple[float, float]:
-        """The least logarithmic decrement at the grid speed nearest to *speed* [Hz], and its standard
-        error.
-        """
-        at = int(np.argmin(np.abs(self.speed - speed)))
-        mode = int(np.nanargmin(self.log_decrement[at]))
-        return float(self.log_decrement[at, mode]), float(self.log_decrement_error[at, mode])
-
-
-def campbell(posterior: Posterior, speeds: FloatArray) -> Campbell:
+def campbell(posterior: SystemPosterior, speeds: FloatArray) -> Campbell:
     """The Campbell diagram over ascending *speeds* (n_speed,) [Hz] with its standard errors, by first order:
     f = Im lambda / 2 pi, delta = -2 pi Re lambda / Im lambda.
     """
@@ -90,7 +69,7 @@ def campbell(posterior: Posterior, speeds: FloatArray) -> Campbell:
     return Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
 
 
-def decrement_gradient(posterior: Posterior, operating: float) -> FloatArray | None:
+def decrement_gradient(posterior: SystemPosterior, operating: float) -> FloatArray | None:
     """Derivatives (n_unknown,) [1 over the unknown's unit] of ln of the least decrement at the *operating*
     speed [Hz]; None where it is not above zero.
     """
@@ -100,14 +79,11 @@ def decrement_gradient(posterior: Posterior, operating: float) -> FloatArray | N
     mode = int(np.argmin(decrement))
     if decrement[mode] <= 0:
         return None
-    root, slope = (
-        roots.values[mode],
-        np.where(at_speed(model, np.ones(len(model.unknowns))) > 0, roots.slopes[mode], 0),
-    )
+    root, slope = roots.values[mode], np.where(model.acting(RUNNING), roots.slopes[mode], 0)
     return np.asarray(slope.real / root.real - slope.imag / root.imag)
 
 
-def onset(posterior: Posterior, lowest: float) -> tuple[float, float] | None:
+def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | None:
     """Speed [Hz] at which an eigenvalue's real part becomes positive, from *lowest* [Hz] upwards, and the
     standard error of its logarithm; None where none does within some 800 times that.
 
@@ -186,28 +162,6 @@ class _Reduced:
         return np.asarray(np.abs(motion @ self.basis[list(outputs)].T))
 
 
-@dataclass(frozen=True)
-class CriticalSpeed:
-    """A peak of the unbalance response at a dof: values and 95 % intervals of speed [Hz], amplification
-    factor and amplitude [m] by draws of the posterior.
-
-    missing: share of draws without a peak or a half-power point, *met* of those with the separation margin of
-    API 684 from the operating speed, None where AF is below 2.5 in all of them. margin: (there is, asked for)
-    [%].
-    """
-
-    dof: int
-    speed: float
-    speed_interval: tuple[float, float]
-    amplification: float | None
-    amplification_interval: tuple[float, float] | None
-    amplitude: float
-    amplitude_interval: tuple[float, float]
-    missing: float
-    met: float | None
-    margin: tuple[float, float] | None
-
-
 def unbalance_forces(built: Built, values: FloatArray) -> ComplexArray:
     """u (e_y - j e_z) of all planes, (n_dof,) [kg m]."""
     forces = np.zeros(built.model.n_dof, np.complex128)
@@ -219,14 +173,14 @@ def unbalance_forces(built: Built, values: FloatArray) -> ComplexArray:
 
 
 def critical_speeds(
-    posterior: Posterior,
+    posterior: SystemPosterior,
     built: Built,
     band: tuple[float, float],
     operating: float,
     outputs: Sequence[int],
     n_draw: int = DRAWS,
     seed: int = 1,
-) -> list[CriticalSpeed]:
+) -> list[CriticalResult]:
     """Critical speeds in a *band* [Hz] as the unbalance response at *outputs* shows them, with intervals from
     draws in a reduced basis; each once, where its peak is highest.
     """
@@ -264,7 +218,7 @@ def _critical(
     draws: FloatArray,
     operating: float,
     apart: float,
-) -> CriticalSpeed:
+) -> CriticalResult:
     half = AROUND
     # A flat peak needs more room for its half-power points.
     if peak.low is not None and peak.high is not None:
@@ -278,17 +232,17 @@ def _critical(
     factors = np.array([row.amplification for row in whole], dtype=float)
     margins = [row.margin(operating) for row in whole] if operating else []
     asked = [margin for margin in margins if margin is not None and margin[1] > 0]
-    return CriticalSpeed(
-        dof,
+    return CriticalResult(
+        f"{dof // 4 + 1} {'yz'[dof % 4]}",
         peak.speed,
         _interval(peak.speed, np.array([row.speed for row in there])),
         peak.amplification,
         None if peak.amplification is None or factors.size < 2 else _interval(peak.amplification, factors),
         peak.amplitude,
         _interval(peak.amplitude, np.array([row.amplitude for row in there])),
-        1 - len(whole) / len(rows),
-        float(np.mean([m is None or m[0] >= m[1] for m in margins])) if asked else None,
         peak.margin(operating) if operating else None,
+        float(np.mean([m is None or m[0] >= m[1] for m in margins])) if asked else None,
+        1 - len(whole) / len(rows),
     )
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 
-from labpipe.records.finding import Finding
+import numpy as np
 
-Row = tuple[float | None, ...]
+from labpipe.arrays import FloatArray
+from labpipe.records.finding import Finding
 
 
 @dataclass(frozen=True)
@@ -54,17 +55,25 @@ class SmallErrorResult:
 
 
 @dataclass(frozen=True)
-class CampbellResult:
-    """Modes over *speed* [Hz]: rows by speed, columns by mode, null where a mode is gone; standard errors of
-    frequency [Hz] and logarithmic decrement.
+class Campbell:
+    """Modes over *speed* (n_speed,) [Hz], followed: frequency [Hz], log_decrement and whirl [1], (n_speed,
+    n_mode), with the standard errors of the first two; NaN where a mode is gone.
     """
 
-    speed: tuple[float, ...]
-    frequency: tuple[Row, ...]
-    frequency_error: tuple[Row, ...]
-    log_decrement: tuple[Row, ...]
-    log_decrement_error: tuple[Row, ...]
-    whirl: tuple[Row, ...]
+    speed: FloatArray
+    frequency: FloatArray
+    frequency_error: FloatArray
+    log_decrement: FloatArray
+    log_decrement_error: FloatArray
+    whirl: FloatArray
+
+    def least_decrement(self, speed: float) -> tuple[float, float]:
+        """The least logarithmic decrement at the grid speed nearest to *speed* [Hz], and its standard
+        error.
+        """
+        at = int(np.argmin(np.abs(self.speed - speed)))
+        mode = int(np.nanargmin(self.log_decrement[at]))
+        return float(self.log_decrement[at, mode]), float(self.log_decrement_error[at, mode])
 
 
 @dataclass(frozen=True)
@@ -100,28 +109,29 @@ class WeightResult:
 
 @dataclass(frozen=True)
 class VibrationResult:
-    """Rms of the probes [m] over *speed* [Hz], *before* and *after* weights, with the 95 % interval of the
-    latter, *low* to *high*.
+    """Rms of the probes (n_speed,) [m] over *speed* (n_speed,) [Hz], *before* and *after* weights, with the
+    95 % interval of the latter, *low* to *high*.
     """
 
-    speed: tuple[float, ...]
-    before: tuple[float, ...]
-    after: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
+    speed: FloatArray
+    before: FloatArray
+    after: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
 @dataclass(frozen=True)
 class InfluenceResult:
     """What the rotor's tests say of the vibration z_0 [m] and the influence alpha [m/(kg m)] of the *planes*
-    at every reading: *mean* and *root* of their joint covariance, a row for the real part of each, then for
-    the imaginary part of each; by reading, z_0 before the planes. widened: factor that the root holds.
+    at every reading: *mean* (n,) and *root* (n, n_axis) of their joint covariance, a row for the real part of
+    each, then for the imaginary part of each; by reading, z_0 before the planes. widened: factor that the
+    root holds.
     """
 
     planes: tuple[str, ...]
     readings: tuple[str, ...]
-    mean: tuple[float, ...]
-    root: tuple[tuple[float, ...], ...]
+    mean: FloatArray
+    root: FloatArray
     widened: float = 1.0
 
 
@@ -160,7 +170,7 @@ class RotorSystemResult:
     unknowns: tuple[UnknownResult, ...]
     tests: tuple[TestResult, ...]
     small_errors: tuple[SmallErrorResult, ...]
-    campbell: CampbellResult
+    campbell: Campbell
     decrement: tuple[float, float, float]
     criticals: tuple[CriticalResult, ...] = ()
     onset: tuple[float, float] | None = None

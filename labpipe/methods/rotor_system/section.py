@@ -13,7 +13,6 @@ from labpipe.methods.rotor_system.evaluate import run_rotor_system
 from labpipe.methods.rotor_system.records import (
     CriticalResult,
     RotorSystemResult,
-    Row,
     UnknownResult,
     VibrationResult,
 )
@@ -297,22 +296,12 @@ def small_error_table(result: RotorSystemResult) -> Table:
     return Table(("small errors of", "declared", "found"), rows, "Standard deviations", (1, 2))
 
 
-def _column(rows: tuple[Row, ...], mode: int) -> np.ndarray:
-    return np.array([np.nan if row[mode] is None else row[mode] for row in rows], dtype=float)
-
-
 def vibration_figure(vibration: VibrationResult) -> Figure:
     """The vibration over speed as it is, and with the weights."""
-    speed, ends = RPM * np.array(vibration.speed), (vibration.low, vibration.high)
+    speed, ends = RPM * vibration.speed, (UM * vibration.low, UM * vibration.high)
     series = (
-        curve("as it is", speed, UM * np.array(vibration.before), line="--"),
-        curve(
-            "with the weights",
-            speed,
-            UM * np.array(vibration.after),
-            1,
-            band=(UM * np.array(ends[0]), UM * np.array(ends[1])),
-        ),
+        curve("as it is", speed, UM * vibration.before, line="--"),
+        curve("with the weights", speed, UM * vibration.after, 1, band=ends),
     )
     axis = Axis("rms of the probes", "um", logarithmic=True)
     caption = (
@@ -326,26 +315,22 @@ def vibration_figure(vibration: VibrationResult) -> Figure:
 def campbell_figure(result: RotorSystemResult) -> Figure:
     """Natural frequencies and logarithmic decrements over speed with their 95 % bands."""
     diagram = result.campbell
-    speed = RPM * np.array(diagram.speed)
-    top = 2.5 * diagram.speed[-1]
+    speed = RPM * diagram.speed
+    top = 2.5 * float(diagram.speed[-1])
     panels = []
-    shown = [
-        mode
-        for mode in range(len(diagram.frequency[0]))
-        if np.nanmin(np.append(_column(diagram.frequency, mode), np.inf)) < top
-    ]
+    shown = np.flatnonzero(np.any(diagram.frequency < top, axis=0)).tolist()
     for label, values, errors in (
         ("natural frequency", diagram.frequency, diagram.frequency_error),
         ("log decrement", diagram.log_decrement, diagram.log_decrement_error),
     ):
         series: list[Series] = []
         for mode in shown:
-            middle, error = _column(values, mode), NORMAL * _column(errors, mode)
+            middle, error = values[:, mode], NORMAL * errors[:, mode]
             series.append(
                 curve(f"mode {mode + 1}", speed, middle, mode % 6, band=(middle - error, middle + error))
             )
         if label == "natural frequency":
-            series.append(curve("1x", speed, np.array(diagram.speed), -1, "--"))
+            series.append(curve("1x", speed, diagram.speed, -1, "--"))
             axis = Axis(label, "Hz", low=0.0, high=top)
             if result.criticals:
                 at = [critical.speed for critical in result.criticals]

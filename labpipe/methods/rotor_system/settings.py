@@ -157,35 +157,6 @@ class SystemTest(Settings):
         return number
 
 
-@dataclass(frozen=True)
-class SmallErrorSettings(Settings):
-    """Standard deviations of errors that no drawing knows and that are everywhere; 0 turns one off."""
-
-    elements: float = setting("value", "stiffness of every element", unit="1", default=SmallErrors.elements)
-    inertia: float = setting(
-        "value", "moments of inertia of every disc", unit="1", default=SmallErrors.inertia
-    )
-    bearings: float = setting(
-        "value", "every bearing coefficient, running against standing", unit="1", default=SmallErrors.bearings
-    )
-    apparent_mass: float = setting(
-        "value", "apparent mass at every bearing, in 5 kg", unit="1", default=SmallErrors.apparent_mass
-    )
-    phase: float = setting("value", "phase of every probe", unit="rad", default=SmallErrors.phase)
-    together: float = setting(
-        "value",
-        "stiffness and damping of all bearings alike, running against standing",
-        unit="1",
-        default=SmallErrors.together,
-    )
-
-    @property
-    def sizes(self) -> SmallErrors:
-        return SmallErrors(
-            self.elements, self.inertia, self.bearings, self.apparent_mass, self.phase, self.together
-        )
-
-
 @dataclass(frozen=True, kw_only=True)
 class RotorSystemSettings(Settings):
     """The ``rotor_system:`` section; *system*: contents of `rotor`."""
@@ -205,11 +176,11 @@ class RotorSystemSettings(Settings):
         unit="Hz",
         default=None,
     )
-    small_errors: SmallErrorSettings = setting(
+    small_errors: SmallErrors = setting(
         "section",
         "errors that are everywhere, with their declared sizes",
-        section=SmallErrorSettings,
-        default=SmallErrorSettings(),
+        section=SmallErrors,
+        default=SmallErrors(),
     )
     balance_speeds: tuple[float, ...] = setting(
         "values",

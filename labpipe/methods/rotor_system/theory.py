@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import Bearing, BearingCoefficients, MountedBearing, OperatingPoint
 from labpipe.errors import FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
@@ -18,6 +18,8 @@ from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
 ON_CURVE = ("clearance", "viscosity")
 # At least this frequency [rad/s] for a controlled bearing under a static load.
 SLOWEST = 1e-3
+# Evaluations of a controlled bearing that are kept.
+MOST_KEPT = 64
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,12 @@ class Theory:
     def _at(self, bearing: Bearing, matrix: str, spin: FloatArray, omega: FloatArray) -> FloatArray:
         if isinstance(bearing, MountedBearing) and bearing.kind.dynamic is not None:
             w = np.maximum(omega, SLOWEST)
-            whole = bearing.kind.dynamic(bearing.settings, w.ravel()).reshape(*w.shape, 2, 2)
+            controlled = (id(bearing), w.tobytes())
+            if controlled not in self._controlled:
+                if len(self._controlled) > MOST_KEPT:
+                    self._controlled.clear()
+                self._controlled[controlled] = bearing.kind.dynamic(bearing.settings, w.ravel())
+            whole = self._controlled[controlled].reshape(*w.shape, 2, 2)
             return whole.real if matrix == "stiffness" else whole.imag / w[..., None, None]
         each = []
         for speed in np.ravel(spin):
@@ -103,6 +110,11 @@ class Theory:
                 self._points[key] = bearing.at(OperatingPoint(self.load, float(speed), float(speed)))
             each.append(getattr(self._points[key], matrix))
         return np.array(each).reshape(*np.shape(spin), 2, 2)
+
+    @cached_property
+    def _controlled(self) -> dict[tuple[int, bytes], ComplexArray]:
+        """Stiffness and damping are one evaluation."""
+        return {}
 
     @cached_property
     def _points(self) -> dict[tuple[int, float], BearingCoefficients]:

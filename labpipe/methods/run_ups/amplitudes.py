@@ -25,14 +25,8 @@ import scipy
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
-from labpipe.methods.run_ups.misfit import (
-    ExcitedRun,
-    LoadRuns,
-    displacement_slopes,
-    rank_of,
-    runs_by_load,
-    scales,
-)
+from labpipe.methods.rotor.posterior import rank_of
+from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, displacement_slopes, runs_by_load, scales
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import (
     COEFFICIENTS,

@@ -7,26 +7,29 @@ residual of the responses over their standard errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import minimise, sum_of_squares
+from labpipe.estimation.descent import minimise
 from labpipe.estimation.statistics import Stated, combination_text, pulls_of, steps_by
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
+from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds, sources_of
+from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, sources_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import (
     BOUND,
     PARAMETERS,
     PRIOR,
     RPM,
+    CoefficientFamily,
     FilmFamily,
     RunUpRotor,
     as_matrices,
@@ -42,141 +45,57 @@ SPEED_STEP = 1e-3
 LEAST_SLOPE = 1e-4
 
 
-class CoefficientFamily(Protocol):
-    """The eight coefficients over load [N] and speed [rad/s] with parameters *values* (n_parameter,)."""
-
-    def coefficients_and_slopes(
-        self, values: FloatArray, load: FloatArray, speed: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(n_point, 8) [N/m, N.s/m] and their derivatives (n_point, 8, n_parameter)."""
-        ...
-
-    def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
-        """K [N/m] and C [N s/m] as functions of speed, of parameters (n_parameter,)."""
-        ...
-
-
 Family = TypeVar("Family", bound=CoefficientFamily)
-Thresholds = tuple[tuple[float, Uncertain], ...]
+
+
+def run_up_problem(
+    family: Family,
+    groups: tuple[LoadRuns, ...],
+    thresholds: tuple[MeasuredThreshold, ...],
+    spread: FloatArray,
+    free: BoolArray | None = None,
+) -> Problem[Family]:
+    """Responses, thresholds and priors of the parameters of a *family*, about zero with standard deviations
+    *spread* (n_parameter,) [-]; *free* (n_parameter,): those that are fitted, all by
+    default.
+    """
+    parts = (run.run.response / run.run.amplitude_error for group in groups for run in group.runs)
+    size = float(np.sqrt(sum(float(np.sum(np.abs(part) ** 2)) for part in parts)))
+    none, fitted = np.zeros(spread.size), np.ones(spread.size, bool) if free is None else free
+    return Problem(family, (*groups, *thresholds), none, spread, fitted, none, size=size)
 
 
 @dataclass(frozen=True)
-class RunUpProblem(Generic[Family]):
-    """Residual and slopes of responses, thresholds and priors.
-
-    *thresholds*: (load [N], speed [rad/s]); *spread* (n_parameter,): prior standard deviations of the
-    parameters; *free* (n_parameter,): parameters that are fitted, the others stay at *fixed* (n_parameter,).
-    """
+class MeasuredThreshold:
+    """The threshold of instability *speed* [rad/s] of a *rig* under a *load* [N], as it was measured."""
 
     rig: RunUpRotor
-    family: Family
-    groups: tuple[LoadRuns, ...]
-    thresholds: Thresholds
-    spread: FloatArray
-    free: BoolArray
-    fixed: FloatArray
+    load: float
+    speed: Uncertain
 
-    @classmethod
-    def of(
-        cls,
-        rig: RunUpRotor,
-        family: Family,
-        groups: tuple[LoadRuns, ...],
-        thresholds: Thresholds,
-        spread: FloatArray,
-    ) -> RunUpProblem[Family]:
-        """The problem with all parameters free; *spread* (n_parameter,) [-]: their prior standard
-        deviations.
+    def residual(self, model: CoefficientFamily, values: FloatArray) -> Residual:
+        """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter).
+
+        d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the
+        measured speed finds none. Equation (run-threshold).
         """
-        return cls(rig, family, groups, thresholds, spread, np.ones(spread.size, bool), np.zeros(spread.size))
-
-    @property
-    def size(self) -> float:
-        """Signal-to-noise ratio of all responses together."""
-        parts = (run.run.response / run.run.amplitude_error for group in self.groups for run in group.runs)
-        return float(np.sqrt(sum(float(np.sum(np.abs(part) ** 2)) for part in parts)))
-
-    def values(self, parameters: FloatArray) -> FloatArray:
-        """All parameters (n_parameter,) [-] from the free parameters (n_free,)."""
-        values = self.fixed.copy()
-        values[self.free] = parameters
-        return values
-
-    def residual(self, parameters: FloatArray) -> FloatArray:
-        """Residual (n_equation,) [-] of responses, thresholds and priors, of the free parameters (n_free,).
-
-        Equation (run-joint).
-        """
-        values = self.values(parameters)
-        measured = [self._response(group, values)[0] for group in self.groups]
-        return np.concatenate([*measured, self._thresholds(values)[0], values / self.spread])
-
-    def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """Derivatives of the residual by the free parameters, (n_equation, n_free) [-]."""
-        return np.concatenate([self.measured_slopes(parameters), np.diag(1 / self.spread)[:, self.free]])
-
-    def measured_slopes(self, parameters: FloatArray) -> FloatArray:
-        """Derivatives of the residual of responses and thresholds (n_datum, n_free) [-], without the
-        priors.
-        """
-        values = self.values(parameters)
-        measured = [self._response(group, values)[1] for group in self.groups]
-        return np.concatenate([*measured, self._thresholds(values)[1]])[:, self.free]
-
-    def residual_changes(self, sources: Sequence[Uncertainty]) -> FloatArray:
-        """Changes (n_source, n_datum) [-] of the residual of responses and thresholds by one standard
-        uncertainty of each source.
-        """
-        names = [source.source for source in sources]
-        by_group = [group.residual_changes(names) for group in self.groups]
-        measured = [changes.reshape(len(names), int(np.prod(changes.shape[1:]))) for changes in by_group]
-        return np.concatenate([*measured, np.zeros((len(names), len(self.thresholds)))], axis=1)
-
-    def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [-] of the residual at the free parameters (n_free,).
-
-        Infinite where the residual cannot be computed.
-        """
-        return sum_of_squares(self.residual, parameters)
-
-    def _response(self, group: LoadRuns, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        eight, by_parameter = self.family.coefficients_and_slopes(
-            values, np.full(group.speed.size, group.load), group.speed
-        )
-        residual, slopes = group.residual_and_slopes(eight)
-        return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
-
-    def _thresholds(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        rows = [
-            threshold_row(self.rig, self.family, values, load, measured) for load, measured in self.thresholds
-        ]
-        return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]).reshape(-1, values.size)
+        speed, by_speed = nearby_threshold(self.rig, model.at_load(values, self.load), self.speed.value)
+        eight, by_parameter = model.coefficients_and_slopes(values, np.array([self.load]), np.array([speed]))
+        stiffness, damping = as_matrices(eight)
+        mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
+        slopes = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) @ by_parameter[0]
+        error = self.speed.std_error
+        return np.array([(speed - self.speed.value) / error]), -slopes[None] / (by_speed * error)
 
 
-def measured_thresholds(groups: tuple[LoadRuns, ...]) -> Thresholds:
-    """Measured thresholds [rad/s] with their loads [N]."""
+def measured_thresholds(rig: RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
+    """The measured thresholds of a *rig*."""
     return tuple(
-        (group.load, run.run.threshold)
+        MeasuredThreshold(rig, group.load, run.run.threshold)
         for group in groups
         for run in group.runs
         if run.run.threshold is not None
     )
-
-
-def threshold_row(
-    rig: RunUpRotor, family: CoefficientFamily, values: FloatArray, load: float, measured: Uncertain
-) -> tuple[float, FloatArray]:
-    """(Omega_th - Omega_meas) / s [-] and its derivatives by the parameters (n_parameter,).
-
-    d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the
-    measured speed finds none. Equation (run-threshold).
-    """
-    speed, by_speed = nearby_threshold(rig, family.at_load(values, load), measured.value)
-    eight, by_parameter = family.coefficients_and_slopes(values, np.array([load]), np.array([speed]))
-    stiffness, damping = as_matrices(eight)
-    mode = rig.stability.least_stable(speed, stiffness[0], damping[0])
-    slopes = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) @ by_parameter[0]
-    return (speed - measured.value) / measured.std_error, -slopes / (by_speed * measured.std_error)
 
 
 def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: float) -> tuple[float, float]:
@@ -213,29 +132,52 @@ STEP = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunUpFit(Generic[Family]):
-    """Parameters *values* (n_parameter,) and *covariance* (n_parameter, n_parameter) of the *family*; *loads*
-    [N]: those of the fit.
-
-    chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the
-    priors; rank, condition: of the data, in units of the priors. systematic (n_source, n_parameter): changes
-    by one standard uncertainty of each of the *sources*, uncertainties of probes; chi2 is without what these
-    explain.
+class RunUpFit(Posterior[Family]):
+    """The posterior of the parameters of a family of coefficients, of all run-ups of a *rig*, after so many
+    *steps*.
     """
 
     rig: RunUpRotor
-    family: Family
-    loads: tuple[float, ...]
-    values: FloatArray
-    covariance: FloatArray
-    chi2: float
-    n_datum: int
-    n_effective: float
-    rank: int
-    condition: float
     steps: int
-    sources: tuple[Uncertainty, ...]
-    systematic: FloatArray
+
+    @property
+    def groups(self) -> list[LoadRuns]:
+        return [test for test in self.problem.tests if isinstance(test, LoadRuns)]
+
+    @property
+    def loads(self) -> tuple[float, ...]:
+        """Loads of the fit [N]."""
+        return tuple(dict.fromkeys(group.load for group in self.groups))
+
+    @property
+    def sources(self) -> tuple[Uncertainty, ...]:
+        """Uncertainties of probes."""
+        return sources_of(self.groups)
+
+    @cached_property
+    def changes(self) -> FloatArray:
+        """Of the residual by one standard uncertainty of each of the sources, (n_source, n_datum) [1]."""
+        changes = np.zeros((len(self.sources), self.n_datum))
+        names = [source.source for source in self.sources]
+        by_group = [group.residual_changes(names).reshape(len(names), -1) for group in self.groups if names]
+        measured = np.concatenate([changes[:, :0], *by_group], axis=1)
+        changes[:, : measured.shape[1]] = measured
+        return changes
+
+    @cached_property
+    def systematic(self) -> FloatArray:
+        """Changes of the parameters by one standard uncertainty of each of the sources, (n_source,
+        n_parameter) [1].
+        """
+        systematic = np.zeros((len(self.sources), self.values.size))
+        systematic[:, self.problem.free] = steps_by(self.changes, self.slopes, self.free_covariance)
+        return systematic
+
+    @cached_property
+    def chi2(self) -> float:
+        """Of responses and thresholds, without what the sources explain [1]."""
+        pulls = pulls_of(self.residual, Stated.of(self.changes), self.slopes, self.free_covariance)
+        return float(self.residual @ self.residual) - pulls.explained
 
     @property
     def chi2_per_datum(self) -> float:
@@ -258,7 +200,7 @@ class RunUpFit(Generic[Family]):
 
     def at_load(self, load: float) -> CoefficientsAtSpeed:
         """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
-        return self.family.at_load(self.values, load)
+        return self.model.at_load(self.values, load)
 
     def extrapolated(self, load: float) -> str:
         """Warning on a *load* [N] outside those of the fit; empty within."""
@@ -268,51 +210,30 @@ class RunUpFit(Generic[Family]):
         return f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): "
 
 
-def posterior(
-    problem: RunUpProblem[Family], parameters: FloatArray, steps: int
-) -> tuple[dict[str, Any], FloatArray]:
-    """Fields of a RunUpFit at a minimum, and the slopes (n_datum, n_free) [-] of its data in units of the
-    priors.
-    """
-    slopes, prior, free = problem.measured_slopes(parameters), problem.spread[problem.free], problem.free
-    free_covariance = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
-    residual = problem.residual(parameters)[: slopes.shape[0]]
-    rank, condition = rank_of(slopes * prior)
-    sources = sources_of(problem.groups)
-    changes = problem.residual_changes(sources)
-    covariance, systematic = np.zeros((free.size, free.size)), np.zeros((len(sources), free.size))
-    covariance[np.ix_(free, free)] = free_covariance
-    systematic[:, free] = steps_by(changes, slopes, free_covariance)
-    explained = pulls_of(residual, Stated.of(changes), slopes, free_covariance).explained
-    fields = {
-        "rig": problem.rig,
-        "family": problem.family,
-        "loads": tuple(dict.fromkeys(group.load for group in problem.groups)),
-        "values": problem.values(parameters),
-        "covariance": covariance,
-        "chi2": float(residual @ residual) - explained,
-        "n_datum": slopes.shape[0],
-        "n_effective": float(np.trace(free_covariance @ slopes.T @ slopes)),
-        "rank": int(rank),
-        "condition": float(condition),
-        "steps": steps,
-        "sources": sources,
-        "systematic": systematic,
-    }
-    return fields, slopes * prior
-
-
 @dataclass(frozen=True, kw_only=True)
 class JointFit(RunUpFit[FilmFamily]):
-    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing; at_bound (12,).
-
-    prior_dominated: combinations that the priors determine, as text; known: parameters that were not
+    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing; *known*: those that were not
     estimated.
     """
 
-    at_bound: BoolArray
-    prior_dominated: tuple[str, ...]
-    known: tuple[str, ...] = ()
+    known: Collection[str] = ()
+
+    @property
+    def at_bound(self) -> BoolArray:
+        """Parameters that ran into their bounds (12,)."""
+        return ~self.problem.free & np.array([name not in self.known for name in PARAMETERS])
+
+    @property
+    def prior_dominated(self) -> tuple[str, ...]:
+        """Combinations that the priors determine, as text."""
+        free = self.problem.free
+        names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
+        _, singular, rows = np.linalg.svd(self.in_priors, full_matrices=False)
+        return tuple(
+            combination_text(names, row * PRIOR[free], 0.1)
+            for row, size in zip(rows[::-1], singular[::-1], strict=True)
+            if size < 1
+        )
 
     @property
     def share_at_bound(self) -> float:
@@ -343,14 +264,14 @@ class JointFit(RunUpFit[FilmFamily]):
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
         speed = np.asarray(speed, np.float64)
-        eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
         """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
         named.
         """
-        return self._predict(lambda values: self.rig.critical_speed(self.family.at_load(values, load), plane))
+        return self._predict(lambda values: self.rig.critical_speed(self.model.at_load(values, load), plane))
 
     def threshold(self, load: float) -> Uncertain | None:
         """Onset speed of instability [rad/s].
@@ -362,7 +283,7 @@ class JointFit(RunUpFit[FilmFamily]):
         return self._predict(lambda values: self._threshold_or_error(values, load))
 
     def _threshold_or_error(self, values: FloatArray, load: float) -> float:
-        speed = self.rig.threshold(self.family.at_load(values, load))
+        speed = self.rig.threshold(self.model.at_load(values, load))
         if speed is None:
             hint = f"it is above {self.rig.search.highest / RPM:.0f} rpm"
             raise FitError(
@@ -424,45 +345,21 @@ def fit_jointly(
     runs = list(runs)
     rig = searched_over(rig, runs)
     groups = tuple(runs_by_speeds(rig, runs))
-    thresholds = measured_thresholds(groups) if use_thresholds else ()
-    problem = RunUpProblem.of(rig, family_about(rig, groups), groups, thresholds, PRIOR)
-    problem = replace(problem, free=np.array([name not in known for name in PARAMETERS]))
+    thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
+    free = np.array([name not in known for name in PARAMETERS])
+    problem = run_up_problem(family_about(rig, groups), groups, thresholds, PRIOR, free)
     for _ in range(MOST_REFITS):
-        minimum = minimise(problem, problem.values(problem.fixed[problem.free])[problem.free])
+        minimum = minimise(problem, problem.base[problem.free])
         if not minimum.converged:
             minimum = minimise(problem, minimum.values, NEAR)
         if not minimum.converged:
             break
-        values = problem.values(minimum.values)
+        values = problem.whole(minimum.values)
         beyond = np.abs(values) > BOUND * (1 + 1e-9)
         if not np.any(beyond):
-            return _result(
-                problem, minimum.values, minimum.steps, tuple(name for name in PARAMETERS if name in known)
-            )
-        fixed = np.clip(values, -BOUND, BOUND)
-        problem = replace(problem, free=problem.free & ~beyond, fixed=fixed)
+            return JointFit(problem=problem, values=values, rig=rig, steps=minimum.steps, known=known)
+        problem = replace(problem, free=problem.free & ~beyond, base=np.clip(values, -BOUND, BOUND))
     raise FitError(
         "no minimum of the joint fit was found",
         hint="check unbalance, phases, standard errors and the rotor file",
-    )
-
-
-def _result(
-    problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int, known: tuple[str, ...]
-) -> JointFit:
-    fields, scaled = posterior(problem, parameters, steps)
-    names = [name for name, is_free in zip(PARAMETERS, problem.free, strict=True) if is_free]
-    _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
-    weight = PRIOR[problem.free]
-    return JointFit(
-        **fields,
-        at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
-        prior_dominated=(
-            tuple(
-                combination_text(names, row * weight, 0.1)
-                for row, size in list(zip(rows, singular, strict=True))[::-1]
-                if size < 1
-            )
-        ),
-        known=known,
     )

@@ -288,7 +288,7 @@ class PhysicalFit:
         """Of a joint fit to run-ups between two *speeds* [rad/s]."""
         return cls(
             Extent((min(fit.loads), max(fit.loads)), speeds),
-            fit.family,
+            fit.model,
             fit.values,
             fit.covariance * fit.widening**2,
         )

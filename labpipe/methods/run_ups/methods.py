@@ -14,12 +14,13 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
+from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.rotor.rig import Unbalance
 from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_amplitudes, perfect_but_wrong
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import column, motions
 from labpipe.methods.run_ups.metamodel_kinds import Fitted, Queried
-from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, scales, sources_of
+from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load, scales, sources_of
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
 from labpipe.methods.run_ups.records import (
     REJECTED,

@@ -12,16 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.rotor.pinned import CondensedRotor
+from labpipe.methods.rotor.posterior import RANK_TOLERANCE, Residual, rank_of
 from labpipe.methods.run_ups.records import RankRow, RunUp, Shaker
-from labpipe.methods.run_ups.rotor import COEFFICIENTS, RunUpRotor, as_eight, as_matrices
+from labpipe.methods.run_ups.rotor import COEFFICIENTS, CoefficientFamily, RunUpRotor, as_eight, as_matrices
 from labpipe.records.uncertain import Uncertainty
-
-# Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
-RANK_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True)
@@ -99,6 +97,15 @@ class LoadRuns:
             [part[1] for part in parts], axis=1
         )
 
+    def residual(self, model: CoefficientFamily, values: FloatArray) -> Residual:
+        """Of all runs (n,) [1] with coefficients of a family at its parameters *values* (n_parameter,), and
+        derivatives by these (n, n_parameter).
+        """
+        load = np.full(self.speed.size, self.load)
+        eight, by_parameter = model.coefficients_and_slopes(values, load, self.speed)
+        residual, slopes = self.residual_and_slopes(eight)
+        return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
+
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
         """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty
         of each source.
@@ -159,17 +166,6 @@ def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
         amplitude_error=run.amplitude_error[chosen],
         phase_error=run.phase_error[chosen],
     )
-
-
-def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Rank (...) and condition number (...) [-] within that rank of Jacobians (..., n_equation, n_parameter).
-    Equation (run-rank).
-    """
-    singular = np.linalg.svd(slopes, compute_uv=False)
-    significant = singular > RANK_TOLERANCE * singular[..., :1]
-    rank = significant.sum(axis=-1)
-    smallest = np.take_along_axis(singular, rank[..., None] - 1, axis=-1)[..., 0]
-    return rank, singular[..., 0] / smallest
 
 
 def scales(start: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,17 +29,16 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
+from labpipe.methods.rotor.posterior import Problem
 from labpipe.methods.run_ups.joint import (
     JointFit,
     RunUpFit,
-    RunUpProblem,
     family_about,
     measured_thresholds,
     nearby_threshold,
-    posterior,
-    threshold_row,
+    run_up_problem,
 )
-from labpipe.methods.run_ups.misfit import displacement_slopes, runs_by_load
+from labpipe.methods.run_ups.misfit import LoadRuns, displacement_slopes, runs_by_load
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import (
     PARAMETERS,
@@ -160,16 +160,17 @@ PEAK_STEP = 5e-3
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessFit(RunUpFit[ProcessFamily]):
-    """A RunUpFit with smooth factors; n_determined: combinations that the data determine better than the
-    priors do.
-    """
+    """A RunUpFit with smooth factors."""
 
-    n_determined: int
+    @cached_property
+    def n_determined(self) -> int:
+        """Combinations that the data determine better than the priors do."""
+        return int(np.sum(np.linalg.svd(self.in_priors, compute_uv=False) > 1))
 
     @property
     def kernel(self) -> SquaredExponential:
         """Size and lengths of the smooth factors, of maximum marginal likelihood."""
-        return self.family.field.kernel
+        return self.model.field.kernel
 
     @property
     def statement(self) -> str:
@@ -184,15 +185,15 @@ class ProcessFit(RunUpFit[ProcessFamily]):
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
         speed = np.asarray(speed, np.float64)
-        eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         variance = np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)
-        beyond = np.diagonal(self.family.field.unexplained(places_of(load, speed)))[:, None] * eight**2
+        beyond = np.diagonal(self.model.field.unexplained(places_of(load, speed)))[:, None] * eight**2
         of_probes = np.sum((slopes @ self.systematic.T) ** 2, axis=2)
         return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
 
     def factors(self, load: float, speed: FloatArray) -> FloatArray:
         """The smooth factors (n_speed, 8) [-]."""
-        return self.family.factors(self.values, load, speed)
+        return self.model.factors(self.values, load, speed)
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
         """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
@@ -204,7 +205,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         step = PEAK_STEP * speed
         around = speed + step * np.array([-1.0, 0.0, 1.0])
         number = self.rig.plane_names.index(plane) if plane else -1
-        eight = self.family.coefficients(self.values, load, around)
+        eight = self.model.coefficients(self.values, load, around)
         response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(
             *as_matrices(eight)
         )
@@ -243,11 +244,11 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         """Standard error of a prediction with slopes *weights* (n_speed, 8) by the coefficients at *speed*
         (n_speed,).
         """
-        eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         by_parameter = np.einsum("ni,nij->j", weights, slopes)
         by_field = weights * eight
         beyond = np.einsum(
-            "ni,nm,mi->", by_field, self.family.field.unexplained(places_of(load, speed)), by_field
+            "ni,nm,mi->", by_field, self.model.field.unexplained(places_of(load, speed)), by_field
         )
         noise = by_parameter @ self.covariance @ by_parameter + max(float(beyond), 0.0)
         return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
@@ -277,30 +278,29 @@ def fit_with_process(
     runs = list(runs)
     rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
-    thresholds = measured_thresholds(groups) if use_thresholds else ()
+    thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     measured = [places_of(group.load, group.speed) for group in groups]
     places = np.concatenate(
-        [*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)]
+        [*measured, *(places_of(each.load, np.array([each.speed.value])) for each in thresholds)]
     )
     extent = np.ptp(places, axis=0)
     ranges = np.where(extent > 0, extent, places[0])
-    family = joint.family if joint is not None else family_about(rig, groups)
+    family = joint.model if joint is not None else family_about(rig, groups)
 
-    def problem_of(kernel: SquaredExponential) -> RunUpProblem[ProcessFamily]:
+    def problem_of(kernel: SquaredExponential) -> Problem[ProcessFamily]:
         field = SmoothField.of(kernel, places)
         spread = np.concatenate([PRIOR, np.ones(8 * field.n_mode)])
-        return RunUpProblem.of(rig, ProcessFamily(family, field), groups, thresholds, spread)
+        return run_up_problem(ProcessFamily(family, field), groups, thresholds, spread)
 
     problem = problem_of(_kernel(np.log([median for median, _ in HYPER]), ranges))
     first = np.zeros(len(PARAMETERS)) if joint is None else joint.values
-    values, steps = _minimum(problem, np.concatenate([first, np.zeros(8 * problem.family.field.n_mode)]))
+    values, steps = _minimum(problem, np.concatenate([first, np.zeros(8 * problem.model.field.n_mode)]))
     for _ in range(ROUNDS):
         linear = LinearData.at(problem, values, places)
         problem = problem_of(_likeliest(linear, places, ranges))
-        values, more = _minimum(problem, _carry(values, linear.field, problem.family.field))
+        values, more = _minimum(problem, _carry(values, linear.field, problem.model.field))
         steps += more
-    fields, scaled = posterior(problem, values, steps)
-    return ProcessFit(**fields, n_determined=int(np.sum(np.linalg.svd(scaled, compute_uv=False) > 1)))
+    return ProcessFit(problem=problem, values=values, rig=rig, steps=steps)
 
 
 def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
@@ -308,7 +308,7 @@ def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
     return SquaredExponential(float(size), float(load * ranges[0]), float(speed * ranges[1]))
 
 
-def _minimum(problem: RunUpProblem[ProcessFamily], start: FloatArray) -> tuple[FloatArray, int]:
+def _minimum(problem: Problem[ProcessFamily], start: FloatArray) -> tuple[FloatArray, int]:
     minimum = minimise(problem, start, NEAR)
     if not minimum.converged:
         raise FitError(
@@ -342,20 +342,20 @@ class LinearData:
     by_family: FloatArray
 
     @classmethod
-    def at(cls, problem: RunUpProblem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
+    def at(cls, problem: Problem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
         """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s]
         of the data.
         """
         n = len(PARAMETERS)
-        eight, slopes = problem.family.coefficients_and_slopes(values, places[:, 0], places[:, 1])
+        eight, slopes = problem.model.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
-        now = np.log(problem.family.factors(values, places[:, 0], places[:, 1])) + by_family @ values[:n]
+        now = np.log(problem.model.factors(values, places[:, 0], places[:, 1])) + by_family @ values[:n]
         rows = _rows_by_place(problem, values, eight)
         normal = np.array([row.T @ row for _, row in rows])
         side = np.array(
             [row.T @ (row @ here - residual) for (residual, row), here in zip(rows, now, strict=True)]
         )
-        return cls(problem.family.field, normal, side, by_family)
+        return cls(problem.model.field, normal, side, by_family)
 
     def log_likelihood(self, field: SmoothField) -> float:
         """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M
@@ -379,24 +379,26 @@ class LinearData:
 
 
 def _rows_by_place(
-    problem: RunUpProblem[ProcessFamily], values: FloatArray, eight: FloatArray
+    problem: Problem[ProcessFamily], values: FloatArray, eight: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     rows, first = [], 0
-    for group in problem.groups:
-        group_eight = eight[first : first + group.speed.size]
-        residual, slopes = group.residual_and_slopes(group_eight)
-        rows += [
-            (equations, slope * here)
-            for equations, slope, here in zip(residual, slopes, group_eight, strict=True)
-        ]
-        first += group.speed.size
-    field = problem.family.field
-    for number, (load, measured) in enumerate(problem.thresholds):
-        threshold, by_parameter = threshold_row(problem.rig, problem.family, values, load, measured)
+    field = problem.model.field
+    for test in problem.tests:
+        if isinstance(test, LoadRuns):
+            group_eight = eight[first : first + test.speed.size]
+            residual, slopes = test.residual_and_slopes(group_eight)
+            rows += [
+                (equations, slope * here)
+                for equations, slope, here in zip(residual, slopes, group_eight, strict=True)
+            ]
+            first += test.speed.size
+            continue
+        threshold, by_parameter = test.residual(problem.model, values)
         # A slope by z is the slope by ln coefficients times b.
-        place = field.basis(field.places[[first + number]])[0]
-        by_z = by_parameter[len(PARAMETERS) :].reshape(8, field.n_mode)
-        rows.append((np.array([threshold]), (by_z @ place / (place @ place))[None]))
+        place = field.basis(field.places[[first]])[0]
+        by_z = by_parameter[0, len(PARAMETERS) :].reshape(8, field.n_mode)
+        rows.append((threshold, (by_z @ place / (place @ place))[None]))
+        first += 1
     return rows
 
 

@@ -62,6 +62,20 @@ PRIOR = np.array([0.5, 0.3, 0.3, 0.1, *[0.1] * 8])
 BOUND = np.array([1.5, 1.0, 1.0, 0.4, *[0.5] * 8])
 
 
+class CoefficientFamily(Protocol):
+    """The eight coefficients over load [N] and speed [rad/s] with parameters *values* (n_parameter,)."""
+
+    def coefficients_and_slopes(
+        self, values: FloatArray, load: FloatArray, speed: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n_point, 8) [N/m, N.s/m] and their derivatives (n_point, 8, n_parameter)."""
+        ...
+
+    def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
+        """K [N/m] and C [N s/m] as functions of speed, of parameters (n_parameter,)."""
+        ...
+
+
 @dataclass(frozen=True)
 class FilmFamily:
     """The family about a *bearing*; *speed* [rad/s] and *load* [N] are the references of the slopes."""

@@ -76,7 +76,7 @@ def test_one_plane_is_the_vector_triangle():
     z_0, z_1, trial = at(7.2, 238), at(4.9, 114), at(20.5, 75)
     runs = [Run("0", np.array([0j]), np.array([z_0])), Run("1", np.array([trial]), np.array([z_1]))]
     known = influence(runs, Noise(1e-9, 1e-9))
-    np.testing.assert_allclose(best_weights(known), [-z_0 * trial / (z_1 - z_0)], rtol=1e-9)
+    np.testing.assert_allclose(best_weights(known.square), [-z_0 * trial / (z_1 - z_0)], rtol=1e-9)
 
 
 def test_an_influence_that_is_hardly_known_is_not_trusted():
@@ -89,7 +89,7 @@ def test_an_influence_that_is_hardly_known_is_not_trusted():
         z_0 = 5 * alpha.sum(axis=1) + 0.3 * rng.standard_normal(4)
         known = influence(measured(rng, z_0, alpha, noise), noise)
         exact = -np.linalg.pinv(known.mean[:, 1:]) @ known.mean[:, 0]
-        squares.append([np.mean(np.abs(z_0 + alpha @ w) ** 2) for w in (best_weights(known), exact)])
+        squares.append([np.mean(np.abs(z_0 + alpha @ w) ** 2) for w in (best_weights(known.square), exact)])
     ours, inverse = np.sqrt(np.mean(squares, axis=0))
     assert ours < 0.9 * inverse
 
@@ -99,7 +99,7 @@ def test_places_with_a_largest_mass_reach_what_they_can():
     noise = Noise(1e-6, 1e-6)
     z_0, alpha = rig(rng, 4, 2)
     known = influence(measured(rng, z_0, alpha, noise), noise)
-    free = best_weights(known)
+    free = best_weights(known.square)
     places = [Places(np.radians(np.arange(0, 360, 30)), 0.5), Places(np.radians(np.arange(10, 370, 40)), 2.0)]
     masses = placed_weights(known, places)
     np.testing.assert_allclose(vectors(places, masses), free, rtol=1e-6)
@@ -192,7 +192,7 @@ def test_a_model_that_says_nothing_leaves_the_runs_alone():
     alone, after = influence(runs, noise), influence(runs, noise, nothing)
     np.testing.assert_allclose(after.mean, alone.mean, rtol=1e-5)
     np.testing.assert_allclose(after.covariance, alone.covariance, rtol=1e-4, atol=1e-10)
-    np.testing.assert_allclose(best_weights(after), best_weights(alone), rtol=1e-5)
+    np.testing.assert_allclose(best_weights(after.square), best_weights(alone.square), rtol=1e-5)
 
 
 @pytest.mark.long
@@ -208,14 +208,14 @@ def test_what_a_model_and_runs_leave_lies_in_its_interval(n_run):
         truth = world(known, parts, rng)
         runs = measured(rng, truth[:, 0], truth[:, 1:], noise)[:n_run]
         after = influence(runs, noise, known)
-        weights = best_weights(after)
+        weights = best_weights(after.square)
         stated = residual_of(after, weights, noise)
         z = truth @ np.concatenate([[1.0], weights])
         spread = np.sqrt(noise.variance(z) / 2)
         reading = z + spread * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
         held.append(stated.interval[0] <= np.sqrt(np.mean(np.abs(reading) ** 2)) <= stated.interval[1])
         left.append(np.mean(np.abs(z) ** 2))
-        without.append(np.mean(np.abs(truth @ np.concatenate([[1.0], best_weights(known)])) ** 2))
+        without.append(np.mean(np.abs(truth @ np.concatenate([[1.0], best_weights(known.square)])) ** 2))
     # Three standard errors of 200 draws about 95 %.
     assert abs(np.mean(held) - 0.95) <= 3 * np.sqrt(0.95 * 0.05 / 200)
     assert np.mean(left) < (1.0 if n_run == 0 else 0.5) * np.mean(without) * (1 + 1e-9)
@@ -243,7 +243,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         z_0, alpha = rig(rng, n_line, n_plane)
         runs = measured(rng, z_0, alpha, noise)
         known = influence(runs, noise)
-        weights = best_weights(known)
+        weights = best_weights(known.square)
         stated = residual_of(known, weights, noise)
         left = z_0 + alpha @ weights
         spread = np.sqrt(noise.variance(left) / 2)
@@ -252,7 +252,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         held.append(stated.interval[0] <= rms <= stated.interval[1])
         if len(lower) < 60:
             again = influence([*runs, Run("w", weights, reading)], noise)
-            lower.append(np.mean(np.abs(z_0 + alpha @ best_weights(again)) ** 2))
+            lower.append(np.mean(np.abs(z_0 + alpha @ best_weights(again.square)) ** 2))
             promised.append(next_runs(known, noise, {"w": weights})["w"] ** 2)
     # Three standard errors of 120 draws about 95 %: where 85 % hold, 88 of 100 fail.
     assert abs(np.mean(held) - 0.95) <= 3 * np.sqrt(0.95 * 0.05 / 120)
@@ -309,13 +309,13 @@ def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:
     plain = Influence(mean, root @ root.T, modelled=True)
     wide = Influence(mean, 1.5**2 * plain.joint, modelled=True, narrow=plain)
     noise = Noise(1e-9, 0.0)
-    weights = best_weights(plain)
+    weights = best_weights(plain.square)
     widened, said = (residual_of(known, weights, noise) for known in (wide, plain))
     assert widened.interval[0] == said.interval[0] and np.array_equal(widened.low, said.low)
     assert widened.interval[1] == pytest.approx(1.5 * said.interval[1], rel=0.02)
     loud = Noise(0.05, 0.01)
     run = Run("first", weights, mean @ np.concatenate([[1.0], weights]) + 0.1)
     trimmed, plainly = wide.after(run, loud), plain.after(run, loud)
-    chosen = best_weights(trimmed)
+    chosen = best_weights(trimmed.square)
     assert residual_of(trimmed, chosen, loud).interval[0] <= residual_of(plainly, chosen, loud).interval[0]
     assert np.array_equal(trimmed.narrow.joint, plainly.joint)

@@ -17,8 +17,8 @@ from labpipe.methods.planning.plan_file import load_plan, read_any_plan, read_pl
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
 from labpipe.methods.planning.run_ups import EXPONENTS, expected_run, plan_run_ups
+from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups.joint import fit_jointly
-from labpipe.methods.run_ups.misfit import rank_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import PARAMETERS, PRIOR
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv, write_run_up_csv

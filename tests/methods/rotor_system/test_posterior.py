@@ -14,9 +14,18 @@ from labpipe.methods.rotor.shaft import free_rotor
 from labpipe.methods.rotor.theory import margin_above, margin_below, peaks
 from labpipe.methods.rotor_system import posterior
 from labpipe.methods.rotor_system.build import PEDESTALS
+from labpipe.methods.rotor_system.evaluate import TELLING, _findings
 from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order
 from labpipe.methods.rotor_system.model import SystemModel, Unknown
-from labpipe.methods.rotor_system.posterior import budget, common_changes, fit_system, normality, pulls, refit
+from labpipe.methods.rotor_system.posterior import (
+    budget,
+    common_changes,
+    explanations,
+    fit_system,
+    normality,
+    pulls,
+    refit,
+)
 from labpipe.methods.rotor_system.predictions import (
     at_speed,
     campbell,
@@ -85,22 +94,53 @@ def test_a_test_of_another_rotor_is_named(fitted) -> None:
     assert all(abs(pull.z) < 4 for pull in pulls(found))
 
 
-def test_oil_of_another_temperature_is_a_conflict() -> None:
+def test_oil_of_another_temperature_is_a_conflict_and_named() -> None:
     """A rotor in oil films by clearance and viscosity: in its interval; a run-up with oil of 60 % of the
-    viscosity pulls against what the shaken rotor says, and enlarges small errors.
+    viscosity pulls against what the shaken rotor says, and enlarges small errors: the oil is named, with what
+    the run-up asks for, before a gain of a probe; a gain of a probe is named where that was wrong.
     """
     of, rng = built(bearings="oil"), np.random.default_rng(5)
     truth = drawn(of, rng)
-    oil = of.model.number("oil")
-    warm = truth.copy()
+    oil, gain = of.model.number("oil"), of.model.number("gain run 10 y")
+    warm, loud = truth.copy(), truth.copy()
     warm[oil] *= 0.6
+    loud[gain] += 0.25
     tests = four_tests(of, truth, rng, 2000.0, 25.0)
-    run = four_tests(of, warm, rng, 2000.0, 25.0)[2]
+    warm_run, loud_run = (four_tests(of, values, rng, 2000.0, 25.0)[2] for values in (warm, loud))
     found = fit_system(of.model, tests)
     assert not found.misfits and not found.enlarged and all(abs(pull.z) < 3 for pull in pulls(found))
     assert abs(found.values[oil] - truth[oil]) < 3 * found.standard_errors[oil] < of.model.errors[oil] * 3
-    other = fit_system(of.model, [run if test.name == "run" else test for test in tests])
+    assert all(each.fall < TELLING for each in explanations(found))
+    other = fit_system(of.model, [warm_run if test.name == "run" else test for test in tests])
     assert other.enlarged and max(abs(pull.z) for pull in pulls(other)) > 4
+    first, *rest = explanations(other)
+    assert (first.test, first.number) == ("run", oil) and first.fall > 50
+    assert first.value == pytest.approx(warm[oil], rel=0.25)
+    assert all(each.fall < first.fall / 2 for each in rest if each.number == gain)
+    text = " ".join(finding.message for finding in _findings(other))
+    assert "chi-square falls by" in text and "oil of" in text and "in test 'run'" in text
+    first = explanations(fit_system(of.model, [loud_run if t.name == "run" else t for t in tests]))[0]
+    assert (first.test, first.number) == ("run", gain) and first.fall > TELLING
+
+
+def test_an_explanation_is_the_fall_of_chi_square_with_a_further_unknown() -> None:
+    """Of linear tests, against the fit with that unknown: two readings of x in one test, one in another."""
+    slopes, readings = ([1.0], [1.0, 2.0]), ([3.0], [1.0, 1.0])
+    model = SystemModel((Unknown("x", 10.0, unit="kg.m"),), (), 0, 0)
+    tests = [
+        Linear(name, np.array(s), np.array(y)) for name, s, y in zip("ab", slopes, readings, strict=True)
+    ]
+    found = fit_system(model, tests)
+    (best,) = explanations(found)
+    design = np.array([[1.0, 0.0], [1.0, 1.0], [2.0, 2.0], [0.1, 0.0]])
+    side = np.array([3.0, 1.0, 1.0, 0.0])
+    falls = {}
+    for name, column in (("a", [1.0, 0, 0, 0]), ("b", design[:, 1])):
+        both = np.column_stack([design[:, 0], column])
+        one, two = (np.linalg.lstsq(each, side)[1][0] for each in (both[:, :1], both))
+        falls[name] = one - two, np.linalg.lstsq(both, side)[0].sum()
+    name = max(falls, key=lambda each: falls[each][0])
+    assert (best.test, best.fall, best.value) == (name, *(pytest.approx(each) for each in falls[name]))
 
 
 @pytest.mark.long
@@ -167,6 +207,21 @@ class Exponential:
     def residual(self, _model, values):
         x = float(np.exp(values[0]))
         return np.array([(self.reading - x) / self.noise]), np.array([[-x / self.noise]])
+
+    def loosened(self, _model, _values, _share):
+        return self
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Readings y = slopes * theta with noise of 1."""
+
+    name: str
+    slopes: np.ndarray
+    readings: np.ndarray
+
+    def residual(self, _model, values):
+        return self.readings - self.slopes * values[0], -self.slopes[:, None]
 
     def loosened(self, _model, _values, _share):
         return self

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.methods.run_ups.joint import JointFit, RunUpProblem, fit_jointly, nearby_threshold, threshold_row
+from labpipe.methods.run_ups.joint import (
+    JointFit,
+    MeasuredThreshold,
+    fit_jointly,
+    measured_thresholds,
+    nearby_threshold,
+    run_up_problem,
+)
 from labpipe.methods.run_ups.misfit import runs_by_load
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily, as_eight
@@ -31,13 +38,7 @@ def test_slopes_of_everything_equal_differences(rng: np.random.Generator) -> Non
     differences.
     """
     groups = tuple(runs_by_load(RIG, trained("inside")))
-    measured = tuple(
-        (group.load, run.run.threshold)
-        for group in groups
-        for run in group.runs
-        if run.run.threshold is not None
-    )
-    problem = RunUpProblem.of(RIG, FAMILY, groups, measured, PRIOR)
+    problem = run_up_problem(FAMILY, groups, measured_thresholds(RIG, groups), PRIOR)
     values = 0.3 * PRIOR * rng.standard_normal(12)
     slopes = problem.jacobian(values)
     for n in range(12):
@@ -53,9 +54,8 @@ def test_newton_s_threshold_is_the_search_s() -> None:
     found, by_speed = nearby_threshold(RIG, coefficients, 1.1 * searched)
     np.testing.assert_allclose(found, searched, rtol=1e-6)
     assert by_speed > 0
-    assert threshold_row(RIG, FAMILY, np.zeros(12), 6.0, Uncertain(found, 1.0))[0] == pytest.approx(
-        0, abs=1e-3
-    )
+    off, _ = MeasuredThreshold(RIG, 6.0, Uncertain(found, 1.0)).residual(FAMILY, np.zeros(12))
+    assert off == pytest.approx(0, abs=1e-3)
 
 
 def test_a_threshold_that_is_nowhere_near_is_refused() -> None:
@@ -122,7 +122,14 @@ def test_a_truth_of_arbitrary_factors_is_flagged() -> None:
 def test_a_load_outside_those_of_the_fit_is_cautioned(inside: JointFit) -> None:
     assert inside.caution(inside.loads[0]) == ""
     assert "16.9 N lies outside the loads of the fit (3.66 to 10.3 N)" in inside.caution(16.94)
-    flagged = dataclasses.replace(inside, chi2=6 * inside.chi2)
+    # The same rotor read with errors that are stated 1 / sqrt(6) as large.
+    sharper = [
+        dataclasses.replace(
+            run, amplitude_error=run.amplitude_error / 6**0.5, phase_error=run.phase_error / 6**0.5
+        )
+        for run in trained("inside")
+    ]
+    flagged = fit_jointly(RIG, sharper, use_thresholds=False)
     assert flagged.caution(5.0).startswith("chi-square per datum is 6.")
 
 

@@ -11,7 +11,14 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import FitError
-from labpipe.methods.run_ups.joint import JointFit, RunUpProblem, fit_jointly, nearby_threshold
+from labpipe.methods.rotor.posterior import Problem
+from labpipe.methods.run_ups.joint import (
+    JointFit,
+    MeasuredThreshold,
+    fit_jointly,
+    nearby_threshold,
+    run_up_problem,
+)
 from labpipe.methods.run_ups.misfit import runs_by_load
 from labpipe.methods.run_ups.process import (
     LinearData,
@@ -105,7 +112,7 @@ def test_without_factors_it_is_the_family(rng: np.random.Generator) -> None:
     )
 
 
-def small_problem(kernel: SquaredExponential) -> tuple[RunUpProblem[ProcessFamily], np.ndarray]:
+def small_problem(kernel: SquaredExponential) -> tuple[Problem[ProcessFamily], np.ndarray]:
     """One load, six speeds, no threshold."""
     run = trained("factors")[1]
     cut = {
@@ -116,15 +123,15 @@ def small_problem(kernel: SquaredExponential) -> tuple[RunUpProblem[ProcessFamil
     places = places_of(part.load, part.speed)
     field = SmoothField.of(kernel, places)
     spread = np.concatenate([PRIOR, np.ones(8 * field.n_mode)])
-    return RunUpProblem.of(RIG, ProcessFamily(FAMILY, field), groups, (), spread), places
+    return run_up_problem(ProcessFamily(FAMILY, field), groups, (), spread), places
 
 
 def test_the_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
     """Between two kernels, against the density of all responses at once, N(0, 1 + A (K + T P^2 T^T) A^T)."""
     problem, places = small_problem(KERNEL)
-    values = np.zeros(problem.family.n_parameter)
+    values = np.zeros(problem.model.n_parameter)
     data = LinearData.at(problem, values, places)
-    eight = problem.family.coefficients(values, places[:, 0], places[:, 1])
+    eight = problem.model.coefficients(values, places[:, 0], places[:, 1])
     rows = _rows_by_place(problem, values, eight)
     n, m = len(rows), rows[0][1].shape[0]
     slopes = np.zeros((n * m, n * 8))
@@ -154,7 +161,8 @@ def test_slopes_of_a_threshold_by_the_coefficients_equal_differences() -> None:
     assert speed is not None
     places = np.concatenate([places, [[load, speed]]])
     family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, places))
-    problem = dataclasses.replace(problem, family=family, thresholds=((load, Uncertain(speed, 0.5)),))
+    threshold = MeasuredThreshold(RIG, load, Uncertain(speed, 0.5))
+    problem = dataclasses.replace(problem, model=family, tests=(*problem.tests, threshold))
     values = np.zeros(family.n_parameter)
     residual, row = _rows_by_place(problem, values, family.coefficients(values, places[:, 0], places[:, 1]))[
         -1
@@ -257,8 +265,8 @@ def test_errors_of_predictions_are_those_of_drawn_parameters(
         found.values
         + part * rng.standard_normal((120, found.values.size)) @ np.linalg.cholesky(found.covariance).T
     )
-    critical = [RIG.critical_speed(found.family.at_load(one, load)) for one in draws]
-    threshold = [RIG.threshold(found.family.at_load(one, load)) for one in draws]
+    critical = [RIG.critical_speed(found.model.at_load(one, load)) for one in draws]
+    threshold = [RIG.threshold(found.model.at_load(one, load)) for one in draws]
     stated = found.threshold(load)
     assert stated is not None
     assert np.std(critical) / part * found.widening == pytest.approx(
