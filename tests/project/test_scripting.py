@@ -202,9 +202,9 @@ def test_a_fit_is_one_line_in_a_list_and_a_table_in_print(fit: Fit) -> None:
         "f_n",
         "zeta",
     ]
-    assert "134.4805 to 134.5157" in text and "40 degrees of freedom" in text
+    assert "134.4808 to 134.5159" in text and "40 degrees of freedom" in text
     html = fit._repr_html_()
-    assert html.count("<tr>") == 5 and "<td>134.4981</td>" in html
+    assert html.count("<tr>") == 5 and "<td>134.4983</td>" in html
 
 
 def test_words_of_other_hands_are_escaped_in_a_notebook(fit: Fit) -> None:
