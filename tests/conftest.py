@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import sys
 
 # Small matrices all the way: threads of the linear algebra would only compete with each other, and blur the
 # ratios of the benchmarks.
@@ -12,8 +13,9 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
 # Tests start many processes, each of which would compile labpipe anew where Python is asked to keep no
-# compiled modules.
+# compiled modules; and the assertions of every file of tests would be rewritten by each of pytest's own.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 from collections.abc import Callable
 from dataclasses import dataclass

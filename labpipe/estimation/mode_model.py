@@ -69,7 +69,7 @@ class ModeModel:
     mass: float | None = None
     member: str = AS_IT_IS
 
-    @property
+    @cached_property
     def n_interest(self) -> int:
         """Parameters of interest, the first ones."""
         return 3 if self.coefficients and self.mass is None else 2
@@ -84,7 +84,7 @@ class ModeModel:
         )
         return [*range(self.n_interest), *linear]
 
-    @property
+    @cached_property
     def n_shape(self) -> int:
         """Parameters in which the model is not linear."""
         return self.n_interest + bool(self.law) + 2 * self.has_second
@@ -94,7 +94,7 @@ class ModeModel:
         """Whether a second mode stands beside the first."""
         return self.member.startswith(SECOND)
 
-    @property
+    @cached_property
     def law(self) -> str:
         """By which the resonance moves, "" where it does not."""
         return self.member.removeprefix(SECOND)
@@ -109,6 +109,11 @@ class ModeModel:
             if self.residual
             else np.zeros((f.size, 0), complex)
         )
+
+    @cached_property
+    def _factors(self) -> ComplexArray:
+        """Columns (n_line, 2 n_term) [1] of the terms by the real and the imaginary part of their factors."""
+        return np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
 
     def frequency_and_damping(self, q: FloatArray) -> tuple[float, float]:
         """f_n [Hz] and zeta [1] at *q* (n,) [1]."""
@@ -143,44 +148,54 @@ class ModeModel:
             rows[2, [0, 2]] = 0.5 / PRIOR_LEVEL
         return rows
 
-    def resonance(self, q: FloatArray, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """The resonance of unit amplitude (n_line,) and its derivatives (n_line, n_shape) by *q* (n_shape,)
-        [1]; *s* (n_line,) [rad/s].
-        """
-        nodes, weights = NODES.get(self.law, (np.zeros(1), np.ones(1)))
-        moved = bool(self.law)
-        x = (np.exp(q[self.n_interest]) * nodes if moved else nodes)[:, None]
-        value, *slopes = (self._coefficients_at if self.coefficients else self._pole_at)(q, s, x)
-        columns = np.zeros((s.size, self.n_shape), np.complex128)
-        by = [*range(self.n_interest), *([self.n_interest] if moved else [])]
-        for column, slope in zip(by, slopes, strict=False):
-            columns[:, column] = weights @ slope
-        return weights @ value, columns
+    def _motion(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Nodes x (n_node,) of the relative motion of the resonance and their weights (n_node,) [1]."""
+        if not self.law:
+            return np.zeros(1), np.ones(1)
+        nodes, weights = NODES[self.law]
+        return np.exp(q[self.n_interest]) * nodes, weights
 
-    def _pole_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
-        """1 / (s - lambda) moved by *x* (n_node, 1), its derivatives by ln f_n and ln zeta, and by ln x, each
-        (n_node, n_line).
+    def _as_columns(self, slopes: ComplexArray) -> ComplexArray:
+        """Columns (n_line, n_shape) of derivatives (n_interest + 1, n_line) by what the resonance depends on,
+        zero of a second mode.
+        """
+        columns = np.zeros((slopes.shape[1], self.n_shape), np.complex128)
+        by = self.n_interest + bool(self.law)
+        columns[:, :by] = slopes[:by].T
+        return columns
+
+    def _with_conjugate(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """a, da/dq, b, db/dq of A a + A^* b: the mean of 1 / (s - lambda) over the motion, (n_line,), and of
+        the conjugate pole, with their derivatives (n_line, n_shape) by *q* (n_shape,) [1].
         """
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
+        x, weights = self._motion(q)
         if self.law == "L":
             root = np.sqrt(max(1 - zeta**2, 1e-12))
-            pole, by_zeta = w * (-zeta + 1j * (root + x)), -w * zeta * (1 + 1j * zeta / root)
-            value = 1 / (s - pole)
-            square = value**2
-            return value, square * pole, square * by_zeta, square * (1j * w * x)
-        roots = np.sqrt(np.maximum((1 + x) ** 2 - zeta**2, 1e-12))
-        pole, by_zeta = w * (-zeta + 1j * roots), -w * zeta * (1 + 1j * zeta / roots)
-        value = 1 / ((1 + x) * (s - pole))
-        square = value / (s - pole)
-        by_motion = square * (1j * w * (1 + x) * x / roots) - x / (1 + x) * value
-        return value, square * pole, square * by_zeta, by_motion
+            imaginary, by_motion, lost = root + x, 1j * w * x, np.zeros_like(x)
+        else:
+            # 1 / ((1 + x) (s - lambda)), the square of whose frequency moves.
+            root = imaginary = np.sqrt(np.maximum((1 + x) ** 2 - zeta**2, 1e-12))
+            by_motion, lost, weights = 1j * w * (1 + x) * x / root, -x / (1 + x), weights / (1 + x)
+        pole, by_damping = w * (-zeta + 1j * imaginary), -w * zeta * (1 + 1j * zeta / root) + 0 * x
+        none = np.zeros_like(x)
+        # What 1 / (s - lambda) and its square count in the value and its derivatives, (4, n_node).
+        single = weights * np.array([none + 1, none, none, lost], np.complex128)
+        square = weights * np.array([none, pole, by_damping, by_motion])
+        inverse = 1 / (self.curve.s - np.concatenate([pole, pole.conj()])[:, None])
+        above, below = inverse[: x.size], inverse[x.size :]
+        upper = single @ above + square @ above**2
+        lower = single @ below + square.conj() @ below**2
+        return upper[0], self._as_columns(upper[1:]), lower[0], self._as_columns(lower[1:])
 
-    def _coefficients_at(self, q: FloatArray, s: ComplexArray, x: FloatArray) -> tuple[ComplexArray, ...]:
-        """1 / (k + c s + m s^2) moved by *x* (n_node, 1), its derivatives by ln k, ln c (and ln m), and by
-        ln x, each (n_node, n_line).
+    def _coefficients_at(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """The mean of 1 / (k + c s + m s^2) over the motion, (n_line,), and its derivatives (n_line, n_shape)
+        by *q* (n_shape,) [1].
         """
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
+        x, weights = self._motion(q)
+        x, s = x[:, None], self.curve.s
         if self.law == "L":
             w = np.sqrt(k / m)
             s = s - 1j * w * x
@@ -194,35 +209,28 @@ class ModeModel:
             square = -(value**2)
             by_motion = square * 2 * k * (1 + x) * x
             by_shape = [square * stiffness, square * c * s, square * m * s**2]
-        return value, *by_shape[: self.n_interest], by_motion
-
-    def _with_conjugate(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-        """a, da/dq, b, db/dq of A a + A^* b: the pole, and its conjugate, which is that of -s."""
-        s = self.curve.s
-        value, slopes = self.resonance(q, s)
-        other, other_slopes = self.resonance(q, s.conj())
-        return value, slopes, other.conj(), other_slopes.conj()
+        slopes = np.array([weights @ slope for slope in (*by_shape[: self.n_interest], by_motion)])
+        return weights @ value, self._as_columns(slopes)
 
     def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """h (n_line,) [any unit], its derivatives (n_line, n) by *theta* (n,), and the resonance of the upper
         pole alone (n_line,).
         """
         q, amplitudes = theta[: self.n_shape], theta[self.n_shape :: 2] + 1j * theta[self.n_shape + 1 :: 2]
-        terms = np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
         if self.coefficients:
-            value, slopes = self.resonance(q, self.curve.s)
-            main, columns = value, [terms]
+            main, slopes = self._coefficients_at(q)
+            columns = [self._factors]
         else:
             a, da, b, db = self._with_conjugate(q)
             slopes = amplitudes[0] * da + np.conj(amplitudes[0]) * db
-            main, columns = amplitudes[0] * a, [_pair(a, b), terms]
+            main, columns = amplitudes[0] * a, [_pair(a, b), self._factors]
         if self.has_second:
             a, da, b, db = ModeModel(self.curve)._with_conjugate(q[-2:])
             columns.append(_pair(a, b))
             slopes[:, -2:] = amplitudes[-1] * da + np.conj(amplitudes[-1]) * db
-        linear = np.hstack(columns)
-        value = linear @ theta[self.n_shape :] + (main if self.coefficients else 0.0)
-        return value, np.hstack([slopes, linear]), main
+        jacobian = np.hstack([slopes, *columns])
+        value = jacobian[:, self.n_shape :] @ theta[self.n_shape :] + (main if self.coefficients else 0.0)
+        return value, jacobian, main
 
     def started(self, q: FloatArray) -> FloatArray:
         """theta (n,) with the amplitudes of least chi-square for *q* (n_shape,) [1]."""

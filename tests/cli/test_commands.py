@@ -244,8 +244,14 @@ def test_simulate_is_deterministic_and_the_shipped_data_are_what_it_makes(
 # every pipeline at its full size.
 SLOW = ("\nstudy:", "\ncompare:", "\nrun_ups:", "\nunbalance:", "\nrotor_system:", "worn-bearing")
 PIPELINES = sorted((Path(__file__).parents[2] / "pipelines").glob("*.yaml"))
-# Their draws and bands take seconds; .ci/run checks every pipeline.
-LONGER = {"budget.yaml", "radial-sliding.yaml"}
+# Their draws, bands and lines take seconds; .ci/run checks every pipeline.
+LONGER = {
+    "budget.yaml",
+    "floating-bearing.yaml",
+    "levitated-open.yaml",
+    "radial-sliding.yaml",
+    "white-noise-local.yaml",
+}
 QUICK = [
     path.name
     for path in PIPELINES

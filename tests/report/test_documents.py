@@ -182,13 +182,17 @@ def test_reports_at_the_root_are_those_of_the_table() -> None:
     ) == RENDERERS.load("md")(RESULT)
 
 
-def test_many_figures_share_rows_and_no_heading_stands_alone(every_kind: Chart) -> None:
+def test_many_figures_share_rows_and_no_heading_stands_alone(
+    every_kind: Chart, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Ten sections of 40 mm of words and two charts of 3.2 in: 212 mm and a page each one above the other,
     126 mm side by side, two a page but for the first.
 
     The last words of a page are its foot; before them stands no heading and no caption of a table.
     """
     chart = Chart(every_kind.panels[:1])
+    canvas = pdf.canvas_of(chart)
+    monkeypatch.setattr(pdf, "canvas_of", lambda _: canvas)
     table = Table(("name", "value"), (("a", "1"), ("b", "2")), "Values", (1,))
     blocks = (
         Paragraph("Model and band. " * 20),

@@ -165,8 +165,18 @@ PAIRS = list(itertools.product(COMPARISONS, WRITTEN))
 
 
 @functools.cache
+def made_by(maker: Callable[[], Evidence]) -> Evidence:
+    """Once for all kinds that share it."""
+    return maker()
+
+
 def evidence_of(kind: str) -> Evidence:
-    return CASES[kind][0]()
+    return made_by(CASES[kind][0])
+
+
+@functools.cache
+def plain(kind: str) -> str:
+    return found(kind)
 
 
 def found(kind: str, **more: Any) -> str:
@@ -194,15 +204,16 @@ def test_every_key_and_kind_is_walked() -> None:
 def test_a_key_that_is_taken_changes_what_is_found(kind: str, key: str) -> None:
     beside = BESIDE.get((kind, key), {})
     changed = OF_KIND.get((kind, key), VALUES.get(key, WRITTEN[key]))
-    assert found(kind, **{**beside, key: changed}) != found(kind, **beside)
+    without = found(kind, **beside) if beside else plain(kind)
+    assert found(kind, **{**beside, key: changed}) != without
 
 
 @pytest.mark.parametrize("kind", takers("level"))
 def test_a_level_on_either_side_of_the_p_value_changes_the_verdict(kind: str) -> None:
-    plain = CompareSettings(kind=kind, name="a", **CASES[kind][1])
-    p_value = compare(plain, evidence_of(kind)).amount("p_value").value
+    settings = CompareSettings(kind=kind, name="a", **CASES[kind][1])
+    p_value = compare(settings, evidence_of(kind)).amount("p_value").value
     below, above = (
-        compare(replace(plain, level=level), evidence_of(kind)).verdict
+        compare(replace(settings, level=level), evidence_of(kind)).verdict
         for level in (0.9 * p_value, p_value**0.9)
     )
     assert below != above

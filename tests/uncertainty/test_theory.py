@@ -122,27 +122,6 @@ def test_slopes_are_what_a_changed_shaft_and_condition_do() -> None:
     assert found.to_condition[0] == pytest.approx(0.7 * (moved[1] - moved[0]) / 0.004, rel=0.02)
 
 
-@pytest.mark.long
-def test_the_covariance_is_the_scatter_of_repeats(rng) -> None:
-    """Repeats of the radial fit: standard deviation of ln ratio and ln beta within 4 of its own standard
-    deviations.
-    """
-    # Sixteen tell a standard error that is half of the scatter from a right one.
-    repeats = 16
-    logs, stated = [], []
-    for _ in range(repeats):
-        response = measured(1.12, BENDING, rng)
-        found = match(fits_of(response)["x"], response, PEAKS, THEORY, BENT)
-        logs.append(found.log)
-        stated.append(np.sqrt(np.diag(found.covariance)))
-    np.testing.assert_allclose(
-        np.std(logs, axis=0, ddof=1), np.mean(stated, axis=0), rtol=4 / np.sqrt(2 * repeats)
-    )
-    assert np.all(
-        np.abs(np.mean(logs, axis=0) - np.log([1.12, BETA])) < 4 * np.mean(stated, axis=0) / np.sqrt(repeats)
-    )
-
-
 def test_the_overlay_lies_on_the_measured_curve() -> None:
     response = measured(1.12, BENDING)
     fit = fits_of(response)["x"]

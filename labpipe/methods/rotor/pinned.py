@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
-from scipy import linalg
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
@@ -238,18 +238,25 @@ class Stability:
 
         *speed* (n_speed,) [rad/s], *stiffness* [N/m] and *damping* [N s/m] (n_speed, 2, 2) of the bearing.
         """
-        n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
+        n, first = self.rotor.n_dof, self.rotor.dofs(self.bearing)[0]
         speed = np.atleast_1d(np.asarray(speed, np.float64))
-        matrices = self.rotor.matrices
-        k = np.repeat(matrices.stiffness[None], speed.size, axis=0)
-        c = matrices.damping + speed[:, None, None] * matrices.gyroscopic
-        rows = np.ix_(range(speed.size), place, place)
-        k[rows] += stiffness
-        c[rows] += damping
+        stiff, damped, turning = self._accelerations
         system = np.zeros((speed.size, 2 * n, 2 * n))
         system[:, :n, n:] = np.eye(n)
-        system[:, n:, :n], system[:, n:, n:] = -self.inverse_mass @ k, -self.inverse_mass @ c
+        system[:, n:, :n], system[:, n:, n:] = stiff, damped + speed[:, None, None] * turning
+        of_bearing = self.inverse_mass[:, first : first + 2]
+        system[:, n:, first : first + 2] -= of_bearing @ stiffness
+        system[:, n:, n + first : n + first + 2] -= of_bearing @ damping
         return system
+
+    @cached_property
+    def _accelerations(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """-M^-1 K, -M^-1 C and -M^-1 G of the rotor without its bearing, (n_dof, n_dof) each."""
+        matrices = self.rotor.matrices
+        stiff, damped, turning = (
+            -self.inverse_mass @ part for part in (matrices.stiffness, matrices.damping, matrices.gyroscopic)
+        )
+        return stiff, damped, turning
 
     def growth(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
         """Largest growth rate [1/s] of modes with motion of the journal, (n_speed,).
@@ -272,11 +279,12 @@ class Stability:
         (rotor-least-stable).
         """
         system = self.system(np.array([speed]), stiffness, damping)[0]
-        roots, left_vectors, right_vectors = linalg.eig(system, left=True, right=True)
-        chosen = int(np.argmax(np.where(self.moving(right_vectors) & (roots.imag >= 0), roots.real, -np.inf)))
+        roots, vectors = np.linalg.eig(system)
+        chosen = int(np.argmax(np.where(self.moving(vectors) & (roots.imag >= 0), roots.real, -np.inf)))
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
-        y, x = left_vectors[:, chosen].conj(), right_vectors[:, chosen]
-        forces = (y[n:] @ self.inverse_mass) / (y @ x)
+        # Rows of the inverse of the right eigenvectors are the left ones, y^T x = 1.
+        y, x = np.linalg.solve(vectors.T, np.eye(2 * n)[chosen]), vectors[:, chosen]
+        forces = y[n:] @ self.inverse_mass
         slopes = -np.outer(forces[place], x[place])
         turned = -forces @ self.rotor.matrices.gyroscopic @ x[n:]
         root = complex(roots[chosen])

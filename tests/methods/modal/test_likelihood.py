@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.optimize import least_squares
 
 from labpipe.arrays import modal_assurance
@@ -124,13 +125,15 @@ def test_residual_terms_are_taken_out_of_the_data() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("level", [0.01, 0.05])
-def test_draws_reach_the_bound(level: float) -> None:
-    """20 draws of 18 parameters: three deviations of a share of 95 % are 3.4 %, of the rms .11."""
+def test_draws_reach_the_bound() -> None:
+    """20 draws of 18 parameters, noise of 1 and 5 % in turn: three deviations of a share of 95 % are 3.4 %,
+    of the rms .11. Standard errors 20 % too small are seen in 99 of 100, at one level alone in 71.
+    """
     structure = nine_modes()
     omega = 2 * np.pi * structure.frequency
-    errors, alike = [], []
+    errors = []
     for seed in range(20):
+        level = (0.01, 0.05)[seed % 2]
         matrix = structure.noisy(level, seed)
         modes = stabilisation(normal_equations(omega, matrix, 60), (omega[0], omega[-1]), 60).modes
         assert modes.values.size == 9, f"seed {seed}"
@@ -138,11 +141,11 @@ def test_draws_reach_the_bound(level: float) -> None:
         parameters = modal_parameters(refined, 10**6, None, (), None)
         truth = np.stack([FREQUENCIES, DAMPING], -1).ravel()
         errors.append([(p.value - t) / p.std_error for p, t in zip(parameters, truth, strict=True)])
-        alike.append(np.diag(modal_assurance(refined.shapes.T, structure.shapes)).min())
+        alike = np.diag(modal_assurance(refined.shapes.T, structure.shapes))
+        assert alike.min() > (0.9999 if level == 0.01 else 0.999)
     scaled = np.array(errors)
     assert np.sqrt(np.mean(scaled**2)) < 1.11
     assert 0.916 < np.mean(np.abs(scaled) < 1.96) < 0.984
-    assert min(alike) > (0.9999 if level == 0.01 else 0.999)
 
 
 def as_response(frequency: np.ndarray, matrix: np.ndarray) -> FrequencyResponse:
@@ -188,15 +191,16 @@ def test_the_scatter_of_every_line_is_that_of_the_whole_jacobian(n_output: int) 
 @pytest.mark.long
 @pytest.mark.parametrize(("n_output", "common"), [(1, False), (3, True)])
 def test_noise_that_grows_with_the_response_is_in_the_errors_of_modes(n_output: int, common: bool) -> None:
-    """Of 100 FRFs each without a variance, a gain of 1 % from line to line, in all points alike or not: f_n
-    and zeta scatter by what their errors say, within three of the 7 % of a deviation of 100 draws (of even
-    noise: 0.2 to 0.4 of it), and of intervals no fewer than 87 hold (95 less 3.5 deviations).
+    """Of 50 FRFs each without a variance, a gain of 1 % from line to line, in all points alike or not: f_n
+    and zeta scatter by what their errors say (of even noise: 0.2 to 0.4 of it), their chi-square within what
+    999 of 1000 such tests give, and of intervals no fewer than 42 hold (47.5 less 3.5 deviations). Errors of
+    .6 of the size are seen in 97 of 100.
     """
     rng, frequency = np.random.default_rng(5), np.linspace(80.0, 120.0, 161)
     w, w_n, zeta = 2 * np.pi * frequency, 2 * np.pi * 100.0, 0.01
     h = np.array([1.0, 0.6, -0.8])[:n_output] / (w_n**2 - w**2 + 2j * zeta * w_n * w)[:, None]
     off, errors, holds = [], [], []
-    for _ in range(100):
+    for _ in range(50):
         gain = rng.normal(size=(w.size, n_output)) + 1j * rng.normal(size=(w.size, n_output))
         noisy = h * (1 + 0.01 * (gain[:, :1] if common else gain) / np.sqrt(2))
         (fit,) = identify(as_response(frequency, noisy[:, :, None]), FitSettings("modal"))
@@ -206,9 +210,10 @@ def test_noise_that_grows_with_the_response_is_in_the_errors_of_modes(n_output: 
         off.append([p.value - true for p, true in zip(found, (100.0, zeta), strict=True)])
         errors.append([p.std_error for p in found])
         holds.append([p.ci95[0] <= true <= p.ci95[1] for p, true in zip(found, (100.0, zeta), strict=True)])
-    ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(off), axis=0))
-    assert len(off) > 90 and np.all(np.abs(ratio - 1) < 0.21), ratio
-    assert np.all(np.sum(holds, axis=0) >= 87), np.sum(holds, axis=0)
+    chi2 = len(off) * np.mean(np.square(off), axis=0) / np.mean(np.square(errors), axis=0)
+    least, most = stats.chi2.ppf([0.0005, 0.9995], len(off))
+    assert len(off) > 45 and np.all((least < chi2) & (chi2 < most)), chi2
+    assert np.all(np.sum(holds, axis=0) >= 42), np.sum(holds, axis=0)
 
 
 def test_the_last_digit_of_the_start_decides_nothing() -> None:

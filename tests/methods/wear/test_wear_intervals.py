@@ -134,17 +134,23 @@ def test_two_independent_films_agree(depth: float) -> None:
         np.testing.assert_allclose(film, other, atol=1.5e-3 * np.abs(other).max())
 
 
+@pytest.fixture(scope="module")
+def drawn_errors() -> np.ndarray:
+    """Errors of two draws of every state, (n_state, 2, 2, 3)."""
+    return np.array([errors(state, 2, number) for number, state in enumerate(states())])
+
+
 @pytest.mark.long
-def test_the_error_of_the_films_is_in_the_standard_error() -> None:
+def test_the_error_of_the_films_is_in_the_standard_error(drawn_errors: np.ndarray) -> None:
     """Where wear divides the film (25.9 um here) intervals of the noise alone missed the depth in ten of ten
     draws, by .32 um.
     """
-    ((depth, angle),) = errors(states()[8], 1, 8)
+    depth, angle = drawn_errors[8, 0]
     assert abs(depth[0]) < 0.2e-6 and abs(depth[0]) < 2 * depth[1] and depth[2] and angle[2]
 
 
 @pytest.mark.long
-def test_intervals_hold_the_truth_under_noise() -> None:
+def test_intervals_hold_the_truth_under_noise(drawn_errors: np.ndarray) -> None:
     """20 draws: of the depths 94 % or more, .15 um rms; of the angles within the central 99 % of a binomial
     with 95 %.
 
@@ -152,8 +158,7 @@ def test_intervals_hold_the_truth_under_noise() -> None:
     mesh 87 and 92 %. The angle's error is that of the noise: .1 deg for deep wear, .5 deg for 12 um; among
     wears above 20 um .15 deg rms at 1 %.
     """
-    drawn = states()
-    found = np.array([errors(state, 2, number) for number, state in enumerate(drawn)])
+    drawn, found = states(), drawn_errors
     held = found[..., 2].mean(axis=(0, 1))
     rms = np.sqrt(np.mean(found[..., 0] ** 2, axis=(0, 1)))
     deep = np.array([state[3] > 20e-6 for state in drawn])
