@@ -292,7 +292,7 @@ def _fit_band(
     settings = setup.settings
     estimator = settings.estimates
     estimate = _estimate(measured, model, settings)
-    if estimator.likelihood and not setup.closed_loop:
+    if estimator.likelihood and estimate.converged and not setup.closed_loop:
         by_model = weighted_by_model(measured, model.receptance(estimate.values, measured.omega))
         if by_model is not measured:
             measured, estimate = by_model, _estimate(by_model, model, settings)

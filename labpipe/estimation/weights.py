@@ -99,9 +99,9 @@ def deviation_factors(deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
 NOISE_FREE = 1e-10
 # A covariance of normalised FRFs is rank deficient if its smallest eigenvalue is below this many roundings.
 SINGULAR_ROUNDINGS = 100
-# Standard errors by which noise of the forces may move an estimate through its weights, and standard
-# deviations of a line that its noise may reach.
-LEAST_SHIFT, FARTHEST = 0.05, 3.0
+# Standard errors by which noise of the forces may move an estimate through its weights; standard deviations
+# of a line that its noise may reach, and the part of a force.
+LEAST_SHIFT, FARTHEST, MOST_MOVED = 0.05, 3.0, 0.5
 # Complex numbers that are whitened together: few enough to stay in the cache.
 CACHED_TERMS = 1 << 16
 
@@ -256,6 +256,8 @@ def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
     shown, model = measured.plus_offset(measured.matrix), measured.plus_offset(fitted)
     _, n_output, n_input = shown.shape
     size = np.max(np.abs(model) ** 2, axis=2)
+    if not np.all(size > 0):
+        return measured
     crossed = channels[:, :n_input, None] * model.conj().swapaxes(1, 2)
     of_outputs = (channels[:, n_input:] * size)[..., None] * np.eye(n_output)
     gain = crossed @ np.linalg.inv(model @ crossed + of_outputs)
@@ -264,8 +266,10 @@ def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
     if np.sqrt(8 * np.sum((share**2 / size)[..., None] * variance)) < LEAST_SHIFT:
         return measured
     error = shown - model
-    # What is further off is no noise.
-    error *= np.minimum(1, FARTHEST * np.sqrt(variance) / np.maximum(np.abs(error), np.finfo(float).tiny))
+    # What is further off is no noise; where noise is most of a force, nothing tells it.
+    likely = np.all(np.abs(error) <= FARTHEST * np.sqrt(variance), axis=(1, 2))
+    likely &= np.max(np.sum(np.abs(gain @ error), axis=2), axis=1) < MOST_MOVED
+    error *= likely[:, None, None]
     left, right = np.eye(n_output) - error @ gain, np.linalg.inv(np.eye(n_input) + gain @ error)
     n = n_output * n_input
     change = np.einsum("lop,lji->loipj", left, right).reshape(-1, n, n)
