@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
 from scipy.optimize import least_squares
 
 from labpipe.arrays import modal_assurance
@@ -191,16 +190,15 @@ def test_the_scatter_of_every_line_is_that_of_the_whole_jacobian(n_output: int) 
 @pytest.mark.long
 @pytest.mark.parametrize(("n_output", "common"), [(1, False), (3, True)])
 def test_noise_that_grows_with_the_response_is_in_the_errors_of_modes(n_output: int, common: bool) -> None:
-    """Of 50 FRFs each without a variance, a gain of 1 % from line to line, in all points alike or not: f_n
-    and zeta scatter by what their errors say (of even noise: 0.2 to 0.4 of it), their chi-square within what
-    999 of 1000 such tests give, and of intervals no fewer than 42 hold (47.5 less 3.5 deviations). Errors of
-    .6 of the size are seen in 97 of 100.
+    """Of 100 FRFs each without a variance, a gain of 1 % from line to line, in all points alike or not: f_n
+    and zeta scatter by what their errors say, within three of the 7 % of a deviation of 100 draws (of even
+    noise: 0.2 to 0.4 of it), and of intervals no fewer than 87 hold (95 less 3.5 deviations).
     """
     rng, frequency = np.random.default_rng(5), np.linspace(80.0, 120.0, 161)
     w, w_n, zeta = 2 * np.pi * frequency, 2 * np.pi * 100.0, 0.01
     h = np.array([1.0, 0.6, -0.8])[:n_output] / (w_n**2 - w**2 + 2j * zeta * w_n * w)[:, None]
     off, errors, holds = [], [], []
-    for _ in range(50):
+    for _ in range(100):
         gain = rng.normal(size=(w.size, n_output)) + 1j * rng.normal(size=(w.size, n_output))
         noisy = h * (1 + 0.01 * (gain[:, :1] if common else gain) / np.sqrt(2))
         (fit,) = identify(as_response(frequency, noisy[:, :, None]), FitSettings("modal"))
@@ -210,10 +208,9 @@ def test_noise_that_grows_with_the_response_is_in_the_errors_of_modes(n_output: 
         off.append([p.value - true for p, true in zip(found, (100.0, zeta), strict=True)])
         errors.append([p.std_error for p in found])
         holds.append([p.ci95[0] <= true <= p.ci95[1] for p, true in zip(found, (100.0, zeta), strict=True)])
-    chi2 = len(off) * np.mean(np.square(off), axis=0) / np.mean(np.square(errors), axis=0)
-    least, most = stats.chi2.ppf([0.0005, 0.9995], len(off))
-    assert len(off) > 45 and np.all((least < chi2) & (chi2 < most)), chi2
-    assert np.all(np.sum(holds, axis=0) >= 42), np.sum(holds, axis=0)
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(off), axis=0))
+    assert len(off) > 90 and np.all(np.abs(ratio - 1) < 0.21), ratio
+    assert np.all(np.sum(holds, axis=0) >= 87), np.sum(holds, axis=0)
 
 
 def test_the_last_digit_of_the_start_decides_nothing() -> None:
