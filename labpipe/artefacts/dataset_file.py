@@ -26,9 +26,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
-from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.json_file import entry_of, plain, record_of
+from labpipe.artefacts.json_file import entry_of, plain, record_of, stamp_parquet
 from labpipe.artefacts.parquet import (
     as_written,
     metadata_of,
@@ -49,9 +48,6 @@ from labpipe.records.dataset import (
     summary_of,
     summed,
 )
-
-# ``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and
-# for whatever reads Parquet.
 
 FOLDER = "dataset"
 SUFFIX = ".results.parquet"

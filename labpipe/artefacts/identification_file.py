@@ -1,9 +1,6 @@
 """``identification.json`` and ``fits/TEST.json``: fits with their uncertainty, the records of all other
 sections.
 
-``identification.json``: all fits with their uncertainty, the records of all other sections, and the responses
-they came from.
-
 Schema "labpipe/identification/2", or 3 for many tests, whose fits stand in a dataset; results of schema 1 are
 read as well.
 """
@@ -21,11 +18,12 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import ComplexArray
-from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
 from labpipe.artefacts.json_file import (
+    AGAIN,
     DIGEST,
     RECORD_FAULTS,
+    DamagedError,
     entry_of,
     read_digested,
     record_of,
@@ -140,9 +138,6 @@ def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
             f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN
         ) from None
 
-
-# ``identification.json``: all fits with their uncertainty, the records of all other sections, and the
-# responses they came from.
 
 IDENTIFICATION_SCHEMA = "labpipe/identification/2"
 # Of a result of so many tests that their fits and responses stand elsewhere.

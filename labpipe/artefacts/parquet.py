@@ -15,9 +15,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_digest, stamp_parquet
 from labpipe.artefacts.header import Header, header_from_json
-from labpipe.artefacts.json_file import RECORD_FAULTS
+from labpipe.artefacts.json_file import (
+    BLANK,
+    DIGEST_KEY,
+    RECORD_FAULTS,
+    DamagedError,
+    parquet_digest,
+    stamp_parquet,
+)
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, cut
 
@@ -50,8 +56,6 @@ def numpy_array(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
     values = np.frombuffer(array.buffers()[1], array.type.to_pandas_dtype())
     return values[array.offset : array.offset + len(array)]
 
-
-# Parquet files with our header among their metadata, checksums in their pages and a digest of the whole.
 
 HEADER_KEY = b"labpipe"
 # What damaged bytes make pyarrow raise; MemoryError where a damaged length asks for more than there is.

@@ -32,9 +32,6 @@ import pyarrow as pa
 from labpipe.artefacts.writing import SCHEMES, is_remote, show
 from labpipe.errors import DataError, LabpipeError
 
-# An object storage by pyarrow's file systems: what is there, objects brought here and put there, each whole
-# or not at all.
-
 # A storage that does not answer is given up after ATTEMPTS times so many seconds, and pauses in between.
 CONNECT_SECONDS, REQUEST_SECONDS, ATTEMPTS = 5, 10, 3
 CHUNK = 8 << 20

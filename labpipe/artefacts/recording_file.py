@@ -15,8 +15,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
-from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header, SourceRef, header_from_json, source_ref
+from labpipe.artefacts.json_file import stamp_parquet
 from labpipe.artefacts.parquet import (
     arrow_array,
     batches,
@@ -47,8 +47,6 @@ def read_ahead(blocks: Iterable[Block]) -> Iterator[Block]:
             coming = reader.submit(next, iterator, _END)
             yield cast(Block, block)
 
-
-# ``*.recording.parquet``: one calibrated recording, written and read block by block.
 
 SUFFIX = ".recording.parquet"
 # A column is quantised, as a logger of up to 17 bits leaves it, where fewer than this share of its first

@@ -1,20 +1,25 @@
-"""Atomic writing: files appear complete under their name, or not at all."""
+"""Atomic writing: files appear complete under their name, or not at all; and rows of records as CSV."""
 
 from __future__ import annotations
 
+import csv
 import errno
 import os
+import re
 import shutil
 import socket
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from secrets import token_hex
-from typing import IO
+from typing import IO, TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from labpipe.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 try:
     import fcntl
@@ -249,3 +254,42 @@ def is_remote(path: Path) -> bool:
 def show(path: Path) -> str:
     """The path as people write it."""
     return f"{path.parts[0]}//{'/'.join(path.parts[1:])}" if is_remote(path) else str(path)
+
+
+# Texts as cells of a CSV file: none of them is a formula to the spreadsheet that opens it.
+
+_ACTING = ("=", "+", "-", "@", "\t", "\r", "\n", "'")
+_AMOUNT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?: ?[A-Za-zµ°%./^0-9]{0,12})?|[+-]")
+
+
+def cell(text: object) -> object:
+    """A text as a cell that no spreadsheet computes; anything else as it is."""
+    if isinstance(text, str) and text.startswith(_ACTING) and not _AMOUNT.fullmatch(text):
+        return f"'{text}"
+    return text
+
+
+def text_of(written: str) -> str:
+    """The text that `cell` wrote."""
+    return written[1:] if written.startswith("'") and cell(written[1:]) == written else written
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write rows that may lack some columns; columns in the order of first appearance."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with output_file(path) as target, target.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, names, restval="", lineterminator="\n")
+        writer.writerow({name: cell(name) for name in names})
+        writer.writerows({name: cell(entry) for name, entry in row.items()} for row in rows)
+
+
+def write_table_csv(table: pd.DataFrame, target: Path) -> None:
+    """Write a table whose texts no spreadsheet takes for formulas."""
+    import pandas as pd
+
+    texts = {
+        name: table[name].map(cell)
+        for name in table.columns
+        if not pd.api.types.is_numeric_dtype(table[name])
+    }
+    table.assign(**texts).rename(columns=cell).to_csv(target, index=False)

@@ -15,8 +15,6 @@ from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigErrors, LabpipeError, cut
 from labpipe.registry import Registry, nearest
 
-# The command line: a lazy group of commands, and one exit path for all errors.
-
 # Matrices are small: one thread is faster, and results do not depend on the number of processors.
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")

@@ -59,9 +59,6 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
-# Common parts of the commands for several tests: executors, progress, and the list of failed tests.
-
-
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
     """The manner of running tests according to the options of a command."""
     return Manner(

@@ -11,6 +11,7 @@ import click
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import results_read
 from labpipe.artefacts.writing import show as shown_path
+from labpipe.artefacts.writing import write_rows
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
@@ -29,7 +30,6 @@ from labpipe.project.catalogue_search import (
 )
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
-from labpipe.raw_files.rows_csv import write_rows
 from labpipe.records.identification import ListedParameter, of_fit
 
 # labpipe list [FOLDER]

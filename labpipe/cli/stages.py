@@ -32,7 +32,6 @@ from labpipe.project.run import Manner, identify_many, measure_tests
 from labpipe.project.tests import SourceFile, Test
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
-from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
 # labpipe ingest SOURCE... -r RIG -o DIR
@@ -130,29 +129,17 @@ def echo_measured(measured: MeasuredTest, quiet: bool) -> None:
 
 def _line(measured: MeasuredTest) -> str:
     if isinstance(measured, FreeDecays):
-        return _decays_line(measured)
-    return _spectra_line(measured) if isinstance(measured, ChannelSpectra) else _response_line(measured)
-
-
-def _spectra_line(spectra: ChannelSpectra) -> str:
-    names = ", ".join(channel.name for channel in spectra.channels)
-    band = f"{spectra.frequency[0]:g}-{spectra.frequency[-1]:g} Hz"
-    runs = f"{len(spectra.runs)} run{'s' if len(spectra.runs) > 1 else ''}"
-    return f"{spectra.name or 'spectra'}: spectra of {names}; {runs}, {spectra.frequency.size} lines, {band}"
-
-
-def _response_line(response: FrequencyResponse) -> str:
-    size = f"{len(response.outputs)} x {len(response.inputs)} {response.form}"
-    band = f"{response.frequency[0]:g}-{response.frequency[-1]:g} Hz"
-    return f"{response.name or 'frf'}: {size}, {response.n_frequency} lines, {band}"
-
-
-def _decays_line(decays: FreeDecays) -> str:
-    outputs = ", ".join(port.label for port in decays.outputs)
-    return (
-        f"{decays.name or 'decay'}: {len(decays.decays)} free decay(s) of {outputs} at "
-        f"{decays.sample_rate:g} Hz"
-    )
+        outputs = ", ".join(port.label for port in measured.outputs)
+        number, rate = len(measured.decays), measured.sample_rate
+        return f"{measured.name or 'decay'}: {number} free decay(s) of {outputs} at {rate:g} Hz"
+    frequency = measured.frequency
+    lines = f"{frequency.size} lines, {frequency[0]:g}-{frequency[-1]:g} Hz"
+    if isinstance(measured, ChannelSpectra):
+        names = ", ".join(channel.name for channel in measured.channels)
+        runs = f"{len(measured.runs)} run{'s' if len(measured.runs) > 1 else ''}"
+        return f"{measured.name or 'spectra'}: spectra of {names}; {runs}, {lines}"
+    size = f"{len(measured.outputs)} x {len(measured.inputs)} {measured.form}"
+    return f"{measured.name or 'frf'}: {size}, {lines}"
 
 
 # labpipe identify -c PIPELINE -o DIR [FRF...]
@@ -195,10 +182,8 @@ def identify(
 def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
     """The result of all tests at once."""
     if frfs:
-        tests, inputs = (
-            [load_measured(path) for path in frfs],
-            [source_ref(path, path.parent) for path in frfs],
-        )
+        tests = [load_measured(path) for path in frfs]
+        inputs = [source_ref(path, path.parent) for path in frfs]
     else:
         tests, inputs = _of_pipeline(pipeline, folder)
     files = [reference for reference in inputs if reference.path != DESCRIPTION]

@@ -13,8 +13,6 @@ from labpipe.records.identification import DatasetIndex, Fit, Identification
 from labpipe.records.sections import section
 from labpipe.records.text import parameter_cells
 
-# Results as short tables on the terminal.
-
 MAX_BANDS = 8
 MAX_NOTES = 8
 # Numerous parameters such as mode shapes are only in identification.json and the report.

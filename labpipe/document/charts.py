@@ -21,7 +21,7 @@ from labpipe.document.figure_numbers import figure_csv, short_name
 from labpipe.registry import Registry
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Panel, Series
 from labpipe.report.document import Document, Figure
-from labpipe.report.shapes import REACH, VIEWS, ShapeSketch, project
+from labpipe.report.figures import REACH, VIEWS, ShapeSketch, project
 
 # Okabe and Ito's colours, distinguishable for colour-blind readers and in grey print; amber and sky darker,
 # so that thin lines reach a contrast of 3:1 with white (WCAG 2.1, criterion 1.4.11).

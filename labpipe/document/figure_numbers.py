@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.raw_files.rows_csv import cell
+from labpipe.artefacts.writing import cell
 from labpipe.report.chart import GREY, Axis, Chart, Panel, Series
 from labpipe.report.document import Table
-from labpipe.report.shapes import REACH, ShapeSketch
+from labpipe.report.figures import REACH, ShapeSketch
 
 # Digits of places along an axis, which zooming must tell apart, and the fewest of what is read there.
 DIGITS, READ_DIGITS = 7, 5

@@ -17,7 +17,7 @@ from labpipe.display import as_printed
 from labpipe.document.figure_numbers import figure_json, figure_table, json_text, shape_numbers, short_name
 from labpipe.report.chart import Chart, Drawing, Graphic
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.shapes import KIND as SHAPES
+from labpipe.report.figures import KIND as SHAPES
 
 NEEDS_SCRIPT = "This figure is drawn by the script of the page, which does not run here. Its numbers:"
 SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure.js", "shape.js")

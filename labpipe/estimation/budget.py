@@ -1,9 +1,6 @@
 """The uncertainty budget of a fit of a linear model: systematic errors of sensors, mass and directions, and
 repeats.
 
-The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions do
-to its parameters.
-
 An estimate is the root of a score s(p, q) = 0 in its parameters p; q are numbers that were given. By implicit
 differentiation dp/dq = -(ds/dp)^-1 ds/dq, one more step of the estimator from its result on data changed by
 dq, with the weights as they were: no fit is repeated. (GUM, JCGM 100:2008, 5.1; Gauss-Newton's form of
@@ -52,9 +49,6 @@ from labpipe.records.uncertain import (
     Uncertainty,
     uncertainty_of,
 )
-
-# The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions
-# do to its parameters.
 
 # Standard errors from a minimum below which an estimate is the minimum.
 AT_MINIMUM = 1e-3

@@ -44,9 +44,6 @@ from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertaint
 from labpipe.records.finding import Finding
 from labpipe.records.uncertain import Uncertainty
 
-# A stated number whose most likely value lies further from what was stated than its uncertainty and that of
-# the data allow.
-
 
 def stated_findings(
     uncertainties: Sequence[Uncertainty], pulls: Pulls, values: Mapping[str, float]
@@ -94,9 +91,6 @@ def _asked(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[
         "what was stated"
     )
 
-
-# The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good
-# the fit.
 
 CONTRADICTED_P = 0.01
 # Share of the chi-square beyond the noise that a free mass explains where the mass is what is wrong.
@@ -441,8 +435,6 @@ def delay_finding(
     )
     return Finding("delay", message)
 
-
-# Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.
 
 # A pipeline holds many fits of many tests, and a drift that matters is far beyond chance.
 DRIFT_P = 1e-3

@@ -218,8 +218,6 @@ class RationalFit:
         return whitened(self.whitener, self.unit * values[..., None])
 
 
-# Comparison of model structures: the model of a fit against simpler and richer ones on the same lines.
-
 # Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson
 # 2002, sec. 2.6).
 NO_SUPPORT = 10.0

@@ -52,8 +52,6 @@ def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] 
     return (scale, triangle) if singular[0] < WELL_CONDITIONED * singular[-1] else None
 
 
-# Levenberg-Marquardt for a sum of squares with analytic derivatives.
-
 MAX_ITERATIONS = 100
 MAX_DAMPING_STEPS = 20
 # Convergence: share of the residual in the range of the Jacobian. 1e-6 is far below a standard error, and

@@ -136,8 +136,6 @@ def is_stiffness(parameter: Parameter) -> bool:
     return is_direct(parameter.name) and parameter.name.startswith("k")
 
 
-# Diagnostics of a fit: warnings with a code, the cause and a remedy.
-
 # Condition numbers of a column-scaled design above 30 are strong collinearity (Belsley, Kuh and Welsch 1980,
 # section 3.2); there more than half of a parameter's variance comes from the weak direction.
 COLLINEAR_CONDITION = 30.0

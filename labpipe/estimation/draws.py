@@ -1,7 +1,5 @@
 """Intervals by drawing: the fit repeated on random noise, and on drawn errors of every number that was given.
 
-Propagation of distributions: a fit repeated on drawn noise with drawn errors of every number that was given.
-
 JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where first order is
 not enough.
 """
@@ -110,9 +108,6 @@ def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
         parameter, std_error=error, ci95=(float(low), float(high)), t_ratio=t_ratio, significant=significant
     )
 
-
-# Propagation of distributions: a fit repeated on drawn noise with drawn errors of every number that was
-# given.
 
 FEWEST_DRAWS = 200
 # Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides what chance

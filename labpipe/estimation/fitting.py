@@ -36,6 +36,7 @@ from labpipe.estimation.derived import (
     reported_parameters,
     widened_parameters,
     with_systematic,
+    with_unstated,
 )
 from labpipe.estimation.diagnostics import (
     MISMATCH_P,
@@ -67,7 +68,6 @@ from labpipe.estimation.repeated import over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode, place_notes, transfer_of
-from labpipe.estimation.unstated import with_unstated
 from labpipe.estimation.weights import fit_weights, has_noise, weighted_by_model
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve

@@ -1,8 +1,6 @@
 """ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise, and
 its start values.
 
-ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise.
-
 Minimises sum over lines of e^H C^-1 e, e = vec(H_measured - H(p)), C the measured covariance, by
 Levenberg-Marquardt with the analytic Jacobian. For a known C this is the maximum-likelihood estimate and
 reaches the Cramer-Rao bound.
@@ -149,8 +147,6 @@ def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | No
         values = values + np.linalg.solve(triangle, np.linalg.solve(triangle.T, side / scale)) / scale
     return values
 
-
-# ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise.
 
 # p-value of a minimum below which, as without convergence, further starts are tried.
 SUSPECT_P = 1e-3

@@ -322,9 +322,6 @@ MDOF = linear_kind(
     mdof, "tied", "damping", "symmetric", "lumped_mass", "scale_mass", matrix_modes=True, frees_mass=True
 )
 
-# base: a mass on a spring and a damper whose base moves; its transmissibility, absolute or relative to the
-# base.
-
 BASE = "base"
 # Coefficients of a mass that is not given, and their units.
 PER_MASS = {"k": ("stiffness_per_mass", "1/s^2"), "c": ("damping_per_mass", "1/s")}

@@ -30,8 +30,6 @@ from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student
 from labpipe.estimation.weights import NOISE_FREE, Weights, fit_weights, has_noise
 from labpipe.records.finding import Finding
 
-# A residual that is not noise, and the intervals that hold in spite of it.
-
 MOST_STEPS = 40
 # Draws of noise where a p-value only has to be above MISMATCH_P.
 FEW_DRAWS = 299
@@ -285,9 +283,8 @@ def _of_one_line(judged: _Judge, own: _Minimum) -> Judgement | None:
     worst = int(np.argmax(ratios))
     said = (
         f"{_wording(own)}, and the line at {frequency:.6g} Hz alone makes it so{hum}: something that repeats "
-        "with the periods acts there besides the force. Without it the fit is good "
-        f"(p = {other.p_value:.2g}) and {judged.model.names[worst]} is {ratios[worst]:.2g} standard errors "
-        "away. "
+        "with the periods acts there besides the force. Without it the fit is good (p = "
+        f"{other.p_value:.2g}) and {judged.model.names[worst]} is {ratios[worst]:.2g} standard errors away. "
         f"{_growth(estimate, wide)} since they include the distance"
     )
     remedy = f"Leave the line out, `exclude: [{frequency - EITHER:.6g}-{frequency + EITHER:.6g} Hz]`"

@@ -1,9 +1,6 @@
 """Weighted output error of a model: residual, its Jacobian, and normal equations from small matrices line by
 line.
 
-Normal equations of an output error from products of small matrices line by line, without the derivatives
-themselves.
-
 An element (a, b) of a matrix K, C or M changes the response by an outer product: column a of Z^-1 times row b
 of the response. The sum over the lines of products of two such derivatives is therefore one product of
 (columns by columns) and (rows by rows), for FRFs with independent noise, and for those whose covariance is
@@ -35,9 +32,6 @@ from labpipe.estimation.weights import (
     whitened,
     whitened_columns,
 )
-
-# Normal equations of an output error from products of small matrices line by line, without the derivatives
-# themselves.
 
 # By what a matrix of each kind stands in Z(w): factor and power of w.
 FACTORS = {"stiffness": (1.0, 0), "damping": (1j, 1), "mass": (-1.0, 2)}

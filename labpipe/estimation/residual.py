@@ -25,9 +25,6 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.estimation.leakage import SharedNoise
 
-# Covariance of an output-error fit from the scatter of its residual along the lines, for noise that is not
-# known or not all there is.
-
 # Lines whose noise may be common: a window's main lobe at least, and more where more lines show it, as
 # n^(1/3).
 FEWEST_NEIGHBOURS = 3
@@ -104,9 +101,6 @@ def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
     by_shares = np.divide(3 * np.sum(squares, axis=0) ** 2, fourth, out=by_slopes.copy(), where=fourth > 0)
     return np.asarray(np.minimum(by_slopes, by_shares))
 
-
-# Whether the residual of a fit is noise, where the size of the noise is not known: its structure against
-# that of noise under the same fit.
 
 STRUCTURE_P = 0.01
 # Draws of noise: the least p-value of four statistics cannot be below about 4 / draws.

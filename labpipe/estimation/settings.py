@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from labpipe.estimation.model import DynamicModel, Setup
     from labpipe.records.response import FrequencyResponse
 
-# A kind of model: how it is fitted, which keys of a fit it takes, and its properties, which other code asks
-# for instead of its name.
-
 # Keys of a fit that every model takes.
 EVERY = ("model", "estimator", "band", "coverage", "test")
 # Keys that every model linear in its parameters takes besides.

@@ -93,8 +93,6 @@ def deviation_factors(deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
     return deviations[:, :, 0], deviations[:, 0] / deviations[:, 0, :1]
 
 
-# Weights of the lines in an output-error fit, and the effect of estimated weights.
-
 # Relative standard deviation of an FRF below which its scatter is rounding, not measured noise.
 NOISE_FREE = 1e-10
 # A covariance of normalised FRFs is rank deficient if its smallest eigenvalue is below this many roundings.

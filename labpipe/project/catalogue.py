@@ -1,8 +1,5 @@
 """Index of a results folder: an SQLite file kept up to date with the results below it, and its queries.
 
-Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it can
-be deleted at any time.
-
 It is read whole into memory and written whole: no process waits for another one's lock, and what was damaged
 is made again.
 """
@@ -35,9 +32,6 @@ from labpipe.records.finding import WARNING, Parameter
 from labpipe.records.identification import Identification, ListedParameter, listed_parameters, warning_codes
 from labpipe.records.sections import section
 from labpipe.registry import nearest
-
-# Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it
-# can be deleted at any time.
 
 INDEX = ".labpipe-catalogue.sqlite"
 # Condition of the tests that gives a result's date; by default that of its file.

@@ -207,9 +207,6 @@ def folders(names: Sequence[str], folder: Path) -> Iterator[tuple[str, Path]]:
         yield home.as_posix(), folder / home
 
 
-# What the results below a folder hold: those of single results by their index, those of many tests by their
-# datasets.
-
 Row = TypeVar("Row", ResultRow, ValueRow)
 
 

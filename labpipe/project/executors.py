@@ -99,9 +99,6 @@ def _begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-# Tests on the workers of a Dask cluster: one that runs already, one of this machine, or one that a file
-# describes.
-
 CONNECT_SECONDS = 10
 LOST = "Timed out trying to connect"
 # Batch systems start workers when there is room for them.

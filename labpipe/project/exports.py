@@ -25,11 +25,10 @@ from labpipe.artefacts.measured_files import (
 from labpipe.artefacts.parquet import arrow_array, open_parquet
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
-from labpipe.artefacts.writing import output_file
+from labpipe.artefacts.writing import cell, output_file, write_table_csv
 from labpipe.errors import ConfigError, DataError
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.raw_files.mat_frf import write_frf_mat, write_recording_mat
-from labpipe.raw_files.rows_csv import cell, write_table_csv
 from labpipe.raw_files.uff_write import write_frf_uff, write_recording_uff, write_shapes_uff
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.fit_details import Modes, RobustPlant

@@ -115,9 +115,8 @@ def _of_table(path: Path) -> GuessedFrf | None:
     columns = {kind: columns[kind] for kind in used if kind in columns}
     numbers = {kind: table.column(table.columns.index(name)).real for kind, name in columns.items()}
     values = numbers["re"] + 1j * numbers["im"] if parts == ("re", "im") else numbers[parts[0]]
-    return GuessedFrf(
-        columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], values[:, None]
-    )
+    unit = _unit_of_frf(table.units.get(columns[parts[0]], ""))
+    return GuessedFrf(columns, unit, numbers["frequency"], values[:, None])
 
 
 def _unit_of_frf(unit: str) -> str:
@@ -173,14 +172,8 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
     step = 0.0 if axis else _step_by_scalars(source, size)
     if not elements or not (axis or step):
         return None
-    coherences = [
-        name
-        for name, vector in vectors.items()
-        if re.search(r"coh", name, re.IGNORECASE)
-        and vector.size == size
-        and not np.iscomplexobj(vector)
-        and name != axis
-    ]
+    real = [name for name, part in vectors.items() if part.size == size and not np.iscomplexobj(part)]
+    coherences = [name for name in real if re.search(r"coh", name, re.IGNORECASE) and name != axis]
     if len(elements) == 1 and len(coherences) == 1:
         next(iter(elements.values()))["coherence"] = coherences[0]
     elements = dict(list(elements.items())[:MOST_ELEMENTS])
@@ -291,14 +284,8 @@ def _axis_of(vectors: Vectors, size: int, elements: Elements) -> str:
     """The rising vector of *size* real numbers that is the frequency: by its name, else one beside an FRF in
     a matrix, else the only one; '' for none.
     """
-    rising = [
-        name
-        for name, vector in vectors.items()
-        if vector.size == size
-        and not np.iscomplexobj(vector)
-        and vector[0] >= 0
-        and np.all(np.diff(vector) > 0)
-    ]
+    real = {name: part for name, part in vectors.items() if part.size == size and not np.iscomplexobj(part)}
+    rising = [name for name, part in real.items() if part[0] >= 0 and np.all(np.diff(part) > 0)]
     stems = {name.rpartition("_")[0] for name in elements}
     for group in (
         [name for name in rising if any(stem and stem in name for stem in elements)],

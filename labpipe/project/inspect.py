@@ -23,8 +23,7 @@ from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
-from labpipe.raw_files.uff import UFF_SUFFIXES
-from labpipe.raw_files.uff_shapes import FileShapes, read_shapes_uff
+from labpipe.raw_files.uff import UFF_SUFFIXES, FileShapes, read_shapes_uff
 from labpipe.records.recording import ChannelOverview, Overview
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Rig

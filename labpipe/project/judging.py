@@ -101,8 +101,6 @@ def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
     return compare_number(rule, half, parameter.unit)
 
 
-# Holding a result against the pipeline's accept and expect rules.
-
 # Warnings with which nothing is accepted: the size of the error is not known.
 FORBIDDING = ("feedback", "weak-injection")
 # Begins a rule by which a warning is taken where it occurs.

@@ -12,9 +12,9 @@ import pandas as pd
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.writing import write_table_csv
 from labpipe.errors import DataError
 from labpipe.quantities import to_display
-from labpipe.raw_files.rows_csv import write_table_csv
 from labpipe.raw_files.table import load_extra
 from labpipe.records.comparison import ConditionMatrix, MatrixPoint, condition_unit
 from labpipe.records.identification import Fit, Identification

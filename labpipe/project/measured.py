@@ -32,14 +32,13 @@ from labpipe.artefacts.parquet import fresh_path
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
-from labpipe.project.raw_recording import RawRecording
+from labpipe.project.ingest import RawRecording
 from labpipe.project.tests import ReadyFrf
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
-from labpipe.spectra.settings import DECAYS, FrfSettings
-from labpipe.spectra.settings import SPECTRA as OF_ALL_CHANNELS
+from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA, FrfSettings
 
 ALIKE = "look for channels that are silent or alike"
 
@@ -50,9 +49,9 @@ DESCRIPTION = "(entry under frfs)"
 RIGS = "rigs"
 
 
-def frf_file_name(test: str) -> str:
-    """The file name of a test's response."""
-    return (re.sub(r"[^\w.+-]+", "-", test).strip("-") or "frf") + RESPONSE_SUFFIX
+def file_stem(test: str) -> str:
+    """What the names of a test's files begin with."""
+    return re.sub(r"[^\w.+-]+", "-", test).strip("-") or "frf"
 
 
 class MeasuredSource(SampleSource, Protocol):
@@ -94,39 +93,6 @@ def fresh_measured(output: OutputFolder, name: str, header: Callable[[], Header]
     return fresh_path(output, name, header()) if output.read_path(name).exists() else None
 
 
-def frf(
-    recordings: Sequence[MeasuredSource],
-    settings: FrfSettings,
-    output: OutputFolder,
-    test: str = "",
-    conditions: dict[str, str] | None = None,
-    seen: Callable[[], Sequence[Finding]] = tuple,
-) -> FrequencyResponse:
-    """The response of one test, made unless the one on disk is fresh; LabpipeError names the recording.
-
-    *seen*: what else was found in its raw files.
-    """
-    header = partial(measured_header, "frf", recordings, settings, test, conditions)
-    name = frf_file_name(test)
-    if (existing := fresh_measured(output, name, header)) is not None:
-        return read_response(existing)
-    # What measures is not imported by a run that finds all its responses fresh.
-    from labpipe.spectra.measurement import measure
-
-    try:
-        response = measure(recordings, settings, name=test, conditions=conditions or {})
-    except LabpipeError as error:
-        error.where = error.where or where_recorded(recordings)
-        raise
-    except LinAlgError as error:
-        raise DataError(
-            f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE
-        ) from error
-    response = response.with_findings(seen())
-    write_response(output.write_path(name), response, header())
-    return response
-
-
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
     """The raw files behind recordings, for messages."""
     return ", ".join(
@@ -151,15 +117,19 @@ MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
 @dataclasses.dataclass(frozen=True)
 class _Kind:
-    """What recordings give beside a frequency response: the *name* of the kind in headers, how it is made,
-    written and read.
-    """
+    """What recordings give: the *name* of the kind in headers, how it is made, written and read."""
 
     name: str
     suffix: str
     make: Callable[..., Any]
     write: Callable[[Path, Any, Header], None]
     read: Callable[[Path], Any]
+
+
+def _response(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> FrequencyResponse:
+    from labpipe.spectra.measurement import measure
+
+    return measure(recordings, settings, **of_test)
 
 
 def _free_decays(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> FreeDecays:
@@ -177,38 +147,30 @@ def _channel_spectra(
 
 
 # What measures is imported when something is measured: a run that finds all fresh needs none of it.
-DECAY = _Kind("decay", DECAY_SUFFIX, _free_decays, write_decays, read_decays)
-SPECTRA = _Kind("spectra", SPECTRA_SUFFIX, _channel_spectra, write_spectra, read_spectra)
-OTHERS = {DECAYS: DECAY, OF_ALL_CHANNELS: SPECTRA}
-
-
-def _kind(settings: FrfSettings | None) -> _Kind | None:
-    """The kind of what the settings measure; None for a response."""
-    return None if settings is None else OTHERS.get(settings.gives)
+KINDS = {
+    RESPONSES: _Kind("frf", RESPONSE_SUFFIX, _response, write_response, read_response),
+    DECAYS: _Kind("decay", DECAY_SUFFIX, _free_decays, write_decays, read_decays),
+    SPECTRA: _Kind("spectra", SPECTRA_SUFFIX, _channel_spectra, write_spectra, read_spectra),
+}
 
 
 def _kind_of_file(path: Path) -> _Kind | None:
-    return next((kind for kind in (DECAY, SPECTRA) if path.name.endswith(kind.suffix)), None)
+    return next((kind for kind in KINDS.values() if path.name.endswith(kind.suffix)), None)
 
 
 def measured_file_name(test: str, settings: FrfSettings | None) -> str:
     """The file name of a test's response, free decays or spectra."""
-    name, kind = frf_file_name(test), _kind(settings)
-    return name if kind is None else name.removesuffix(RESPONSE_SUFFIX) + kind.suffix
+    return file_stem(test) + KINDS[RESPONSES if settings is None else settings.gives].suffix
 
 
 def fits_file_name(test: str) -> str:
     """The file name of a test's fits, where each test has its own file."""
-    return f"{FITS}/{frf_file_name(test).removesuffix(RESPONSE_SUFFIX)}.json"
+    return f"{FITS}/{file_stem(test)}.json"
 
 
 def files_of_test(test: str) -> list[str]:
     """The names that a test's files may have in a folder of results, but for its recordings."""
-    stem = frf_file_name(test).removesuffix(RESPONSE_SUFFIX)
-    return [
-        fits_file_name(test),
-        *(stem + suffix for suffix in (RESPONSE_SUFFIX, DECAY_SUFFIX, SPECTRA_SUFFIX)),
-    ]
+    return [fits_file_name(test), *(file_stem(test) + kind.suffix for kind in KINDS.values())]
 
 
 def measured_files(folder: Path, test: str) -> list[Path]:
@@ -226,17 +188,15 @@ def measure_test(
 ) -> MeasuredTest:
     """What the recordings of a test give, made unless what is on disk is fresh.
 
-    LabpipeError names the recording; *seen* as in `frf`.
+    LabpipeError names the recording. *seen*: what else was found in the raw files of a response.
     """
-    kind = _kind(settings)
-    if kind is None:
-        return frf(recordings, settings, output, test, conditions, seen)
+    kind = KINDS[settings.gives]
     header = partial(measured_header, kind.name, recordings, settings, test, conditions)
     name = measured_file_name(test, settings)
     if (existing := fresh_measured(output, name, header)) is not None:
         return kind.read(existing)
     try:
-        measured = kind.make(recordings, settings, name=test, conditions=conditions)
+        measured: MeasuredTest = kind.make(recordings, settings, name=test, conditions=conditions)
     except LabpipeError as error:
         error.where = error.where or where_recorded(recordings)
         raise
@@ -244,41 +204,34 @@ def measure_test(
         raise DataError(
             f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE
         ) from error
+    if isinstance(measured, FrequencyResponse):
+        measured = measured.with_findings(seen())
     kind.write(output.write_path(name), measured, header())
     return measured
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """Ready decays or spectra of labpipe's own, or a ready response.
+    """What labpipe measured, or a ready response of any other program.
 
     Name and conditions of its test take the place of its own.
     """
     kind = _kind_of_file(path)
-    if kind is not None:
-        measured = kind.read(path)
-    elif path.name.endswith(RESPONSE_SUFFIX) and path.is_file():
-        response = read_response(path)
-        return response.renamed(name or response.name, conditions or response.conditions)
-    else:
-        return _load_response(path, name, conditions)
-    return dataclasses.replace(
-        measured, name=name or measured.name, conditions=conditions or measured.conditions
-    )
+    if kind is None or not path.is_file():
+        # The readers of other programs' files are not imported by a run that reads its own responses.
+        from labpipe.project.ready_response import load_response
 
-
-def _load_response(path: Path, name: str, conditions: dict[str, str] | None) -> FrequencyResponse:
-    # The readers of other programs' files are not imported by a run that reads its own responses.
-    from labpipe.project.ready_response import load_response
-
-    return load_response(path, name, conditions)
+        return load_response(path, name, conditions)
+    measured: MeasuredTest = kind.read(path)
+    name, conditions = name or measured.name, conditions or measured.conditions
+    if isinstance(measured, FrequencyResponse):
+        return measured.renamed(name, conditions)
+    return dataclasses.replace(measured, name=name, conditions=conditions)
 
 
 def load_ready_measured(
     ready: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None
 ) -> MeasuredTest:
-    """What stands under frfs: of a test: labpipe's own free decays or spectra, or a response of any
-    layout.
-    """
+    """What stands under frfs: of a test: what labpipe measured, or a response of any layout."""
     if ready.layout is None and _kind_of_file(ready.paths[0]) is not None:
         return load_measured(ready.paths[0], test or ready.name, conditions)
     from labpipe.project.ready_response import load_ready

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.artefacts.dataset_file import CONDITION, UNNAMED, columns_of_conditions, read_rows
-from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
+from labpipe.artefacts.json_file import DamagedError
 from labpipe.artefacts.parquet import header_of, made_again
 from labpipe.artefacts.places import StorageError, fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
@@ -28,7 +28,7 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.ingest import ingest, is_recording, recording_refs
+from labpipe.project.ingest import ingest, is_recording, raw_recording, recording_refs
 from labpipe.project.judging import forbidden, judged_part
 from labpipe.project.measured import (
     RIGS,
@@ -41,7 +41,6 @@ from labpipe.project.measured import (
     measured_files,
     ready_refs,
 )
-from labpipe.project.raw_recording import raw_recording
 from labpipe.project.rules import Rule
 from labpipe.project.tests import Test
 from labpipe.project.work import fits_of, with_repeats_of

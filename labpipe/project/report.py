@@ -73,8 +73,6 @@ def is_drawn(path: Path, source: str) -> bool:
     )
 
 
-# report: identification, or several of them -> a document people read and sign, and its figures as files.
-
 SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md", ".pdf": "pdf"}
 
 

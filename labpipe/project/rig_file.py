@@ -27,8 +27,6 @@ from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
-# Reading a rig file: what the rig IS; no processing parameter is known here.
-
 # Beside the plain entries of a rig file.
 PARTS = ("channels", "constants", "derived")
 # Entries of a recorded channel that a sum of channels does not have.

@@ -17,7 +17,7 @@ from labpipe.project.executors import Execute, serially
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import unique_names
 from labpipe.project.many_tests import Gathered, advice, identify, keeps_dataset
-from labpipe.project.measured import MeasuredTest, frf_file_name
+from labpipe.project.measured import MeasuredTest, file_stem
 from labpipe.project.one_test import (
     Done,
     Job,
@@ -188,7 +188,7 @@ def _jobs(
     """
     files: dict[str, str] = {}
     for test in pipeline.tests:
-        other = files.setdefault(frf_file_name(test.name), test.name)
+        other = files.setdefault(file_stem(test.name), test.name)
         if other != test.name:
             raise ConfigError(
                 f"tests '{other}' and '{test.name}' would write the same file",

@@ -115,11 +115,8 @@ def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd
         return _response_frame(record)
     if isinstance(record, Recording):
         time = pd.Index(np.arange(record.n_sample) / record.sample_rate, name="time [s]")
-        return pd.DataFrame(
-            record.samples,
-            index=time,
-            columns=[f"{channel.name} [{channel.unit}]" for channel in record.channels],
-        )
+        columns = [f"{channel.name} [{channel.unit}]" for channel in record.channels]
+        return pd.DataFrame(record.samples, index=time, columns=columns)
     raise ConfigError(
         f"a {type(record).__name__} has no table", hint="a fit, a result, a response or a recording has"
     )
@@ -131,18 +128,9 @@ def _row(listed: ListedParameter) -> dict[str, Any]:
     return {
         **{name: getattr(listed, name) for name in ("fit", "test", "term", "model", "estimator")},
         **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
-        **{
-            "parameter": parameter.name,
-            "value": parameter.value,
-            "unit": parameter.unit,
-            "std_error": parameter.std_error,
-        },
-        **{
-            "ci_low": low,
-            "ci_high": high,
-            "significant": parameter.significant,
-            "derived": parameter.derived,
-        },
+        **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
+        **{"std_error": parameter.std_error, "ci_low": low, "ci_high": high},
+        **{"significant": parameter.significant, "derived": parameter.derived},
         "warnings": ", ".join(listed.warnings),
     }
 
@@ -199,11 +187,8 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
         return read_identification(path / "identification.json")
     suffix = plain_suffix(path)
     if suffix in SETTINGS_SUFFIXES:
-        raise ConfigError(
-            "is a settings file",
-            where=str(path),
-            hint="labpipe.run, bearing, rotor and virtual_rig read these",
-        )
+        hint = "labpipe.run, bearing, rotor and virtual_rig read these"
+        raise ConfigError("is a settings file", where=str(path), hint=hint)
     if suffix == ".json":
         return read_identification(path)
     if path.name.endswith(DECAY_SUFFIX):

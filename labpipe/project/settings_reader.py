@@ -177,8 +177,6 @@ def named_files(settings: Any, folder: Path) -> Iterator[Path]:
                 yield from named_files(part, folder)
 
 
-# From a YAML mapping to a settings dataclass, by its declared settings alone.
-
 Owner = TypeVar("Owner")
 
 # Kinds of settings that may be given in the long form of a number with its uncertainty, and the entries of

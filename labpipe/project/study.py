@@ -23,18 +23,8 @@ from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import threshold_text
 from labpipe.uncertainty.study import StudySettings, run_study
 
-CASE_HEADER = (
-    "fit",
-    "noise",
-    "lines",
-    "mean error",
-    "variance",
-    "median",
-    "no result",
-    "success",
-    "RMSE / CRLB",
-    "coverage",
-)
+ERRORS = ("mean error", "variance", "median")
+CASE_HEADER = ("fit", "noise", "lines", *ERRORS, "no result", "success", "RMSE / CRLB", "coverage")
 PARAMETER_HEADER = ("parameter", "truth", "mean", "bias", "RMSE", "CRLB", "mean std. error", "coverage")
 EXPLAINED = (
     "Error: sum of squared parameter errors, entries beside the diagonal of a symmetric matrix counted "

@@ -1,7 +1,5 @@
 """Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
 
-Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
-
 The dataset is the only ledger: a recording that has rows is done. What was worked on and not yet appended is
 done again after a kill, from the artefacts on disk, which gives the same rows; a part of the dataset appears
 whole or not at all.
@@ -85,8 +83,6 @@ def _objects(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
                 bool(marker) and path.with_name(path.name + marker) in objects,
             )
 
-
-# Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
 
 LOG, METRICS, QUARANTINE, REASON = "watch.log.jsonl", "watch.prom", "quarantine", ".reason.txt"
 # A part of the dataset is written at so many tests, or at this age of the oldest one.

@@ -20,8 +20,6 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 
-# What the sections of a pipeline work on.
-
 Tell = Callable[[str], None]
 # What names a failed comparison, or a failed fit, among failed tests.
 COMPARE_PREFIX, FIT_PREFIX = "compare.", "identify."
@@ -62,8 +60,6 @@ class Work:
         """True if what lacks a test is named and passed over."""
         return bool(self.failed)
 
-
-# The section identify: the fits of every test.
 
 SINGULAR = (
     "record more periods or blocks, look for channels that are silent or alike, or choose another "

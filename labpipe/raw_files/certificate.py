@@ -387,8 +387,6 @@ def dsi_unit(text: str) -> str:
     return written
 
 
-# Tables of plain certificates.
-
 NEEDED = ("certificate", "quantity", "value", "unit", "uncertainty", "coverage_factor")
 OPTIONAL = ("serial", "valid_until", "frequency_hz", "phase_deg", "phase_uncertainty_deg")
 FREQUENCY, PHASE = "frequency_hz", "phase_deg"

@@ -16,8 +16,6 @@ from scipy import fft
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 
-# Periodic test signals: sums of harmonics with equal amplitudes and chosen phases. PHASES by name.
-
 # The search for phases looks at peaks between samples: the grid is this many times finer than the highest
 # line needs.
 OVERSAMPLING = 16

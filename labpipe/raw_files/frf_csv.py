@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.writing import cell
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_value
-from labpipe.raw_files.rows_csv import cell
 from labpipe.raw_files.table import check_columns
 from labpipe.raw_files.text_table import CsvTable, open_unpacked
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated

@@ -16,8 +16,7 @@ from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.arrays_table import load_arrays
 from labpipe.raw_files.frf_csv import port_of
-from labpipe.raw_files.hdf5_variables import hdf5_names, load_hdf5_variables
-from labpipe.raw_files.mat_table import is_hdf5, load_fields
+from labpipe.raw_files.mat_table import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
 from labpipe.raw_files.text_table import fields_of, find_layout, open_unpacked, plain_suffix
 from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout
@@ -251,9 +250,6 @@ def columns_of_variables(path: Path) -> DescribedColumns:
             return fields[names[index]]
 
     return DescribedColumns(path, names, {}, read, lambda _row: str(path), "variable")
-
-
-# Frequency responses in tables and variables of any layout, as an entry under ``frfs:`` describes it.
 
 
 @dataclass(frozen=True)

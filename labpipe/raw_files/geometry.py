@@ -1,7 +1,5 @@
 """The geometry of a structure from a file: CSV, or the nodes, trace lines and elements of a universal file.
 
-Nodes (15, 2411), trace lines (82), elements (2412) and units (164) of a universal file as a geometry.
-
 Layout: I-DEAS universal datasets; numbers are read as words, since writers differ in their widths.
 """
 
@@ -21,8 +19,6 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.records.rig import AXES, Geometry
 from labpipe.records.settings import FileKind
-
-# Nodes (15, 2411), trace lines (82), elements (2412) and units (164) of a universal file as a geometry.
 
 NODES, DOUBLE_NODES, TRACE, ELEMENTS, UNITS = 15, 2411, 82, 2412, 164
 # Label, two coordinate systems, colour, x, y, z.
@@ -114,8 +110,6 @@ def _elements(lines: list[str]) -> list[tuple[int, int]]:
         pairs += pairwise(closed)
     return pairs
 
-
-# The geometry of a structure from a file: CSV, or the nodes, trace lines and elements of a universal file.
 
 POINT, JOINED = "point", "to"
 HEADER = "point, x [mm], y [mm], z [mm], to"

@@ -11,8 +11,13 @@ import numpy as np
 import scipy
 
 from labpipe.errors import DataError
-from labpipe.raw_files.hdf5_variables import has_hdf5_variables, load_hdf5_variables
-from labpipe.raw_files.mat_table import is_hdf5, load_variables, text_of
+from labpipe.raw_files.mat_table import (
+    has_hdf5_variables,
+    is_hdf5,
+    load_hdf5_variables,
+    load_variables,
+    text_of,
+)
 from labpipe.records.recording import Recording
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 

@@ -21,8 +21,6 @@ from labpipe.errors import DataError
 from labpipe.raw_files.table import load_extra
 from labpipe.raw_files.text_table import StampClock, bracketed_unit, header_of
 
-# Parquet tables of other programs.
-
 CHUNK_ROWS = 1 << 17
 # Integers of up to so many bits are exact as float64; of longer ones pyarrow refuses those that are not.
 MOST_EXACT_BITS = 32

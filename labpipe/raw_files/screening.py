@@ -162,8 +162,6 @@ def both_ends(limits: tuple[float, float] | None) -> tuple[EndValues, EndValues]
     return AtLimit(-1.0, limits), AtLimit(1.0, limits)
 
 
-# Faults of the samples, block by block: clipping, missing numbers, constant channels, uneven time steps.
-
 # A time step may differ from the mean by this share, beside the rounding of printed times.
 JITTER = 1e-3
 # Time steps longer than this many last printed digits cannot hide a lost sample in the rounding of the times.

@@ -204,8 +204,6 @@ if __name__ == "__main__":
     module, name, file = sys.argv[1:]
     sys.exit(_read_within(Path(file), getattr(import_module(module), name), 1 << 20))
 
-# A table on disk: named columns of numbers, read chunk by chunk. READERS by suffix.
-
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc")
 READERS = Registry("reader")
 

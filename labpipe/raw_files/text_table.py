@@ -21,9 +21,9 @@ import pyarrow.csv as pc
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import numpy_array
+from labpipe.artefacts.writing import text_of
 from labpipe.errors import DataError, cut
 from labpipe.quantities import UnitError, parse_unit
-from labpipe.raw_files.rows_csv import text_of
 
 # Text tables, plain or compressed with gzip or Zstandard; decompressed while reading.
 
@@ -376,9 +376,6 @@ def bracketed_unit(name: str) -> str:
     match = _BRACKETS.search(name[-LONGEST_UNIT:])
     return _unit_of(match[1]) if match else ""
 
-
-# Text tables with automatic detection of delimiter, decimal sign, header and units; read in blocks by
-# pyarrow.
 
 # Read ahead, a few times over: larger blocks are no faster and cost memory.
 BLOCK_BYTES = 1 << 21

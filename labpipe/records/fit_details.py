@@ -292,10 +292,7 @@ class RobustPlant(FitDetail):
 
 @dataclass(frozen=True)
 class Region(FitDetail):
-    """Joint confidence region of two parameters: its closed *outline* (n_point, 2) [SI units]; *level* e.g.
-
-    0.95.
-    """
+    """Confidence region of two parameters: its closed *outline* (n_point, 2) [SI units], its *level*."""
 
     key: ClassVar[str] = "region"
     names: tuple[str, str]

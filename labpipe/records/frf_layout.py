@@ -25,8 +25,6 @@ class WindowedSettings(Settings):
             raise ConfigError("'exponential' must be positive")
 
 
-# How FRFs lie in a table or among the variables of a file, as the entry under ``frfs:`` describes it.
-
 # Windows of analysers by name.
 WINDOWS = ("boxcar", "hann", "hamming", "blackman", "flattop")
 # Forms that their units tell, and one that must be named.

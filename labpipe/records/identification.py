@@ -78,8 +78,6 @@ class DatasetIndex:
         )
 
 
-# The result of an identification: parameters that travel with their uncertainty.
-
 # The model of a line through points, of a calibration.
 STRAIGHT_LINE = "straight-line"
 

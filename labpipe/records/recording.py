@@ -70,8 +70,6 @@ def as_terms(entries: Any) -> tuple[Term, ...]:
     return tuple(entry if isinstance(entry, Term) else Term(**entry) for entry in entries)
 
 
-# A recording: calibrated, uniformly sampled channels of one run.
-
 ROLES = ("input", "output", "reference")
 
 

@@ -189,8 +189,6 @@ class HeldCovariance:
         instance.__dict__["covariance"] = value
 
 
-# A measured frequency response matrix with its uncertainty.
-
 FORMS = {
     "receptance": "m/N",
     "mobility": "m/(N.s)",

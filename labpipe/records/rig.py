@@ -15,8 +15,6 @@ from labpipe.records.recording import Channel
 from labpipe.records.settings import Settings, setting
 from labpipe.records.uncertain import Uncertain
 
-# A rig: which column is which channel, in which unit, with which sensitivity, in which direction.
-
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
 
 

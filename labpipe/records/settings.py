@@ -76,9 +76,6 @@ def _roots(entry: Any) -> tuple[complex, ...]:
     return (complex(real, -imaginary if match["sign"] == "-" else imaginary),)
 
 
-# Values of settings: from text of a file ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared
-# type.
-
 # The unit of a coefficient by the first letter of its name.
 COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
 ESTIMATE = "estimate"
@@ -425,9 +422,6 @@ def shorten(text: str) -> str:
     """Text of a file as a message repeats it: the first LONGEST_ECHO characters."""
     return text if len(text) <= LONGEST_ECHO else f"{text[:LONGEST_ECHO]}..."
 
-
-# Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help
-# and the docs.
 
 __all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]
 

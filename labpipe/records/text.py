@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from labpipe.records.recording import Recording
     from labpipe.records.response import FrequencyResponse
 
-# Records as text: one line for a list, a table for a console, a table for a notebook.
-
 # Largest number of parameters in one line.
 MOST_NAMED = 4
 HEADER = ("parameter", "value", "std. error", "95 % interval", "unit", "")

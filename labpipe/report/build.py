@@ -323,10 +323,6 @@ def _defaults() -> dict[str, list[Any]]:
 DEFAULTS = _defaults()
 
 
-# From an identification to the document that people read: verdict first, uncertainty beside every number,
-# provenance last.
-
-
 def section_parts(identification: Identification) -> tuple[Section, ...]:
     """The parts of all sections of the pipeline beside its fits, in the order in which they were run."""
     return tuple(

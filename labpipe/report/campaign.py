@@ -289,9 +289,6 @@ def _overlay(title: str, parameter: str, tests: dict[str, list[Fit]]) -> Figure:
     return Figure(chart, caption, f"{parameter} of {title} over frequency in {len(tests)} tests")
 
 
-# The report of a campaign: every coefficient over the conditions of its tests, its control limits, and who
-# differs from the rest.
-
 LEVEL = 0.05
 FEWEST = 3
 MOST_NAMED = 2

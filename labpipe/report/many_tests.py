@@ -130,9 +130,6 @@ def _furthest(
     return x[kept], values[kept]
 
 
-# The report of so many tests that their results are a dataset: what holds for all, which tests do not, and
-# every coefficient over them.
-
 # Coefficients with figures; of more, those that come first.
 MOST_CHARTED = 24
 FEWEST = 3

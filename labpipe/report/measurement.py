@@ -421,9 +421,6 @@ def _positive(values: FloatArray) -> FloatArray:
     return np.where(values > 0, values, np.nan)
 
 
-# The section on measurements: every response and all spectra with their quality and figures.
-
-
 def measurement_sections(identification: Identification) -> tuple[Section, ...]:
     """One section with all measured responses and spectra, if there are any."""
     measured = identification.responses or identification.spectra

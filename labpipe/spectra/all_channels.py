@@ -34,9 +34,6 @@ from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findin
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 
-# All channels under periodic excitation: averages over periods, and their covariance from the scatter
-# between periods.
-
 # Degrees of freedom below which the loss of efficiency exceeds a tenth.
 ENOUGH_DOF = 13.0
 # Degrees of freedom beyond which more of them would gain less than a twentieth.
@@ -173,9 +170,6 @@ def shared_noise(noises: Sequence[ComplexArray], dofs: Sequence[float]) -> bool:
             return False
     return True
 
-
-# Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free
-# of noise.
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, ChannelLayout], MeasuredLines]] = {
     "periodic": periodic_lines,

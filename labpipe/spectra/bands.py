@@ -13,8 +13,6 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.shaft import shaft_motion
 
-# Choice of frequency lines: inside a band, outside excluded bands.
-
 # Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the
 # band.
 EDGE = 1e-9

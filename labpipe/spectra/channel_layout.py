@@ -51,9 +51,6 @@ def _with_role(channel: Channel, is_output: bool) -> Channel:
     return replace(channel, role="output" if is_output else "reference")
 
 
-# What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of
-# its members.
-
 Estimate = Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]
 
 

@@ -202,8 +202,6 @@ def check_single_force(source: SampleSource) -> int:
     return forces[0]
 
 
-# Recordings of hammer hits -> FRF matrix averaged over the good hits, with coherence and covariance.
-
 # Standard errors of a gain common to all lines by which noise of the force may move it without a word.
 MOST_COMMON = 0.5
 # Relative standard deviation of an FRF below which its scatter is rounding.

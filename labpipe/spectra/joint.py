@@ -9,9 +9,6 @@ large. In a loop the noise of U is that of w fed back, so weights by it prefer e
 C_wu brings the bias of an open-loop estimator back, over the number of averages. Therefore G is taken from
 the neighbours of the line, and U as what is most likely if that G is right.
 
-Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes of
-forces and responses.
-
 In a loop u = r - C y, y = G u + v the force u holds the disturbance v, so that H1 = S_yu S_uu^-1 goes to (G
 S_r - C* S_v) / (S_r + |C|^2 S_v), to -1 / C without r. Since r knows nothing of v, G = S_yr S_ur^-1 does not
 (Ljung, System Identification, 1999, chapter 13). With w = y - G u and n averages, cov(G_oi, G_pj) = S_ww[o,
@@ -39,9 +36,6 @@ from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
 from labpipe.spectra.random import change_of_random, joined_spectra, welch_average
 from labpipe.spectra.random_lines import check_moved, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
-
-# Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of
-# that line in a fit.
 
 # Neighbours on either side that tell the FRF of a line.
 SIDE = 5
@@ -106,9 +100,6 @@ def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> C
     at_line = (second[:, None] * total - first[:, None] * moment) / spread
     return np.asarray(np.where(enough[:, None], at_line, flat)).reshape(matrix.shape)
 
-
-# Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes
-# of forces and responses.
 
 ESTIMATOR = "joint"
 # A force's part that is due to the references, over the standard deviation of that part, below which a ratio
@@ -232,13 +223,9 @@ def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> 
             )
         if roles[name] != "reference":
             part = "force" if roles[name] == "input" else "response"
-            what = (
-                f"'{name}' is a {part} of the FRF; the reference is what is injected into the loop from "
-                "outside"
-            )
-            raise ConfigError(
-                what, hint="record it, and give it role: reference in the rig file", field="reference"
-            )
+            what = f"'{name}' is a {part} of the FRF; the reference is injected into the loop from outside"
+            hint = "record it, and give it role: reference in the rig file"
+            raise ConfigError(what, hint=hint, field="reference")
     for source in sources:
         if not {channel.name for channel in source.channels} & set(settings.reference):
             raise DataError(

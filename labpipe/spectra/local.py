@@ -163,9 +163,6 @@ def _correlation(weights: ComplexArray) -> FloatArray:
     return np.array(shared)
 
 
-# Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing
-# in the residual.
-
 # Lines solved together, so that memory does not depend on the record; share of a column's power below which
 # it is noise of rounding.
 RATIONAL_LINES_AT_ONCE, ROUNDING = 2048, 1e-13

@@ -43,8 +43,6 @@ from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
 
-# FRF estimators H1, H2, Hv from the cross-spectral matrix. ESTIMATORS and INSTRUMENTS by name.
-
 
 def h1(
     s_uu: ComplexArray,

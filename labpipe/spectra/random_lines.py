@@ -1,9 +1,6 @@
 """All channels under random excitation: what is due to each recorded drive, and how far noise covers the
 rest.
 
-All channels under random excitation: the part of every channel that is due to each recorded drive, and what
-is left as noise.
-
 With S the cross-spectra of channels z and drives r, L L^H = S_rr: W = S_zr L^-H, a column per drive. Since
 the drives hold none of the sensors' noise, neither do the columns on average; their noise, S_zz - W W^H over
 the number of averages, is independent from column to column.
@@ -115,9 +112,6 @@ def snr_findings(
             weak.add(channel.name)
     return tuple(findings), weak
 
-
-# All channels under random excitation: the part of every channel that is due to each recorded drive, and
-# what is left as noise.
 
 # Share of a drive's power that the others must leave it.
 INDEPENDENT = 1e-3

@@ -196,9 +196,6 @@ def _remove(channels: Sequence[Channel], motion: ShaftMotion, amplitude: Complex
     )
 
 
-# Runout and unbalance beside a periodic excitation: harmonics of the shaft, fitted to what is left after
-# the mean over periods.
-
 # A harmonic of which less than the larger share is left after the mean over periods lies on a line, and that
 # line is dropped. It is fitted all the same, since it leaks into neighbouring lines, down to the smaller
 # share: what leaks of its error falls as the share does.

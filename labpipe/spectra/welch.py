@@ -25,9 +25,6 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
-# Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few
-# segments at a time.
-
 # Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all
 # channels together; the most channels that are worth packing in pairs, and the samples per channel from which
 # on packing pays.
@@ -381,10 +378,6 @@ def _fold(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> Comp
             matrix[column:, number, lines] = folded[:, column:, column].T
             np.conjugate(folded[:, column, :column].T, out=matrix[:column, number, lines])
     return matrix.transpose(2, 0, 1)
-
-
-# Random excitation: averaged cross-spectral matrix of all channels in one pass over the recording (Welch's
-# method).
 
 
 @dataclass(frozen=True)

@@ -147,9 +147,6 @@ def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
     return float(n_block / (1 + 2 * np.sum(np.maximum(1 - k / n_block, 0) * rho)))
 
 
-# Leakage of random data: what the finite blocks of Welch's method do to H1, from the spectrum of their
-# window alone.
-
 # Samples of a window that show its shape, and points per line: an impulse response is followed over as many
 # blocks.
 SHAPE_SAMPLES, POINTS = 512, 4

@@ -338,9 +338,6 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
     )
 
 
-# compare: fits and responses of several tests -> one Comparison per question; kinds by the table COMPARISONS.
-
-
 @dataclass(frozen=True)
 class Evidence:
     """Inputs of a comparison: fits and responses of the tests, and the settings of the fits.

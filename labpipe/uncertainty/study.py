@@ -349,8 +349,6 @@ def _parameter(name: str, results: Sequence[Outcome], truth: float, bound: float
     )
 
 
-# study: all fits of a pipeline on a virtual rig, over noise levels and numbers of lines.
-
 Tell = Callable[[str], None]
 
 # Range of the search for a threshold, in multiples of the lowest and highest noise level, and its precision.

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.methods.live.course import CoefficientCourse, course_figure
-from labpipe.methods.live.view import Page
+from labpipe.methods.live.view import CoefficientCourse, Page, course_figure
 from labpipe.report.document import Document, Paragraph, Section
 
 SHOWN = "document.querySelector('iframe:not(.hidden)').contentDocument"

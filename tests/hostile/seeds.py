@@ -33,7 +33,7 @@ from labpipe.project.scaffold import scaffold
 from labpipe.raw_files.geometry import read_geometry
 from labpipe.raw_files.screening import ChannelScreen
 from labpipe.raw_files.table import open_table
-from labpipe.raw_files.uff_shapes import read_shapes_uff
+from labpipe.raw_files.uff import read_shapes_uff
 from labpipe.records.response import Port
 from labpipe.records.spectra import FreeDecay, FreeDecays
 from tests.project.laboratory import PIPELINE, RIG, done, laboratory

@@ -19,12 +19,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from labpipe.artefacts.json_file import write_json
+from labpipe.artefacts.writing import cell, text_of
 from labpipe.cli.main import main
 from labpipe.cli.output import LONGEST, message_line, printable
 from labpipe.errors import DataError
-from labpipe.raw_files import hdf5_variables
+from labpipe.raw_files import mat_table
 from labpipe.raw_files import table as probe
-from labpipe.raw_files.rows_csv import cell, text_of
 from labpipe.raw_files.table import open_table
 from tests.conftest import Command
 from tests.project.laboratory import ALONE, contents, done, laboratory, recording
@@ -288,7 +288,7 @@ def test_a_file_that_loops_inside_the_library_is_ended(
         while True:
             pass
 
-    monkeypatch.setattr(hdf5_variables, "touch", loops)
+    monkeypatch.setattr(mat_table, "touch", loops)
     monkeypatch.setattr(probe, "SECONDS", 0.2)
     os.utime(path, ns=(1, 1))
     with pytest.raises(DataError, match="takes too long"):

@@ -25,7 +25,7 @@ from labpipe.artefacts.recording_file import (
 )
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import DataError, LabpipeError
-from labpipe.project.measured import frf, frf_file_name
+from labpipe.project.measured import measure_test, measured_file_name
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.recording import Channel
@@ -57,7 +57,7 @@ def stored(folder: Path, n_sample: int = 400, name: str = "a", gain: float = 1.0
 
 def made(folder: Path, *recordings: StoredRecording, **changes: object) -> FrequencyResponse:
     with output_folder(folder / "out") as output:
-        return frf(recordings, replace(SETTINGS, **changes), output, "427N", {"preload": "427 N"})  # type: ignore[arg-type]
+        return measure_test(recordings, replace(SETTINGS, **changes), output, "427N", {"preload": "427 N"})  # type: ignore[arg-type]
 
 
 def test_the_receptance_of_the_recording_is_found(tmp_path: Path) -> None:
@@ -118,13 +118,13 @@ def test_a_fault_names_the_recording_and_leaves_nothing(tmp_path: Path) -> None:
     ],
 )
 def test_a_test_s_name_becomes_a_file_name(test: str, name: str) -> None:
-    assert frf_file_name(test) == name
+    assert measured_file_name(test, None) == name
 
 
 @given(st.text(max_size=20))
 def test_no_test_s_name_leaves_the_folder(test: str) -> None:
-    name = frf_file_name(test)
-    assert "/" not in name and "\\" not in name and "\0" not in name and name.endswith(".frf.parquet")
+    name = measured_file_name(test, None)
+    assert not set(name) & set("/\\\0") and name.endswith(".frf.parquet")
 
 
 # ready responses

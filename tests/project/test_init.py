@@ -14,7 +14,7 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
-from labpipe.project.examples import examples
+from labpipe.cli.start import examples
 from labpipe.project.first_guess import STANDS_OUT, guess_channels, peaks_of, time_columns
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.scaffold import MARK

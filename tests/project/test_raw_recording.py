@@ -19,9 +19,8 @@ from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli.main import run_command
 from labpipe.errors import DataError
-from labpipe.project import raw_recording as stage
-from labpipe.project.ingest import ingest
-from labpipe.project.raw_recording import raw_recording
+from labpipe.project import ingest as stage
+from labpipe.project.ingest import ingest, raw_recording
 from labpipe.project.rig_file import load_rig
 from labpipe.raw_files import other_tables as parquet_table
 from labpipe.raw_files import tdms_table

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import DataError
-from labpipe.raw_files.uff_shapes import read_shapes_uff
+from labpipe.raw_files.uff import read_shapes_uff
 
 HEAD = "    -1\n    55\n" + 5 * "NONE\n"
 NODES = (7, 12)

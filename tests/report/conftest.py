@@ -29,7 +29,7 @@ from labpipe.report.chart import (
     stack,
     upright,
 )
-from labpipe.report.shapes import shape_figures
+from labpipe.report.figures import shape_figures
 
 X = np.array([1.0, 2.0, 4.0])
 

@@ -266,7 +266,7 @@ def test_what_is_no_reference_is_said() -> None:
     noise = np.random.default_rng(3).standard_normal(run.n_sample)
     with pytest.raises(ConfigError, match="'r_z' is no channel"):
         measure([run], replace(RANDOM, reference=("r_z",)))
-    with pytest.raises(ConfigError, match="'f_x' is a force of the FRF; the reference is what is injected"):
+    with pytest.raises(ConfigError, match="'f_x' is a force of the FRF; the reference is injected"):
         measure([run], replace(RANDOM, reference=("f_x",)))
     with pytest.raises(DataError, match="r_x is silent"):
         measure([silent(run, 2)], RANDOM)

@@ -73,9 +73,8 @@ def sentences(result: Balanced) -> Iterator[str]:
     known = result.known
     if known.dof and chi2_tail(known.misfit, known.dof) < UNLIKELY:
         yield (
-            "warning: the readings scatter more than was stated (chi-square "
-            f"{known.misfit:.3g} of {known.dof}): the rig is not linear, changed between runs, or repeats "
-            "less well"
+            f"warning: the readings scatter more than was stated (chi-square {known.misfit:.3g} of "
+            f"{known.dof}): the rig is not linear, changed between runs, or repeats less well"
         )
     best = min(result.next_runs, key=lambda name: result.next_runs[name])
     if result.next_runs[best] < WORTHWHILE * residual.rms:

@@ -70,22 +70,17 @@ def stator_of(
 
     ConfigError for channels that give no motion in x and y, FitError for too few lines.
     """
-    chosen = {
-        quantity: _chosen(spectra, quantity, inputs if quantity == FORCE else outputs)
-        for quantity in QUANTITIES
-    }
     _check_names(spectra, inputs, [FORCE], "input")
     _check_names(spectra, outputs, [DISPLACEMENT, ACCELERATION], "output")
     to_axes = np.zeros((6, len(spectra.channels)))
     for number, quantity in enumerate(QUANTITIES):
-        columns = chosen[quantity]
+        columns = _chosen(spectra, quantity, inputs if quantity == FORCE else outputs)
         if columns or quantity != ACCELERATION:
             to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
     lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
     if np.count_nonzero(lines) < LEAST_LINES:
-        raise FitError(
-            f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
-        )
+        what = f"{np.count_nonzero(lines)} lines in the band"
+        raise FitError(what, hint=f"{LEAST_LINES} or more: widen `band`")
     shared = shared_noise(spectra, int(np.count_nonzero(lines)))
     omega = 2 * np.pi * spectra.frequency[lines]
     return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
@@ -125,9 +120,8 @@ def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> 
     """(2, n) [1] from the channels of a quantity to x and y: forces add up, motions are projections of it."""
     channels = [spectra.channels[n] for n in columns]
     if not channels:
-        raise ConfigError(
-            f"there is no {quantity} channel with role {ROLES[quantity]}", hint=_needed(quantity)
-        )
+        what = f"there is no {quantity} channel with role {ROLES[quantity]}"
+        raise ConfigError(what, hint=_needed(quantity))
     angles = np.array([direction(channel) for channel in channels])
     _check_once(channels, quantity)
     directions = np.stack([np.cos(angles), np.sin(angles)])
@@ -136,9 +130,8 @@ def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> 
         return directions
     if np.linalg.svd(directions, compute_uv=False)[-1] < PARALLEL or len(channels) < 2:
         listed = ", ".join(f"{channel.name} ({channel.dof})" for channel in channels)
-        raise ConfigError(
-            f"{quantity} channels {listed} do not give the motion in x and in y", hint=_needed(quantity)
-        )
+        what = f"{quantity} channels {listed} do not give the motion in x and in y"
+        raise ConfigError(what, hint=_needed(quantity))
     return np.asarray(np.linalg.pinv(directions.T))
 
 
@@ -154,10 +147,8 @@ def direction(channel: Channel) -> float:
     """Angle [rad] from x towards y of a channel; ConfigError where the rig does not tell."""
     angle = channel.angle if channel.angle is not None else AXIS_ANGLES.get(channel.dof)
     if angle is None:
-        raise ConfigError(
-            f"the direction of channel '{channel.name}' is not known",
-            hint="dof: x, y, or an angle from x such as 45 deg",
-        )
+        what = f"the direction of channel '{channel.name}' is not known"
+        raise ConfigError(what, hint="dof: x, y, or an angle from x such as 45 deg")
     return angle
 
 
@@ -168,11 +159,11 @@ def _check_once(channels: Sequence[Channel], quantity: str) -> None:
     seen: dict[str, str] = {}
     for channel in channels:
         if channel.dof in seen:
-            key = "input" if quantity == FORCE else "output"
-            raise ConfigError(
-                f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}",
-                hint=f"name those of the balance in `{key}`",
+            what = (
+                f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}"
             )
+            key = "input" if quantity == FORCE else "output"
+            raise ConfigError(what, hint=f"name those of the balance in `{key}`")
         seen[channel.dof] = channel.name
 
 
@@ -211,16 +202,12 @@ def line_stiffness(balance: Balance) -> LineStiffness:
     """
     n_run = balance.motion.shape[1]
     if n_run < 2:
-        raise FitError(
-            "least squares needs two runs with independent forces at every line, there is one",
-            hint="estimator: ml needs one run only",
-        )
+        what = "least squares needs two runs with independent forces at every line, there is one"
+        raise FitError(what, hint="estimator: ml needs one run only")
     motion = balance.motion.swapaxes(-1, -2)
     if np.any(np.linalg.cond(motion) > ONE_DIRECTION):
-        raise FitError(
-            "the runs move the stator in one direction at a line",
-            hint="two independent directions of force, or estimator: ml",
-        )
+        what = "the runs move the stator in one direction at a line"
+        raise FitError(what, hint="two independent directions of force, or estimator: ml")
     inverse = np.linalg.pinv(motion)
     return LineStiffness(balance.omega, balance.right.swapaxes(-1, -2) @ inverse, inverse)
 

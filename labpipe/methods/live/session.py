@@ -20,7 +20,7 @@ from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
 from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, lasting
 from labpipe.methods.live.sources import Folder, Frames, Kept, SampleStream, is_old
 from labpipe.project.ingest import Calibration, channel_screen
-from labpipe.project.measured import OTHERS
+from labpipe.project.measured import KINDS
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.records.finding import WARNING, Finding, note
@@ -28,7 +28,6 @@ from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
 from labpipe.records.spectra import FreeDecays
-from labpipe.spectra.measurement import measure
 
 # Rows of a time column by which the rate is known.
 ROWS_OF_RATE = 64
@@ -120,9 +119,8 @@ class WholeFits(Watch):
 
     def _fit(self, parts: Sequence[Part]) -> tuple[Any, list[Fit]]:
         """What the recordings give, and the fits of it; what has just begun may not do yet."""
-        kind = OTHERS.get(self.frf.gives)
         try:
-            measured = measure(parts, self.frf) if kind is None else kind.make(parts, self.frf)
+            measured = KINDS[self.frf.gives].make(parts, self.frf)
             return measured, [fit for settings in self.settings for fit in identify(measured, settings)]
         except LabpipeError:
             if len(parts) < 2 or sum(part.n_sample for part in parts) < self.n_sample:

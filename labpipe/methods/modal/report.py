@@ -25,8 +25,7 @@ from labpipe.report.chart import (
     upright,
 )
 from labpipe.report.document import Block, Figure, Paragraph, Table
-from labpipe.report.figures import FREQUENCY
-from labpipe.report.shapes import shape_figures
+from labpipe.report.figures import FREQUENCY, shape_figures
 from labpipe.report.wording import fit_title
 
 # Largest number of points whose names stand below the panels of the shapes.

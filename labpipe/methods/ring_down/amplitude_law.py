@@ -526,10 +526,9 @@ def _mismatch(tested: Judged) -> tuple[Finding, ...]:
         else "another mode or hum, forced motion at the start, or coloured noise"
     )
     message = (
-        f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near "
-        f"{tested.strongest:.4g} Hz: {cause}. "
-        "Intervals hold what the stretches of the decay scatter by. Raise `modes`, name a `band` "
-        "around the mode, or begin later (`frf: {decay: {start: ...}}`)."
+        f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near {tested.strongest:.4g} "
+        f"Hz: {cause}. Intervals hold what the stretches of the decay scatter by. Raise `modes`, name a "
+        "`band` around the mode, or begin later (`frf: {decay: {start: ...}}`)."
     )
     return (Finding("model-mismatch", message),)
 
@@ -545,11 +544,10 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: Missing
     change = 100 * law.frequency_slope * first / law.omega
     message = (
         f"mode {mode + 1}: damping or frequency depend on the amplitude, so zeta_{mode + 1} is a mean over "
-        f"this decay, whose interval holds what its stretches scatter by. "
-        f"Damping ratio {law.zeta_rest:.4g} at rest, "
-        f"{law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude (zeta_rest_{mode + 1}, "
-        f"zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one "
-        "amplitude."
+        f"this decay, whose interval holds what its stretches scatter by. Damping ratio {law.zeta_rest:.4g} "
+        f"at rest, {law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude "
+        f"(zeta_rest_{mode + 1}, zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. "
+        "Compare decays of one amplitude."
     )
     if missing is not None:
         where = " and ".join(f"{frequency:.5g}" for frequency in missing.frequencies)

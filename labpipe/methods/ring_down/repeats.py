@@ -191,8 +191,7 @@ def drift_findings(repeated: RepeatedDecays) -> list[Finding]:
         return []
     message = (
         f"mode {', '.join(modes)}: the values of neighbouring decays are alike, so they drift or come in "
-        "steps (temperature, mounting). "
-        "The interval allows for it; record the decays in groups, or what changes"
+        "steps (temperature, mounting). The interval allows for it; record them in groups, or what changes"
     )
     return [note("repeats-in-order", message)]
 

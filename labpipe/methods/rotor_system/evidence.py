@@ -65,7 +65,7 @@ class FreeModes:
         )
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         ln, slopes = self.predicted(model, values)
         measured = np.log(np.concatenate([self.frequency, self.damping]))
         error = np.concatenate([self.frequency_error, self.damping_error])
@@ -144,7 +144,7 @@ class Responses:
         return modelled, slopes
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         modelled, slopes = self.predicted(model, values)
         measured_there = np.isfinite(self.error)
         weight = 1 / self.error[measured_there]
@@ -197,10 +197,9 @@ class RunUpVectors:
         turning[firsts, np.arange(len(firsts))] = 1
         turning[[first + 1 for first in firsts], np.arange(len(firsts))] = -1j
         forces = self.speed[:, None, None] ** 2 * turning
+        added = [sum(u for dof, u in self.added if dof == first) for first in firsts]
         unbalance = np.array([acting[real] + 1j * acting[imaginary] for _, real, imaginary in self.planes])
-        unbalance = unbalance + np.array(
-            [sum(u for dof, u in self.added if dof == first) for first in firsts]
-        )
+        unbalance = unbalance + np.array(added)
         motion, slopes, left = model.response(
             acting, self.speed, self.speed, forces @ unbalance[:, None], self.outputs
         )
@@ -220,7 +219,7 @@ class RunUpVectors:
         return vectors, derivatives * model.acting(self.name)[:, None, None], influence
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         vectors, slopes, _ = self.readings(model, values)
         misfit = self.measured - vectors
         white = np.einsum("pij,jp->ip", self.whitener, misfit).ravel()
@@ -275,7 +274,7 @@ class Deflections:
     mass_error: float = 1.0
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown\'s unit], see Evidence."""
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         acting = np.where(model.acting(self.name), values, 0.0)
         parts: list[Residual] = []
         if self.measured.size:
@@ -283,23 +282,17 @@ class Deflections:
             motion, slopes, _ = model.response(acting, np.zeros(1), np.zeros(1), forces, self.outputs)
             measured_there = np.isfinite(self.measured)
             error = self.error[measured_there]
-            parts.append(
-                (
-                    (self.measured - motion[0].real)[measured_there] / error,
-                    -(slopes[:, 0].real[:, measured_there] / error).T,
-                )
-            )
+            misfit = (self.measured - motion[0].real)[measured_there] / error
+            parts.append((misfit, -(slopes[:, 0].real[:, measured_there] / error).T))
         if np.isfinite(self.mass):
             rigid = np.zeros((1, model.n_dof))
             rigid[0, 0 : model.n_shaft : 4] = 1
             whole = model.matrices(acting, 0.0, supported=False).mass
             mass = float((rigid @ whole @ rigid.T)[0, 0])
             moved = model.slopes(acting, 0.0, rigid, rigid.T, 1.0, supported=False)[:, 0, 0].real / mass
-            parts.append(
-                (np.array([(self.mass - np.log(mass)) / self.mass_error]), -moved[None] / self.mass_error)
-            )
-        residual = np.concatenate([part for part, _ in parts])
-        jacobian = np.concatenate([part for _, part in parts])
+            misfit = np.array([(self.mass - np.log(mass)) / self.mass_error])
+            parts.append((misfit, -moved[None] / self.mass_error))
+        residual, jacobian = (np.concatenate(both) for both in zip(*parts, strict=True))
         return residual, jacobian * model.acting(self.name)
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Deflections:  # noqa: ARG002

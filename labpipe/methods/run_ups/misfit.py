@@ -51,9 +51,8 @@ class ExcitedRun:
         s/m].
         """
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
-        return self._weight(response - self._measured), np.moveaxis(
-            self._weight(np.moveaxis(slopes, -1, 0)), 0, -1
-        )
+        weighted = self._weight(np.moveaxis(slopes, -1, 0))
+        return self._weight(response - self._measured), np.moveaxis(weighted, 0, -1)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
         """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of
@@ -93,9 +92,8 @@ class LoadRuns:
         *coefficients* [N/m, N s/m].
         """
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
-        return np.concatenate([part[0] for part in parts], axis=1), np.concatenate(
-            [part[1] for part in parts], axis=1
-        )
+        residuals, slopes = zip(*parts, strict=True)
+        return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
 
     def residual(self, model: CoefficientFamily, values: FloatArray) -> Residual:
         """Of all runs (n,) [1] with coefficients of a family at its parameters *values* (n_parameter,), and
@@ -151,9 +149,8 @@ def _at_shared_speeds(rig: RunUpRotor, group: Sequence[RunUp]) -> LoadRuns:
         shared = shared[np.min(np.abs(shared[:, None] / run.speed - 1), axis=1) < 1e-6]
     if shared.size == 0:
         names = ", ".join(run.name for run in group)
-        raise DataError(
-            f"the runs {names} under {load:.4g} N share no speed", hint="measure them at the same speeds"
-        )
+        what = f"the runs {names} under {load:.4g} N share no speed"
+        raise DataError(what, hint="measure them at the same speeds")
     return LoadRuns(load, shared, tuple(ExcitedRun.of(rig, _at_speeds(run, shared)) for run in group))
 
 
@@ -173,9 +170,8 @@ def scales(start: FloatArray) -> FloatArray:
 
     Absolute start value, at least a fifth of the mean direct coefficient, because K_yx crosses zero.
     """
-    return np.maximum(
-        np.abs(start), 0.2 * np.repeat(np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]])), 4, axis=-1)
-    )
+    mean = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
+    return np.maximum(np.abs(start), 0.2 * np.repeat(mean, 4, axis=-1))
 
 
 def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
@@ -190,9 +186,8 @@ def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatAr
     derivatives = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
     for turn in (1j, -1j):
         circle = planes[..., 0] + turn * planes[..., 1]
-        derivatives += (
-            (circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])
-        ).real / 2
+        along = (circle / np.abs(circle)).conj()[..., None]
+        derivatives += (along * (by[..., 0, :] + turn * by[..., 1, :])).real / 2
     return derivatives
 
 
@@ -233,24 +228,18 @@ def rank_statements(
     *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given.
     """
     place = np.array([speed])
-    eight = (
-        as_eight(*rig.start_coefficients(load, place))
-        if coefficients is None
-        else np.asarray(coefficients, np.float64)[None]
-    )
+    eight = as_eight(*rig.start_coefficients(load, place))
+    if coefficients is not None:
+        eight = np.asarray(coefficients, np.float64)[None]
     unit = scales(eight)[0]
     first = _slopes(rig, place, eight, rig.known_unbalance) * unit
-    other = rig.plane_names[-1]
-    second = (
-        _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.known_unbalance.values())})
-        * unit
-    )
+    other = {rig.plane_names[-1]: 1j * max(abs(size) for size in rig.known_unbalance.values())}
+    second = _slopes(rig, place, eight, other) * unit
     shaker = _slopes(rig, place, eight, None) * unit
     both = np.concatenate([first, second])
+    amplitudes = displacement_slopes(*_response(rig, place, eight, rig.known_unbalance)) * unit
     return (
-        _statement(
-            AMPLITUDES, displacement_slopes(*_response(rig, place, eight, rig.known_unbalance)) * unit
-        ),
+        _statement(AMPLITUDES, amplitudes),
         _statement(COMPLEX, first),
         _statement(SECOND, both, ADVICE),
         _statement(SHAKEN, np.concatenate([both, shaker])),
@@ -265,10 +254,8 @@ def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, spee
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place))
     unit = scales(eight)[0]
-    parts = [
-        _slopes(rig, place, eight, run.unbalance if run.shaker is None else None, run.shaker) * unit
-        for run in runs
-    ]
+    acting = [(run.unbalance if run.shaker is None else None, run.shaker) for run in runs]
+    parts = [_slopes(rig, place, eight, *of_run) * unit for of_run in acting]
     named = ", ".join(run.name for run in runs)
     without_shaker = len(runs) > 1 and all(run.shaker is None for run in runs)
     return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")

@@ -177,9 +177,8 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         kernel = self.kernel
         return (
             f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, correlated over "
-            f"{kernel.load:.2g} N and {kernel.speed / RPM:.0f} rpm, on the joint fit; of "
-            f"{self.values.size} parameters the data determine {self.n_determined} combinations better than "
-            "these assumptions do"
+            f"{kernel.load:.2g} N and {kernel.speed / RPM:.0f} rpm, on the joint fit; of {self.values.size} "
+            f"parameters the data determine {self.n_determined} combinations better than these assumptions do"
         )
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import Modes
 from labpipe.records.rig import Geometry
-from labpipe.report.shapes import REACH, project, shape_figures
+from labpipe.report.figures import REACH, project, shape_figures
 from tests.methods.modal.structures import beam, beam_geometry, beam_shapes
 
 PAIR = Geometry(("1", "gyz"), np.zeros((2, 3)), np.array([[0, 1]]))
