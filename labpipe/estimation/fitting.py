@@ -57,7 +57,7 @@ from labpipe.estimation.diagnostics import (
 )
 from labpipe.estimation.draws import bootstrap, propagate
 from labpipe.estimation.leakage import expected
-from labpipe.estimation.likelihood import Assessed, assess
+from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, by_lines, judge
@@ -289,13 +289,13 @@ def _estimate(measured: Measured, model: BandModel, settings: FitSettings) -> Es
 def _fit_band(
     setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool
 ) -> _BandFit:
-    settings = setup.settings
-    estimator = settings.estimates
+    settings, estimator = setup.settings, setup.settings.estimates
     estimate = _estimate(measured, model, settings)
     if estimator.likelihood and estimate.converged and not setup.closed_loop:
         by_model = weighted_by_model(measured, model.receptance(estimate.values, measured.omega))
         if by_model is not measured:
-            measured, estimate = by_model, _estimate(by_model, model, settings)
+            again = maximum_likelihood_from(by_model, model, estimate.values, "")
+            measured, estimate = by_model, replace(again, notes=estimate.notes)
     dropped: list[str] = []
     beside = None if isinstance(model, TransferMode) else _beside_others(setup, measured, estimate, band)
     if beside is not None:
@@ -318,7 +318,6 @@ def _fit_band(
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
-    parameters = budgeted.parameters
     # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
     compared_models, left_out = (
@@ -329,7 +328,7 @@ def _fit_band(
     notes = (*notes, *budgeted.notes, *motion_notes(measured), *place_notes(setup))
     notes = (*notes, *comparison_notes(left_out))
     fit = replace(
-        reported_fit(settings, estimate, parameters, band, measured.omega.size),
+        reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
             *estimate_findings(estimate, model.names, measured.omega.size, model.units),
             *judgement.findings,
@@ -337,8 +336,8 @@ def _fit_band(
             *goodness_findings(estimate.gof),
             *leakage,
             *(_mass_findings(case, judged) if judging else ()),
-            *_parameter_findings(parameters, band, setup),
-            *([] if leakage or setup.closed_loop else _narrow(parameters, measured)),
+            *_parameter_findings(budgeted.parameters, band, setup),
+            *([] if leakage or setup.closed_loop else _narrow(budgeted.parameters, measured)),
             *budgeted.findings,
             *comparison_findings(compared_models),
         ),

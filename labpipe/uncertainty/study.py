@@ -380,7 +380,7 @@ def run_study(
             case for level_cases in _cases(rig, settings, plain, frf, crew, tell) for case in level_cases
         ]
         thresholds = [
-            _threshold(rig, settings, fit, limit, frf, crew, tell)
+            _threshold(rig, settings, fit, limit, frf, crew, tell, cases)
             for fit, limit in _searches(settings, plain)
         ]
     return Study(
@@ -427,16 +427,28 @@ def _threshold(
     frf: FrfSettings | None,
     crew: Workers,
     tell: Tell,
+    cases: Sequence[StudyCase],
 ) -> StudyThreshold:
     """Bisection over the logarithm of the noise.
 
     The same draws at every level keep the success rate from jittering. A level is left as soon as too many
-    repeats are lost; those that were lost at the level before come first, since most are lost again.
+    repeats are lost; those that were lost at the level before come first, since most are lost again. Levels
+    below one of the *cases* that is held, or above one that is lost, are decided by that.
     """
     count = int(settings.lines[0]) if settings.lines else None
     numbers = list(range(min(settings.repeats, SEARCH_REPEATS)))
+    lines = source_of(rig, settings.noise[0], count, settings.runs, frf).n_line
+    place = settings.success.index(limit)
+    known = [
+        (case.noise, case.success[place] >= settings.share)
+        for case in cases
+        if case.fit == fit.name and case.lines == lines and case.repeats >= len(numbers)
+    ]
 
     def is_held(noise: float) -> bool:
+        for level, held in known:
+            if (noise <= level) if held else (noise >= level):
+                return held
         source: Source = source_of(rig, noise, count, settings.runs, frf)
         lost: list[int] = []
         for start in range(0, len(numbers), SEARCH_STEP):
