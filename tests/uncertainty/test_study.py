@@ -108,8 +108,8 @@ def test_a_threshold_leaves_a_level_as_soon_as_too_many_are_lost(
     monkeypatch: pytest.MonkeyPatch, pipeline: Path
 ) -> None:
     """Bisection over all repeats of every level gives the same, by more fits; levels at or below a
-    case that is held are not drawn. From a twentieth to twenty times its noise two ends and seven middles lead
-    to 5 %; the lower end and the first middle are among those.
+    case that is held are not drawn. From a twentieth to twenty times its noise two ends and seven middles
+    lead to 5 %; the lower end and the first middle are among those.
     """
     loaded = load_pipeline(pipeline)
     settings = replace(loaded.sections["study"], noise=(0.005,), repeats=12, thresholds=True)
