@@ -113,7 +113,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures that commands write beside their numbers are empty: drawing takes the most time."""
-    monkeypatch.setattr("labpipe.document.charts.canvas_of", lambda graphic: None)
     monkeypatch.setattr("labpipe.document.charts.svg_text", lambda canvas: "<svg/>")
 
 
