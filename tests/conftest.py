@@ -17,6 +17,9 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# Half a million objects that modules and collected tests are, and nothing of it garbage.
+gc.disable()
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +34,9 @@ ROOT = Path(__file__).parent.parent
 
 # The same examples on every machine, no folder that two workers write to, and no limit of time on a machine
 # that is busy.
-hypothesis.settings.register_profile("pinned", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile(
+    "pinned", derandomize=True, database=None, deadline=None, max_examples=50
+)
 hypothesis.settings.load_profile("pinned")
 
 
@@ -84,6 +89,8 @@ def pytest_collection_finish() -> None:
     """Thousands of collected tests are nothing that every later search for garbage need look at again."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(10_000, 20, 20)
+    gc.enable()
 
 
 def pytest_sessionfinish() -> None:
@@ -101,6 +108,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "benchmarks" in item.path.parts:
             item.add_marker(alone)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures that commands write beside their numbers are empty: drawing takes the most time."""
+    monkeypatch.setattr("labpipe.document.charts.svg_text", lambda canvas: "<svg/>")
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ show that.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -230,13 +230,16 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
         return float(np.sum(weights * (values - columns @ solution) ** 2)) - freedom
 
     high = 10 * float(np.var(values)) + np.finfo(float).tiny
-    if freedom <= 0 or excess(0.0) <= 0:
-        return 0.0
-    low = 0.0
-    for _ in range(200):
-        middle = (low + high) / 2
-        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return (low + high) / 2
+    return (
+        0.0 if freedom <= 0 or excess(0.0) <= 0 else _bisected(lambda square: excess(square) > 0, 0.0, high)
+    )
+
+
+def _bisected(is_below: Callable[[float], bool], low: float, high: float) -> float:
+    """Where *is_below* ends to hold between *low* and *high*, to the last digit."""
+    while low < (middle := (low + high) / 2) < high:
+        low, high = (middle, high) if is_below(middle) else (low, middle)
+    return middle
 
 
 def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray) -> tuple[float, float]:
@@ -328,12 +331,12 @@ def _longer(stretch: float, n: int, n_column: int) -> float:
 
 def _quantiles(shares: FloatArray, centres: FloatArray, errors: FloatArray) -> tuple[float, float]:
     """The 2.5 and 97.5 % quantiles of a mixture of normal distributions, by bisection."""
-    ends = []
-    for level in (0.025, 0.975):
-        low, high = float(np.min(centres - 40 * errors)), float(np.max(centres + 40 * errors))
-        for _ in range(200):
-            middle = (low + high) / 2
-            below = float(shares @ special.ndtr((middle - centres) / errors))
-            low, high = (middle, high) if below < level else (low, middle)
-        ends.append((low + high) / 2)
-    return ends[0], ends[1]
+
+    def share_below(x: float) -> float:
+        return float(shares @ special.ndtr((x - centres) / errors))
+
+    low, high = float(np.min(centres - 40 * errors)), float(np.max(centres + 40 * errors))
+    return (
+        _bisected(lambda x: share_below(x) < 0.025, low, high),
+        _bisected(lambda x: share_below(x) < 0.975, low, high),
+    )

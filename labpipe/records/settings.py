@@ -465,7 +465,8 @@ def _convert(settings: Any) -> None:
     owner = type(settings)
     for name, default, declared in _declarations(owner):
         value = getattr(settings, name)
-        if value is default:
+        # A number in SI units is as it will be, but for not-a-number, which is not equal to itself.
+        if value is default or (declared.kind == "value" and type(value) is float and value == value):
             continue
         try:
             if takes_uncertainty(owner, declared) and is_uncertain(value):

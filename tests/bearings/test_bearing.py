@@ -43,6 +43,7 @@ def answer(labpipe, path: Path, *more: object) -> dict:  # type: ignore[no-untyp
     return entry
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("path", ROLLING, ids=[path.stem for path in ROLLING])
 def test_every_bearing_of_the_catalogue_has_an_answer(path: Path, labpipe, tmp_path: Path) -> None:
     ended = labpipe("bearing", path, "--json", tmp_path / "k.json", "-o", tmp_path / "out")
@@ -59,6 +60,7 @@ def test_every_bearing_of_the_catalogue_has_an_answer(path: Path, labpipe, tmp_p
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == files and "written to" in ended.out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_shaft_s_frequencies_and_the_fit_of_its_theoretical_curve(
     labpipe, root: Path, tmp_path: Path
 ) -> None:
@@ -193,6 +195,7 @@ def test_sweep_writes_table_and_curves(ball: Path, labpipe, tmp_path: Path) -> N
     assert "k x,by" in svg and "loads.z [N]" in svg
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("text", "values"),
     [

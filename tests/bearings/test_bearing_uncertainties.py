@@ -93,6 +93,7 @@ def test_hertz_contact_stiffness_goes_with_its_constant_and_load(tmp_path: Path)
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_json_table_and_sweep_hold_the_uncertainties(tmp_path: Path, labpipe_without_report) -> None:
     file = tmp_path / "j.yaml"
     journal(tmp_path, "0.1044 Pa.s +- 1 %", "58.82 N +- 1 %")

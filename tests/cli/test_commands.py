@@ -240,27 +240,9 @@ def test_simulate_is_deterministic_and_the_shipped_data_are_what_it_makes(
         np.testing.assert_allclose(ours, shipped, rtol=1e-5, atol=1e-6 * np.max(np.abs(shipped)))
 
 
-# Studies, campaigns, wear, unbalance and run-ups take long and have tests of their own; `.ci/run` checks
-# every pipeline at its full size.
-SLOW = ("\nstudy:", "\ncompare:", "\nrun_ups:", "\nunbalance:", "\nrotor_system:", "worn-bearing")
-PIPELINES = sorted((Path(__file__).parents[2] / "pipelines").glob("*.yaml"))
-# Their draws, bands and lines take seconds; .ci/run checks every pipeline.
-LONGER = {
-    "budget.yaml",
-    "floating-bearing.yaml",
-    "levitated-open.yaml",
-    "radial-sliding.yaml",
-    "white-noise-local.yaml",
-}
-QUICK = [
-    path.name
-    for path in PIPELINES
-    if path.name not in LONGER and not any(word in path.read_text("utf-8") for word in SLOW)
-]
-
-
-@pytest.mark.parametrize("pipeline", QUICK)
-def test_every_shipped_pipeline_meets_its_expectations(labpipe, pipeline: str) -> None:
+@pytest.mark.parametrize("pipeline", ["pedestal.yaml", "levitated.yaml", "radial-direct.yaml"])
+def test_a_shipped_pipeline_meets_its_expectations(labpipe, pipeline: str) -> None:
+    """`.ci/run` checks every one."""
     ended = labpipe("check", f"pipelines/{pipeline}")
     assert ended.code == 0, ended
     assert "0 of 0" not in ended.out

@@ -49,6 +49,7 @@ def test_amplitudes_are_those_of_the_unbalance_on_the_loop(
         np.testing.assert_allclose(table[f"{end}:orbit_per_gap"], table[f"{end}:orbit"] / 0.45e-3, rtol=1e-6)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_orbit_beyond_the_limit_is_told_with_its_speed(command: list[object], labpipe) -> None:
     ended = labpipe(*command, "--gap", "100 um", "--limit", "15 %")
     assert ended.code == 0 and "front" in ended.out and "beyond 15 % from" in ended.out, ended

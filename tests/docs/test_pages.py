@@ -62,6 +62,7 @@ SLOW |= {"section", "budget", "plan", "many", "campaign", "closed-loop", "ball-b
 SLOW |= {"reader", "estimator", "modal", "rotor", "rotor-system", "white-noise", "index", "sweep"}
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "page",
     [

@@ -54,7 +54,7 @@ def test_derivatives_are_those_of_differences() -> None:
         np.testing.assert_allclose(model.jacobian(at, omega)[number], slope, rtol=1e-5)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_mass_of_a_floor_is_held_among_other_modes(seed: int) -> None:
     """The residual of modes below and above is no constant: what is left of it is model error."""
     h = mode(*MODE) + sum(mode(*other) for other in OTHERS)

@@ -10,6 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 ENTRIES = (
     "[labpipe.estimator]\nplain = wrapped:plain\nstated = wrapped:STATED\nequations = wrapped:EQUATIONS\n"
@@ -70,17 +72,19 @@ print(json.dumps({name: each(case) for name, case in cases.items()}))
 """
 
 
-def fitted(folder: Path, *estimators: str) -> dict[str, dict[str, dict[str, list]]]:
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, dict[str, list]]]:
     """What fits by each estimator say, in a process that begins with the plug-in installed: choices are
     looked up once.
     """
+    folder = tmp_path_factory.mktemp("plugin")
     (folder / "plugin-1.dist-info").mkdir()
     (folder / "plugin-1.dist-info/entry_points.txt").write_text(ENTRIES)
     (folder / "plugin-1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: plugin\nVersion: 1\n")
     (folder / "wrapped.py").write_text(WRAPPED)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
     ended = subprocess.run(
-        [sys.executable, "-c", FITTED, *estimators],
+        [sys.executable, "-c", FITTED, "ml", "plain", "stated", "ls", "equations"],
         env=environment,
         capture_output=True,
         text=True,
@@ -90,8 +94,7 @@ def fitted(folder: Path, *estimators: str) -> dict[str, dict[str, dict[str, list
     return json.loads(ended.stdout)  # type: ignore[no-any-return]
 
 
-def test_a_wrapper_of_ml_is_ml(tmp_path: Path) -> None:
-    found = fitted(tmp_path, "ml", "plain", "stated")
+def test_a_wrapper_of_ml_is_ml(found) -> None:
     codes = {name: {code for code, _ in case["ml"]["findings"]} for name, case in found.items()}
     assert "leakage" not in codes["leakage"] and "leakage" in codes["blocks far too short"]
     assert (
@@ -104,8 +107,7 @@ def test_a_wrapper_of_ml_is_ml(tmp_path: Path) -> None:
         assert case["stated"] == case["plain"] == case["ml"], name
 
 
-def test_one_that_states_the_properties_of_ls_is_ls(tmp_path: Path) -> None:
-    found = fitted(tmp_path, "ls", "equations")
+def test_one_that_states_the_properties_of_ls_is_ls(found) -> None:
     assert "leakage" in {code for code, _ in found["leakage"]["ls"]["findings"]}
     for case in found.values():
         text = (

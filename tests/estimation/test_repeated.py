@@ -98,13 +98,13 @@ def test_the_mean_and_its_parts() -> None:
 
 
 def test_noise_that_grows_with_the_response_is_that_of_a_repeat() -> None:
-    """Of 100 single FRFs without a variance, a gain of 3 % from line to line: f_n and zeta scatter by what
-    their errors say, within three of the 7 % of a deviation of 100 draws (of even noise: 0.43, 0.54 of it).
+    """Of 50 single FRFs without a variance, a gain of 3 % from line to line: f_n and zeta scatter by what
+    their errors say, within three of the 10 % of a deviation of 50 draws (of even noise: 0.43, 0.54 of it).
     """
     rng, h = np.random.default_rng(5), mode(F_N, ZETA)
     single = replace(repeated(2, 0), covariance=None, repeats=None, repeat_names=())
     off, errors = [], []
-    for _ in range(100):
+    for _ in range(50):
         gain = 1 + 0.03 * (rng.normal(size=h.size) + 1j * rng.normal(size=h.size)) / np.sqrt(2)
         (fit,) = identify(
             replace(single, matrix=(h * gain)[:, None, None]), FitSettings("sdof"), judging=False
@@ -113,7 +113,7 @@ def test_noise_that_grows_with_the_response_is_that_of_a_repeat() -> None:
         off.append([p.value for p in found])
         errors.append([p.std_error for p in found])
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / np.std(off, axis=0)
-    assert np.all(np.abs(ratio - 1) < 0.21), ratio
+    assert np.all(np.abs(ratio - 1) < 0.3), ratio
 
 
 @pytest.mark.parametrize(("at", "held"), [(7, True), (0, True), (4, False)])

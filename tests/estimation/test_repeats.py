@@ -214,7 +214,7 @@ def test_the_interval_holds_the_mean(n: int, least: float) -> None:
     assert held / 400 > least
 
 
-@pytest.mark.parametrize("spread", [0.0, 1.0, 10.0, 50.0])
+@pytest.mark.parametrize("spread", [0.0, 50.0])
 def test_few_repeats_of_a_quantity_of_unknown_scatter_hold_their_mean(spread: float) -> None:
     """Three values with noise of 1 %, *spread* times that between them: of 300 intervals at 95 % fewer than
     275 hold once in 200.

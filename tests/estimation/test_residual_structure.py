@@ -55,8 +55,8 @@ def codes(fit: Fit) -> list[str]:
 
 
 def test_right_fits_are_left_alone() -> None:
-    """At 1 % each, more than three of forty come once in 1,500 times."""
-    assert sum("model-mismatch" in codes(fitted("", seed)) for seed in range(40)) <= 3
+    """At 1 % each, more than two of twenty come once in 1,000 times; at 25 % they do nine times of ten."""
+    assert sum("model-mismatch" in codes(fitted("", seed)) for seed in range(20)) <= 2
 
 
 def test_known_noise_is_for_chi_square() -> None:

@@ -141,11 +141,12 @@ def recorded_rotor(folder: Path, seed: int) -> tuple[Fit, dict[str, float]]:
 
 
 def test_raw_files_within_what_was_stated_are_no_mismatch(tmp_path: Path) -> None:
-    """Eight worlds: named in none or one (1 % by chance), chi-square of 304 degrees of freedom as of noise.
+    """Five worlds: named in none or one (1 % by chance), chi-square of 304 degrees of freedom as of noise,
+    its mean known to 3.6 %.
 
     Every parameter has its parts by every source, zero ones among them.
     """
-    fits = [recorded_rotor(tmp_path, seed) for seed in range(8)]
+    fits = [recorded_rotor(tmp_path, seed) for seed in range(5)]
     wrong = {"model-mismatch", "mass", "stated-value"}
     assert sum(bool(wrong & {finding.code for finding in fit.findings}) for fit, _ in fits) <= 1
     assert np.mean([fit.gof.chi2_reduced for fit, _ in fits]) == pytest.approx(1.0, abs=0.12)

@@ -15,9 +15,9 @@ from tests.hostile.scenarios import SCENARIOS, write_scenario
 from tests.hostile.seeds import ARTEFACTS, READS, TABLES, write_seeds
 from tests.hostile.trials import Tally, trial_of_file, trial_of_yaml
 
-TRIALS, FEWER = 40, 6
-YAML_TRIALS = {"pipeline.yaml": 25, "rig.yaml": 25}
-SLOW = ("a.h5", "a.xlsx", "a.mf4", INDEX, "identification.json")
+TRIALS, FEWER = 25, 6
+YAML_TRIALS = {"pipeline.yaml": 15, "rig.yaml": 15}
+SLOW = ("a.h5", "a.xlsx", "a.mf4", "rates.mf4", INDEX, "identification.json")
 
 
 @pytest.fixture(scope="module")

@@ -184,9 +184,10 @@ EDITS: dict[str, Callable[[dict], object]] = {
 }
 
 
-@pytest.fixture
-def archive(tmp_path: Path, result: dict) -> Path:
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory, result: dict) -> Path:
     """Good results among bad ones."""
+    tmp_path = tmp_path_factory.mktemp("archive")
     for name, edit in {"good": lambda _: None, "other": lambda _: None, **EDITS}.items():
         entries = json.loads(json.dumps(result))
         edit(entries)

@@ -65,8 +65,8 @@ def test_nothing_is_made_again_when_nothing_changed(lab: Path) -> None:
 
 CHANGES = {
     "another sample": (lambda lab: (lab / "soft.csv").write_text(recording(18.1e3)), OF_SOFT | {RESULT}),
-    "the sensor's delay": (replaced("rig.yaml", "unit: um,", "unit: um, delay: 10 us,"), ALL),
-    "the rig's mass": (replaced("rig.yaml", "mass: 0.79 kg", "mass: 0.8 kg"), ALL),
+    "the sensor's delay": (replaced("rig.yaml", "unit: um,", "unit: um, delay: 10 ns,"), ALL),
+    "the rig's mass": (replaced("rig.yaml", "mass: 0.79 kg", "mass: 0.79001 kg"), ALL),
     "skipped periods": (replaced("pipeline.yaml", "skip: 0", "skip: 1"), RESPONSES | FITS | {RESULT}),
     "a fit's band": (replaced("pipeline.yaml", "band: 10-40 Hz", "band: 11-40 Hz"), FITS | {RESULT}),
     "a fit's estimator": (replaced("pipeline.yaml", "estimator: ls", "estimator: iv"), FITS | {RESULT}),
@@ -177,7 +177,7 @@ def test_one_test_has_no_file_of_fits(alone: Path) -> None:
     ("change", "expected"),
     [
         (
-            replaced("rig.yaml", "0.79 kg", "0.8 kg"),
+            replaced("rig.yaml", "0.79 kg", "0.79001 kg"),
             {"recordings/soft.recording.parquet", "frf.frf.parquet", RESULT},
         ),
         (replaced("pipeline.yaml", "skip: 0", "skip: 1"), {"frf.frf.parquet", RESULT}),

@@ -18,7 +18,6 @@ from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.parquet import header_of
 from labpipe.errors import ConfigError, DataError
 from labpipe.project import many_tests
-from labpipe.project.executors import in_processes
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.run import Manner
 from labpipe.records.identification import Identification
@@ -127,7 +126,8 @@ def test_the_layout_is_that_of_hive_and_the_schema_has_a_number(home: Path) -> N
 
 
 def test_the_same_work_gives_the_same_bytes_in_any_order(home: Path, tmp_path: Path) -> None:
-    done(home / "pipeline.yaml", tmp_path / "again", manner=Manner(execute=in_processes(2)))
+    backwards = Manner(execute=lambda work, jobs: map(work, reversed(jobs)))
+    done(home / "pipeline.yaml", tmp_path / "again", manner=backwards)
     assert contents(tmp_path / "again") == contents(home / "many")
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "again").rglob("*.frf.parquet")}
     done(home / "pipeline.yaml", tmp_path / "again")

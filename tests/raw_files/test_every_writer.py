@@ -36,7 +36,7 @@ from tests.artefacts.any_record import any_of, fits, same
 from tests.raw_files.any_artefact import decays, fit, measured, recording, response, result, spectra, spread
 
 FEW = settings(
-    max_examples=6, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+    max_examples=3, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
 SEEDS = st.integers(0, 10**6)
 Export = Callable[[str, Path], Path]

@@ -120,6 +120,14 @@ def labpipe(labpipe_without_report):
     return labpipe_without_report
 
 
+def ruled(project: Path, address: str, bound) -> Path:
+    """The pipeline with one comparison and a rule on it."""
+    name = address.partition(".")[0]
+    return edited(
+        project, lambda plan: plan.update(compare={name: plan["compare"][name]}, expect={address: bound})
+    )
+
+
 def edited(project: Path, change) -> Path:
     plan = yaml.safe_load((project / "pipeline.yaml").read_text())
     change(plan)
@@ -235,8 +243,8 @@ def test_faults_are_named_at_their_place(project, change, what: str) -> None:
 
 
 RULES = [
-    ("ratio.rato", 1, "the comparison has no 'rato'; did you mean 'ratio'?"),
-    ("ratio.ratio.covers", "1 N", "'N' has the wrong dimension"),
+    ("damping.bta", 1, "the comparison has no 'bta'; did you mean 'beta'?"),
+    ("damping.beta.covers", "1 N", "'N' has the wrong dimension"),
     ("damping.beta", ">= 1 kg", "'kg' has the wrong dimension"),
 ]
 
@@ -245,21 +253,14 @@ RULES = [
 def test_rules_that_do_not_fit_the_comparison_are_named(
     project, labpipe, address: str, bound, what: str
 ) -> None:
-    ended = labpipe(
-        "run", edited(project, lambda plan: plan.update(expect={address: bound})), "-o", project / "out"
-    )
+    ended = labpipe("run", ruled(project, address, bound), "-o", project / "out")
     assert ended.code == 2
     assert f"expect.{address}" in ended.err
     assert what in ended.err
 
 
 def test_a_rule_on_an_interval_that_is_not_there_fails(project, labpipe) -> None:
-    ended = labpipe(
-        "run",
-        edited(project, lambda plan: plan.update(expect={"ways.p_value.covers": 0.5})),
-        "-o",
-        project / "out",
-    )
+    ended = labpipe("run", ruled(project, "ways.p_value.covers", 0.5), "-o", project / "out")
     assert ended.code == 1
     assert "found no interval" in ended.out
 

@@ -304,7 +304,8 @@ class LoopProblem:
         """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by
         one-sided ones; the residual is linear in the sources.
         """
-        count, shared = self.residual(u).size, self.n_shared
+        shared = self.n_shared
+        count = sum(loop.measured.n_equation for loop in self.observations) + u.size - len(self.unknowns)
         slopes = np.zeros((count, u.size))
         for number, step in enumerate(STEP * np.eye(u.size)[:shared]):
             slopes[:, number] = self._slope(u, step)

@@ -58,13 +58,13 @@ LINES = FrfSettings("periodic", period="0.5 s", skip=0, band="4-200 Hz", result=
 
 
 def test_a_shaft_at_rest_does_not_move() -> None:
-    """150 recordings of a dry stator, whose shaft nothing moves: said in none or one (0.13 % by chance, the
-    binomial quantile at 0.1 %).
+    """50 recordings of a dry stator, whose shaft nothing moves: said in none or one (0.13 % by chance, which
+    exceeds one once in 500).
 
-    A / w^2 is 2500 times as noisy at 4 as at 200 Hz; by one noise for all lines it was said in 40.
+    A / w^2 is 2500 times as noisy at 4 as at 200 Hz; by one noise for all lines it was said in 40 of 150.
     """
     said = 0
-    for seed in range(150):
+    for seed in range(50):
         stator = stator_of(channel_spectra(recordings(BENCH, seed, ["dry-plus"]), LINES), None, (), ())
         moved = shaft_motion(stator)
         assert moved is not None

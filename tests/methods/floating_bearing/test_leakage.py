@@ -59,18 +59,18 @@ def fitted(folder: Path, zeta: float, seed: int, estimator: str = "ml") -> Fit:
     ("zeta", "codes"), [pytest.param(0.08, set(), marks=pytest.mark.long), (0.008, {"leakage"})]
 )
 def test_hoses_are_told_under_random_forces(tmp_path: Path, zeta: float, codes: set[str]) -> None:
-    """Six records of 120 s in blocks of half a second, 2.7 and 0.27 lines in the half-power width: the means
-    are within a standard error of one record of the truth; without the model of the leakage the damping was
-    5.5 and 4.1 of them too large. The residual is noise; *leakage* is said where it decides on the damping.
+    """Three records of 120 s in blocks of half a second, 2.7 and 0.27 lines in the half-power width: the
+    means are within 2.45 of their standard errors of the truth; without the model of the leakage the damping
+    was 5.5 and 4.1 of one record's too large, 7 of the mean's. Two of three intervals of 95 % hold it but
+    once in 140. The residual is noise; *leakage* is said where it decides on the damping.
     """
-    fits = [fitted(tmp_path, zeta, seed) for seed in range(6)]
+    fits = [fitted(tmp_path, zeta, seed) for seed in range(3)]
     truth = {"k_xx": STIFFNESS, "k_yy": STIFFNESS, "c_xx": damping(zeta), "c_yy": damping(zeta)}
     for name, true in truth.items():
         found = [fit.parameter(name) for fit in fits]
-        assert abs(np.mean([one.value for one in found]) - true) < np.mean(
-            [one.std_error for one in found]
-        ), name
-        assert sum(one.ci95[0] < true < one.ci95[1] for one in found) >= 5, name
+        error = np.mean([one.std_error for one in found]) / np.sqrt(len(found))
+        assert abs(np.mean([one.value for one in found]) - true) < 2.45 * error, name
+        assert sum(one.ci95[0] < true < one.ci95[1] for one in found) >= 2, name
     for fit in fits:
         said = {finding.code for finding in fit.findings if finding.level == WARNING}
         assert said & {"leakage", "model-mismatch"} == codes

@@ -258,8 +258,8 @@ def test_rounding_the_front_changes_little(depth: float, cavitation: float) -> N
     np.testing.assert_allclose(rounded.pressure, exact, atol=0.02 * exact.max())
 
 
-@pytest.mark.parametrize("slenderness", [0.5, 1.0, 1.7, 4.0, 40.0])
-@pytest.mark.parametrize(("depth", "angle"), [(0.0, 0.0), (0.05, 0.1), (0.55, 0.3), (0.5, -0.3)])
+@pytest.mark.parametrize("slenderness", [0.5, 1.7, 40.0])
+@pytest.mark.parametrize(("depth", "angle"), [(0.0, 0.0), (0.55, 0.3), (0.5, -0.3)])
 def test_an_equilibrium_is_found_from_light_to_heavy_loads(
     slenderness: float, depth: float, angle: float
 ) -> None:

@@ -81,7 +81,7 @@ def test_linearised_against_centred_differences(name: str) -> None:
     np.testing.assert_allclose(equilibrium.damping, damping, atol=3e-3 * np.abs(damping).max())
 
 
-@pytest.mark.parametrize("depth", [10.0, 22.27, 40.19, 48.26])
+@pytest.mark.parametrize("depth", [10.0, 48.26])
 def test_coefficients_are_smooth_over_the_angle_of_wear(depth: float) -> None:
     """Largest departure from a polynomial of degree 9 over -20 ... 20 deg, at most .1 % of the largest
     coefficient, 120 x 30 cells.

@@ -33,11 +33,12 @@ def test_json_has_coefficients_poles_and_zone(labpipe: Callable[..., Any], file:
     assert entry["shares"]["k_bias_field"] == pytest.approx(-33106.0)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_sweep_over_frequency_has_the_shares(labpipe: Callable[..., Any], file: Path, tmp_path: Path) -> None:
-    ended = labpipe("bearing", file, "--sweep", "frequency=1:250:1", "-o", tmp_path / "out")
+    ended = labpipe("bearing", file, "--sweep", "frequency=1:249:31", "-o", tmp_path / "out")
     with (tmp_path / "out/sweep.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert ended.code == 0 and len(rows) == 250
+    assert ended.code == 0 and len(rows) == 9
     for row in (rows[0], rows[-1]):
         total = sum(float(number) for title, number in row.items() if title.startswith("share_k_"))
         assert total == pytest.approx(float(row["k_x_x [N/m]"]), rel=1e-5)

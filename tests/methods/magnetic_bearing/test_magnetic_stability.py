@@ -57,7 +57,7 @@ def test_poles_are_zeros_of_the_exact_characteristic_function() -> None:
         assert abs(force - RIG.negative_stiffness + RIG.mass * pole**2) < 1e-6 * RIG.negative_stiffness
 
 
-@pytest.mark.parametrize("proportional", [0.5, 0.9, 1.0, 2.0, 6.0])
+@pytest.mark.parametrize("proportional", [0.5, 1.0, 6.0])
 @pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.25, 75e-6), (-0.25, 1e-3), (0.25, 4e-3)])
 def test_argument_principle_counts_the_poles(proportional: float, lag: float, delay: float) -> None:
     """Pade poles against the exact delay's turn: too soft, stable and delayed loops.

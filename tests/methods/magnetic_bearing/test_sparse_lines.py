@@ -46,8 +46,9 @@ def drawn(lines: np.ndarray, noise: float, rng: np.random.Generator) -> dict[str
     }
 
 
-@pytest.mark.parametrize("noise", [0.003, 0.02])
-@pytest.mark.parametrize("lines", [SPARSE, SPARSE[::2], np.arange(3, 450)], ids=["53", "27", "447"])
+@pytest.mark.parametrize(
+    ("lines", "noise"), [(SPARSE[::2], 0.003), (SPARSE[::2], 0.02), (np.arange(3, 450), 0.02)]
+)
 def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: float) -> None:
     """40 draws: the mean within half a standard error of the closed form, 95 % intervals hold it in 33 or
     more (the binomial quantile at 0.1 %).
@@ -186,8 +187,7 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
     assert np.mean(coverage) >= 0.92
 
 
-@pytest.mark.parametrize(("gain_x", "gain_i"), [(0.006, 0.0), (-0.006, -0.006), (0.0, 0.006)])
-def test_gains_within_what_is_stated_move_no_unknown(tmp_path: Path, gain_x: float, gain_i: float) -> None:
+def test_gains_within_what_is_stated_move_no_unknown(tmp_path: Path) -> None:
     """Gains of reading and current off by two of their uncertainties, one noise: what the controller and the
     other signals tell of a gain leaves k_n, k_i and the decrement within 0.2 of their uncertainties of those
     of true gains. Of fits that leave such gains to the residual k_n was off by up to two of its
@@ -196,18 +196,20 @@ def test_gains_within_what_is_stated_move_no_unknown(tmp_path: Path, gain_x: flo
     columns = AXIS.record(np.random.default_rng(5))
     names = ("negative_stiffness", "force_per_current", "bandwidth", "log_decrement_1")
     found = []
-    for gains in ({"x": gain_x, "i": gain_i}, {}):
+    for gains in ({}, {"x": 0.006}, {"x": -0.006, "i": -0.006}):
         moved = {name: samples * (1 + gains.get(name, 0.0)) for name, samples in columns.items()}
         pipeline = certificate_pipeline(written(tmp_path, AXIS, moved), AXIS, certificate=ASKED)
         stated_gains(tmp_path / "rig.yaml", 0.3)
         (one,) = labpipe.run(pipeline).sections["compare"]
         assert not [finding.code for finding in one.findings if finding.level == "warning"]
         found.append(one)
-    for name in names:
-        changed, plain = (one.amount(name) for one in found)
-        assert abs(changed.value - plain.value) < 0.2 * plain.combined, name
-    k_n = found[0].amount("negative_stiffness")
-    assert k_n.ci95[0] < AXIS.k_n < k_n.ci95[1]
+    sound = found[0]
+    for one in found[1:]:
+        for name in names:
+            plain = sound.amount(name)
+            assert abs(one.amount(name).value - plain.value) < 0.2 * plain.combined, name
+        k_n = one.amount("negative_stiffness")
+        assert k_n.ci95[0] < AXIS.k_n < k_n.ci95[1]
 
 
 def test_a_gain_that_the_loop_contradicts_is_named(tmp_path: Path) -> None:

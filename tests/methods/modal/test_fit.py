@@ -119,7 +119,7 @@ def test_coverage_with_known_noise() -> None:
 
 
 def test_roving_hammer_is_the_same_structure() -> None:
-    structure = nine_modes(12, 751)
+    structure = nine_modes(5, 401)
     response = response_of(structure, structure.noisy(0.01, 5))
     roving = replace(
         response, matrix=response.matrix.swapaxes(1, 2), outputs=response.inputs, inputs=response.outputs
@@ -393,7 +393,7 @@ def finer(response: FrequencyResponse, spacing: float) -> FrequencyResponse:
 @pytest.mark.parametrize("form", ["other", "transmissibility"])
 def test_inputs_that_are_no_forces_have_poles_and_no_masses(form: str) -> None:
     """Acceleration over a current that a force is 5 N/A of, or over that of a base: the same poles."""
-    response = with_known_noise(chain_response(np.linspace(5, 120, 500)), 2e-8, 3)
+    response = with_known_noise(chain_response(np.linspace(5, 120, 250)), 2e-8, 3)
     w = 2 * np.pi * response.frequency[:, None, None]
     fit = modal(replace(response, matrix=-(w**2) * response.matrix * 5, form=form, covariance=None))
     f, zeta, _ = chain_truth()

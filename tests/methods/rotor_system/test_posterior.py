@@ -97,16 +97,15 @@ def test_a_test_of_another_rotor_is_named(fitted) -> None:
 def test_oil_of_another_temperature_is_a_conflict_and_named() -> None:
     """A rotor in oil films by clearance and viscosity: in its interval; a run-up with oil of 60 % of the
     viscosity pulls against what the shaken rotor says, and enlarges small errors: the oil is named, with what
-    the run-up asks for, before a gain of a probe; a gain of a probe is named where that was wrong.
+    the run-up asks for, before a gain of a probe.
     """
     of, rng = built(bearings="oil"), np.random.default_rng(5)
     truth = drawn(of, rng)
     oil, gain = of.model.number("oil"), of.model.number("gain run 10 y")
-    warm, loud = truth.copy(), truth.copy()
+    warm = truth.copy()
     warm[oil] *= 0.6
-    loud[gain] += 0.25
     tests = four_tests(of, truth, rng, 2000.0, 25.0)
-    warm_run, loud_run = (four_tests(of, values, rng, 2000.0, 25.0)[2] for values in (warm, loud))
+    warm_run = four_tests(of, warm, rng, 2000.0, 25.0)[2]
     found = fit_system(of.model, tests)
     assert not found.misfits and not found.enlarged and all(abs(pull.z) < 3 for pull in pulls(found))
     assert abs(found.values[oil] - truth[oil]) < 3 * found.standard_errors[oil] < of.model.errors[oil] * 3
@@ -119,7 +118,16 @@ def test_oil_of_another_temperature_is_a_conflict_and_named() -> None:
     assert all(each.fall < first.fall / 2 for each in rest if each.number == gain)
     text = " ".join(finding.message for finding in _findings(other))
     assert "chi-square falls by" in text and "oil of" in text and "in test 'run'" in text
-    first = explanations(fit_system(of.model, [loud_run if t.name == "run" else t for t in tests]))[0]
+
+
+def test_a_gain_of_a_probe_is_named_where_that_was_wrong(fitted) -> None:
+    of, truth, found = fitted
+    gain, loud = of.model.number("gain run 10 y"), truth.copy()
+    loud[gain] += 0.25
+    run = four_tests(of, loud, np.random.default_rng(5))[2]
+    first = explanations(fit_system(of.model, [run if test.name == "run" else test for test in found.tests]))[
+        0
+    ]
     assert (first.test, first.number) == ("run", gain) and first.fall > TELLING
 
 
@@ -167,7 +175,7 @@ def test_critical_speed_and_amplification_of_draws(fitted) -> None:
     """The reduced basis against the whole model, and the truth in its interval."""
     of, truth, found = fitted
     output = dof("4 z")
-    criticals = critical_speeds(found, of, (20.0, 90.0), 100.0, [output], n_draw=120)
+    criticals = critical_speeds(found, of, (20.0, 90.0), 100.0, [output], n_draw=40)
     speed = np.linspace(20.0, 90.0, 4000)
     omega = 2 * np.pi * speed
     forces = unbalance_forces(of, truth)[:, None] * omega[:, None, None] ** 2
@@ -237,7 +245,7 @@ def test_a_posterior_that_is_not_normal_is_fitted_to_moved_data() -> None:
     density /= density.sum()
     mean = float(density @ grid)
     true = np.sqrt(density @ (grid - mean) ** 2 + (found.values[0] - mean) ** 2)
-    by_fits = refit(found, 2000)
+    by_fits = refit(found, 600)
     assert abs(found.standard_errors[0] / true - 1) > 0.15
     assert by_fits.standard_errors[0] == pytest.approx(true, rel=0.1)
     assert np.array_equal(by_fits.draws(5), by_fits.refits[:5])

@@ -148,6 +148,7 @@ channels:
 """
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_recording_is_judged(tmp_path: Path, labpipe) -> None:
     """From samples: 8 to 80 Hz in 40 s, one mode at 45 Hz in both directions, shaft lifted by 30 um."""
     t = np.arange(80_000) / 2000

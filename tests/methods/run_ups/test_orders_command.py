@@ -62,6 +62,7 @@ def test_a_run_up_by_its_tacho(project: Path, labpipe) -> None:
         assert "<svg" in (out / name).read_text("utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
     t = np.arange(20_000) / 2000
     x = 12 * np.cos(2 * np.pi * 50 * t + 0.3)

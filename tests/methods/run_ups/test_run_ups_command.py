@@ -122,6 +122,7 @@ def command(tmp_path: Path) -> list[object]:
     ]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_recording_becomes_a_run_up_table(command: list[object], tmp_path: Path, labpipe) -> None:
     ended = labpipe(
         *command, "--load", "3 N", "--unbalance", "front=1 g.mm at 30 deg", "--unbalance", "rear=2 g.mm"
@@ -135,6 +136,7 @@ def test_a_recording_becomes_a_run_up_table(command: list[object], tmp_path: Pat
     assert f"front.x  largest {1e6 * largest:.4g} um" in ended.out
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -68,7 +68,7 @@ def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Mini
 def test_the_mesh_error_is_a_third_of_the_change_from_half_the_cells() -> None:
     """And of the size of the error that a far finer film shows."""
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
-    bearing = tabulate(place, load, RIG.omega, True, Ranges(50e-6, 0.3, 1.05, 1.05), FilmMesh(*COARSE))
+    bearing = tabulate(place, load, RIG.omega, True, Ranges(50e-6, 0.3), FilmMesh(*COARSE))
     error = bearing.mesh_error(VALUES, FINE)
     worn = replace(place.film("a test"), **VALUES)
     fine, half, finest = (

@@ -81,7 +81,7 @@ def test_joint_fit_is_complete(joint: Fit) -> None:
     )
     assert between.size >= 200
     assert [finding.code for finding in joint.findings] == []
-    assert "of 20 starts lead to this minimum" in joint.notes[0] and "192 x 16 cells" in joint.notes[0]
+    assert "of 4 starts lead to this minimum" in joint.notes[0] and "192 x 16 cells" in joint.notes[0]
 
 
 def test_healthy_bearing_is_called_healthy(healthy: Fit) -> None:

@@ -16,12 +16,15 @@ from scipy.optimize import least_squares
 
 from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.curve import journal_table
+from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.shaft import ALUMINIUM, Disc, Rotor, ShaftElement, Sleeve, Support, bearing_loads
 from labpipe.methods.wear.tables import VaryingSupport, WornRig, worn_response
 
 SPEED = 2 * np.pi * 50
 LINES = np.concatenate([np.arange(15.9, 35.0, 1.0), np.arange(78.1, 88.0, 0.8)])
+# Half of the usual cells: the response is that of any film.
+MESH = FilmMesh(120, 16)
 BEARING = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044)
 # Depth um and angle deg of the source's bearings 1 to 4.
 WEAR = [(22.27, 11.0), (22.27, -11.0), (40.19, 8.0), (48.26, 17.0)]
@@ -38,8 +41,8 @@ def rig() -> WornRig:
     coupling = Disc.of_dimensions(1, 12e-3, 25e-3, 20e-3, ALUMINIUM)
     rotor = Rotor(shaft, (coupling,), (Sleeve(9, 40e-3), Sleeve(10, 40e-3)), beta=1.6e-4)
     loads = [(float(y), float(z)) for y, z in bearing_loads(rotor, [4, 14], {10: (0.0, -80.0)})]
-    first = journal_equilibrium(BEARING, loads[0], SPEED)
-    table = journal_table(BEARING, loads[1], SPEED)
+    first = journal_equilibrium(BEARING, loads[0], SPEED, MESH)
+    table = journal_table(BEARING, loads[1], SPEED, mesh=MESH)
 
     def worn_bearing(depth: float, angle: float) -> VaryingSupport:
         found = table.coefficients(dataclasses.replace(BEARING, wear_depth=depth, wear_angle=angle), SPEED)
@@ -110,7 +113,7 @@ def test_derivatives_follow_the_film_itself(rig: WornRig, depth: float, angle: f
 
     def response(wear: np.ndarray) -> np.ndarray:
         worn = dataclasses.replace(BEARING, wear_depth=float(wear[0]), wear_angle=float(wear[1]))
-        film = journal_equilibrium(worn, load, SPEED)
+        film = journal_equilibrium(worn, load, SPEED, MESH)
         standing = rig.rotor.on([Support(14, film.stiffness, film.damping)])
         return standing.response(14, 10)
 

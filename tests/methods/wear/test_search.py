@@ -24,7 +24,7 @@ from labpipe.methods.wear.search import (
     refine,
     start_mesh,
 )
-from labpipe.methods.wear.settings import Gaussian
+from labpipe.methods.wear.settings import Gaussian, WearSettings
 from tests.methods.wear.worn_cases import NUISANCES, measured, misfit_of, wear_settings, worn_rig
 
 TRUTH = np.array([22.27, 11.0])
@@ -94,7 +94,8 @@ def test_starts_are_the_mesh_moved_off_zero_depth() -> None:
 def test_wear_is_found_again_without_noise(objective: str, truth: tuple[float, float]) -> None:
     """.01 um and .01 deg from at least ten of twenty starts, films of the truth's own mesh."""
     misfit = misfit_of(measured(worn_rig(*truth)), objective=objective, response="dFRF")
-    found = minima(misfit, start_mesh(wear_settings(), misfit))
+    own = wear_settings(start_depths=WearSettings.start_depths, start_angles=WearSettings.start_angles)
+    found = minima(misfit, start_mesh(own, misfit))
     assert sum(one.starts for one in found) == 20
     _, best = refine(misfit, found[0])
     assert best.converged and best.starts >= 10

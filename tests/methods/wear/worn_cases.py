@@ -32,8 +32,10 @@ SCALE = np.array([1e-6, np.deg2rad(1.0)])
 
 
 def wear_settings(**changes: object) -> WearSettings:
-    """Settings with the rig in place and coarse films."""
+    """Settings with the rig in place, coarse films, and four starts, one in every quarter of the range."""
     given = {
+        "start_depths": (12e-6, 36e-6),
+        "start_angles": (-0.15, 0.15),
         "rotor": "mendes.yaml",
         "rig": RIG,
         "cells_around": COARSE[0],
