@@ -157,8 +157,9 @@ def test_the_peak_of_dense_noisy_lines_has_no_bias(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None:
-    """60 records of 53 lines and 20 periods: every amount in 51 or more (the binomial quantile of 95 % at
-    0.1 %; 80 % falls below it in 79 of 100), all together in 92 % or more.
+    """40 records of 53 lines and 20 periods: every amount in 33 or more (the binomial quantile of 95 % at
+    0.1 %; of 80 % it sees 56 of 100), all together within three deviations of the records' own shares, which of
+    80 % sees 97 of 100 though all amounts are missed alike.
     """
     pole = AXIS.pole()
     truth = {
@@ -173,7 +174,7 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
         "phase_margin": AXIS.phase_margin(),
         "measured_phase_margin": AXIS.phase_margin(),
     }
-    held = np.zeros((60, len(truth)))
+    held = np.zeros((40, len(truth)))
     for seed in range(len(held)):
         columns = AXIS.record(np.random.default_rng(seed))
         pipeline = certificate_pipeline(written(tmp_path, AXIS, columns), AXIS, certificate=ASKED)
@@ -182,8 +183,8 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
             low, high = amounts[name].ci95
             held[seed, number] = low <= true <= high
     coverage = held.mean(axis=0)
-    assert np.all(coverage >= 51 / 60), dict(zip(truth, coverage, strict=True))
-    assert np.mean(coverage) >= 0.92
+    assert np.all(coverage >= 33 / 40), dict(zip(truth, coverage, strict=True))
+    assert np.mean(coverage) >= 0.95 - 3 * held.mean(axis=1).std() / np.sqrt(len(held))
 
 
 @pytest.mark.parametrize(("gain_x", "gain_i"), [(0.006, 0.0), (-0.006, -0.006), (0.0, 0.006)])
