@@ -98,8 +98,8 @@ def test_what_has_no_plant_is_refused(tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("periods", [0, 20])
 def test_the_band_holds_the_true_plant_at_all_lines(periods: int) -> None:
-    """At least 95 of 100, less what chance takes of 60 draws (99.5 %): 52, which a band of 80 % misses in 87 of
-    100.
+    """At least 95 of 100, less what chance takes of 60 draws (99.5 %): 52, which a band of 80 % misses in 87
+    of 100.
     """
     w = ROTOR.omega[:, None, None]
     true = np.linalg.solve(ROTOR.k_s - w**2 * ROTOR.mass * np.eye(1), ROTOR.k_i.astype(complex)[None])
