@@ -281,7 +281,7 @@ def residual_of(known: Influence, weights: ComplexArray, noise: Noise) -> Residu
 
 
 def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
-    """pinv(alpha) z_0 of draws (n, n_line, n_plane + 1): weights (n, n_plane) [kg m] that vibrate most alike."""
+    """pinv(alpha) z_0 of draws (n, n_line, n_plane + 1): what vibrates most alike, (n, n_plane) [kg m]."""
     return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
 
 
