@@ -93,10 +93,12 @@ class Influence:
 
     def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
         """The mean moved by *gain* (n, 2 n_reading) [1, per kg m] times what readings *surprise* by,
-        (n_reading,) [unit of the readings].
+        (..., n_reading) [unit of the readings].
         """
-        real, imaginary = np.split(gain @ np.concatenate([surprise.real, surprise.imag]), 2)
-        return replace(self, mean=self.mean + (real + 1j * imaginary).reshape(self.mean.shape))
+        moved = np.concatenate([surprise.real, surprise.imag], axis=-1) @ gain.T
+        real, imaginary = np.split(moved, 2, axis=-1)
+        at = (*surprise.shape[:-1], *self.mean.shape)
+        return replace(self, mean=self.mean + (real + 1j * imaginary).reshape(at))
 
     def gain(
         self, weights: ComplexArray, variance: FloatArray, lines: IntArray
@@ -178,10 +180,10 @@ def square_of(drawn: ComplexArray) -> ComplexArray:
 
 
 def best_weights(square: ComplexArray) -> ComplexArray:
-    """The weights (n_plane,) [kg m] of the least expected *square* (n_plane + 1, n_plane + 1) of the
+    """The weights (..., n_plane) [kg m] of the least expected *square* (..., n_plane + 1, n_plane + 1) of the
     vibration that is left: w = -A^-1 b of its blocks. Equation (system-balance).
     """
-    return np.asarray(-np.linalg.solve(square[1:, 1:], square[1:, 0]))
+    return np.asarray(-np.linalg.solve(square[..., 1:, 1:], square[..., 1:, :1])[..., 0])
 
 
 def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
@@ -268,7 +270,7 @@ def residual_of(known: Influence, weights: ComplexArray, noise: Noise) -> Residu
     low, high = np.percentile(np.abs(left), COVERED, axis=0)
     ends = np.percentile(rms, COVERED)
     before = float(np.sqrt(np.mean(np.abs(known.mean[:, 0]) ** 2)))
-    unbalance = np.array([np.linalg.pinv(draw[:, 1:]) @ draw[:, 0] + weights for draw in drawn[:400]])
+    unbalance = _made_by_planes(drawn[:400]) + weights
     upper = np.percentile(np.abs(unbalance), 95, axis=0)
     amplitudes = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
     interval = (float(ends[0]), float(ends[1]))
@@ -276,6 +278,11 @@ def residual_of(known: Influence, weights: ComplexArray, noise: Noise) -> Residu
         below = residual_of(known.narrow, weights, noise)
         interval, low = (min(interval[0], below.interval[0]), interval[1]), np.minimum(low, below.low)
     return Residual(float(np.sqrt(np.mean(rms**2))), interval, before, amplitudes, low, high, upper)
+
+
+def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
+    """pinv(alpha) z_0 of draws (n, n_line, n_plane + 1): what vibrates most alike, (n, n_plane) [kg m]."""
+    return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
 
 
 def _drawn_residual(known: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:
@@ -309,19 +316,19 @@ def next_runs(known: Influence, noise: Noise, candidates: Mapping[str, ComplexAr
     n_line = known.mean.shape[0]
     rng = np.random.default_rng(SEED + 2)
     truths = known.draws(TRIED)
-    for truth in () if known.modelled else truths:
+    if not known.modelled:
         # Unbalance in the planes: what they cannot make is no part of the truth.
-        truth[:, 0] = truth[:, 1:] @ (np.linalg.pinv(truth[:, 1:]) @ truth[:, 0])
+        truths[..., 0] = (truths[..., 1:] @ _made_by_planes(truths)[..., None])[..., 0]
     scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
     expected = {}
     for name, weights in candidates.items():
         whole = np.concatenate([[1.0], weights])
         variance = noise.variance(known.mean @ whole)
         gain, joint, _ = known.gain(weights, variance, np.arange(n_line))
-        squares = []
-        for truth, normal in zip(truths, scatter, strict=True):
-            surprise = (truth - known.mean) @ whole + np.sqrt(variance) * normal
-            chosen = best_weights(replace(known.moved(gain, surprise), joint=joint).square)
-            squares.append(np.sum(np.abs(truth @ np.concatenate([[1.0], chosen])) ** 2))
+        means = known.moved(gain, (truths - known.mean) @ whole + np.sqrt(variance) * scatter).mean
+        spread = replace(known, joint=joint).covariance.sum(axis=0).T
+        chosen = best_weights(means.conj().swapaxes(-1, -2) @ means + spread)
+        left = (truths[..., 1:] @ chosen[..., None])[..., 0] + truths[..., 0]
+        squares = np.sum(np.abs(left) ** 2, axis=-1)
         expected[name] = float(np.sqrt(np.mean(squares) / n_line))
     return expected

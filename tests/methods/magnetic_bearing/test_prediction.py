@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.comparisons import prediction
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
-from labpipe.methods.magnetic_bearing.loop_problem import predicted_fits, with_unknowns
+from labpipe.methods.magnetic_bearing.loop_problem import View, predicted_fits, with_unknowns
 from labpipe.records.comparison import Comparison
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Paragraph, Table
@@ -30,15 +31,23 @@ ASKED = CompareSettings(
 GEOMETRY = bearing("hmb-geometry")
 
 
-def predicted(
-    file: MagneticFile, rng: np.random.Generator, truth: MagneticFile = GEOMETRY, **settings
-) -> Comparison:
-    view = replace(measured(truth, rng, fits=True), file=file)
-    return prediction(replace(ASKED, **settings), [view])
+@functools.cache
+def recorded(truth: MagneticFile = GEOMETRY) -> View:
+    """The bands of one noise, for all that look at them."""
+    return measured(truth, np.random.default_rng(20240917), fits=True)
 
 
-def test_the_right_loop_lies_in_the_bands(rng: np.random.Generator) -> None:
-    found = predicted(GEOMETRY, rng)
+def predicted(file: MagneticFile, truth: MagneticFile = GEOMETRY, **settings) -> Comparison:
+    return prediction(replace(ASKED, **settings), [replace(recorded(truth), file=file)])
+
+
+@functools.cache
+def of_another_loop() -> Comparison:
+    return predicted(with_unknowns(GEOMETRY, {"proportional": 1.1}))
+
+
+def test_the_right_loop_lies_in_the_bands() -> None:
+    found = predicted(GEOMETRY)
     assert found.verdict == "as predicted" and found.verdict in found.statement
     assert found.amount("share_k").value >= 0.9 and found.amount("share_c").value >= 0.9
     assert found.amount("bands").value == 16 and len(found.bands) == 32
@@ -48,8 +57,8 @@ def test_the_right_loop_lies_in_the_bands(rng: np.random.Generator) -> None:
     assert band.ratio_ci95 is not None and band.ratio_ci95[0] <= 1 <= band.ratio_ci95[1]
 
 
-def test_another_loop_does_not(rng: np.random.Generator) -> None:
-    found = predicted(with_unknowns(GEOMETRY, {"proportional": 1.1}), rng)
+def test_another_loop_does_not() -> None:
+    found = of_another_loop()
     assert found.verdict == "not as predicted" and found.amount("share_k").value < 0.9
     assert found.amount("chi2_p").value < 1e-6
 
@@ -73,9 +82,9 @@ def test_the_prediction_is_the_same_fit_of_the_theory_and_not_its_value_at_the_c
     )
 
 
-def test_unknowns_are_fitted_and_the_bands_judged_again(rng: np.random.Generator) -> None:
+def test_unknowns_are_fitted_and_the_bands_judged_again() -> None:
     wrong = with_unknowns(GEOMETRY, {"gap": 0.47e-3})
-    found = predicted(wrong, rng, estimate=("gap", "delay"))
+    found = predicted(wrong, estimate=("gap", "delay"))
     gap = found.amount("gap")
     assert gap.ci95 is not None and gap.ci95[0] <= 0.45e-3 <= gap.ci95[1] < 0.47e-3
     assert found.amount("share_k").value < found.amount("share_k_fitted").value
@@ -85,20 +94,18 @@ def test_unknowns_are_fitted_and_the_bands_judged_again(rng: np.random.Generator
     )
 
 
-@pytest.mark.long
-def test_unknowns_that_cannot_be_told_apart_are_said(rng: np.random.Generator) -> None:
+def test_unknowns_that_cannot_be_told_apart_are_said() -> None:
     file = replace(bearing("hmb-magnetic"), static_stiffness=None, negative_stiffness=33106.0)
-    found = predicted(file, rng, estimate=("gain", "force_per_current"))
+    found = predicted(file, estimate=("gain", "force_per_current"))
     assert [finding.code for finding in found.findings if finding.code == "collinear"]
     assert found.amount("gain").ci95 is None and "cannot be told apart" in found.statement
     assert "share_k_fitted" not in [amount.name for amount in found.amounts]
 
 
-@pytest.mark.long
-def test_an_unstable_setting_is_said(rng: np.random.Generator) -> None:
+def test_an_unstable_setting_is_said() -> None:
     """The printed sign of the lag: pedestal and rotor stand, the bearing file's rotor alone does not."""
     printed = replace(bearing("hmb-magnetic"), loop=replace(bearing("hmb-magnetic").loop, lag=0.25))
-    found = predicted(printed, rng, truth=printed)
+    found = predicted(printed, truth=printed)
     assert found.verdict == "unstable" and "unstable" in found.statement
     assert found.amount("unstable_poles").value == 2
     assert "unstable-loop" in [finding.code for finding in found.findings]
@@ -107,7 +114,6 @@ def test_an_unstable_setting_is_said(rng: np.random.Generator) -> None:
     assert found.amount("share_k").value >= 0.9
 
 
-@pytest.mark.long
 def test_tests_under_several_gains_are_predicted_each_by_its_own(rng: np.random.Generator) -> None:
     asked: list[float | None] = []
 
@@ -140,15 +146,13 @@ def test_tests_under_several_gains_are_predicted_each_by_its_own(rng: np.random.
         ({"estimate": ("gab",)}, "'gab' is no unknown"),
     ],
 )
-def test_what_cannot_be_predicted_is_said(
-    settings: dict[str, object], message: str, rng: np.random.Generator
-) -> None:
+def test_what_cannot_be_predicted_is_said(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        predicted(GEOMETRY, rng, **settings)
+        predicted(GEOMETRY, **settings)
 
 
-def test_a_prediction_survives_its_file_and_is_reported(rng: np.random.Generator) -> None:
-    found = predicted(with_unknowns(GEOMETRY, {"gap": 0.46e-3}), rng, estimate=("gap", "delay"))
+def test_a_prediction_survives_its_file_and_is_reported() -> None:
+    found = predicted(with_unknowns(GEOMETRY, {"gap": 0.46e-3}), estimate=("gap", "delay"))
     # Budgets hold arrays, which their entries compare.
     assert entry_of(record_of(json.loads(json.dumps(entry_of(found))), Comparison)) == entry_of(found)
     blocks = comparison_blocks(found, ())
@@ -176,8 +180,8 @@ def test_a_prediction_survives_its_file_and_is_reported(rng: np.random.Generator
     assert any(isinstance(block, Paragraph) and block.text.startswith("sensitivity:") for block in blocks)
 
 
-def test_bands_that_miss_are_marked(rng: np.random.Generator) -> None:
-    found = predicted(with_unknowns(GEOMETRY, {"proportional": 1.1}), rng)
+def test_bands_that_miss_are_marked() -> None:
+    found = of_another_loop()
     table = next(
         block
         for block in comparison_blocks(found, ())

@@ -98,11 +98,13 @@ def test_what_has_no_plant_is_refused(tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("periods", [0, 20])
 def test_the_band_holds_the_true_plant_at_all_lines(periods: int) -> None:
-    """At least 95 of 100, less what chance takes of 300 draws (99.9 %)."""
+    """At least 95 of 100, less what chance takes of 60 draws (99.5 %): 52, which a band of 80 % misses in 87
+    of 100.
+    """
     w = ROTOR.omega[:, None, None]
     true = np.linalg.solve(ROTOR.k_s - w**2 * ROTOR.mass * np.eye(1), ROTOR.k_i.astype(complex)[None])
     rng, held = np.random.default_rng(11), 0
-    for _ in range(300):
+    for _ in range(60):
         plant = fitted(ROTOR.spectra(rng, periods)).detail(RobustPlant)
         held += bool(np.all(np.abs(true - plant.nominal) <= plant.radius))
-    assert held >= stats.binom.ppf(0.001, 300, 0.95)
+    assert held >= stats.binom.ppf(0.005, 60, 0.95)

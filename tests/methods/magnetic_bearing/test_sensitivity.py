@@ -162,21 +162,21 @@ def test_it_survives_its_file_and_is_drawn(rng: np.random.Generator) -> None:
 
 @pytest.mark.long
 def test_unknowns_are_fitted_to_it_within_their_uncertainty(rng: np.random.Generator) -> None:
-    """Gap, delay and bandwidth over 100 noises, from a file that has them 3 to 20 % wrong.
+    """Gap, delay and bandwidth over 60 noises, from a file that has them 3 to 20 % wrong.
 
-    The binomial at 1 in 1000.
+    The binomial at 1 in 200: intervals of 80 % are seen in 87 of 100.
     """
     truth = {"gap": 0.45e-3, "delay": 75e-6, "bandwidth": 1000.0}
     start = with_unknowns(bearing("hmb-geometry"), {"gap": 0.465e-3, "delay": 60e-6, "bandwidth": 1100.0})
     asked = replace(ASKED, estimate=tuple(truth), theory=TheorySettings("hmb.yaml"))
     held = dict.fromkeys(truth, 0)
-    for _ in range(100):
+    for _ in range(60):
         found = loop_sensitivity(asked, response(rng), start)
         assert found.amount("chi2_p").value > 1e-5 and len(found.correlations) == 3
         for name, value in truth.items():
             low, high = found.amount(name).ci95 or (np.nan, np.nan)
             held[name] += low <= value <= high
-    assert all(count >= stats.binom.ppf(0.001, 100, 0.95) for count in held.values()), held
+    assert all(count >= stats.binom.ppf(0.005, 60, 0.95) for count in held.values()), held
     np.testing.assert_allclose(np.max(found.curves[0].matched), TRUE_PEAK, rtol=0.01)
     assert abs(np.max(found.curves[0].theory) / TRUE_PEAK - 1) > 0.05
 

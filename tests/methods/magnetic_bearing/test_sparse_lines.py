@@ -84,6 +84,13 @@ def test_no_wrong_gain_margin_is_told_of_noise(lines: np.ndarray, noise: float, 
     assert np.mean(stated & (np.abs(away) >= 1.96)) <= 0.1
 
 
+def gain_margin() -> float:
+    """-1 / L where the closed form's L crosses the real axis, at 742 Hz."""
+    loop = AXIS.loop(2j * np.pi * np.geomspace(500, 890, 400_000))
+    (at,) = np.flatnonzero(loop.imag[:-1] * loop.imag[1:] < 0)
+    return float(-1 / loop[at].real)
+
+
 @pytest.mark.long
 def test_a_gain_margin_that_is_seldom_told_holds_given_that_it_is_told() -> None:
     """27 lines whose noise is four tenths of |L|: told in one test of eleven, where noise makes L
@@ -92,9 +99,7 @@ def test_a_gain_margin_that_is_seldom_told_holds_given_that_it_is_told() -> None
     At least 78 % of those hold it (the binomial quantile of 92 % at 0.1 %; by the interval of a factor alone
     it was 60 %). Of a normal size that is told beyond its limit the interval's upper end holds in 97.5 %.
     """
-    omega = 2 * np.pi * np.geomspace(500, 890, 400_000)
-    loop = AXIS.loop(1j * omega)
-    (at,) = np.flatnonzero(loop.imag[:-1] * loop.imag[1:] < 0)
+    true_margin = gain_margin()
     rng, noise, lines, held = np.random.default_rng(36), 0.02, SPARSE[::2], []
     frequency = lines / AXIS.period
     true, none = 1 / (1 + AXIS.loop(2j * np.pi * frequency)), np.zeros((0, lines.size), complex)
@@ -103,7 +108,7 @@ def test_a_gain_margin_that_is_seldom_told_holds_given_that_it_is_told() -> None
         transfer = 1 / measured - 1, 2 * noise**2 / np.abs(measured) ** 4
         for one, _ in measured_margins(frequency, transfer, none, (np.inf, 1.96)):
             if one.name == "measured_gain_margin_upper":
-                held.append(one.ci95[0] <= -1 / loop[at].real <= one.ci95[1])
+                held.append(one.ci95[0] <= true_margin <= one.ci95[1])
     assert 20 < len(held) < 100 and np.mean(held) >= 0.78
     # A size in its standard errors, told from so many on that its factor's interval is 1 / TELLING wide.
     limit = 1.96 / -np.expm1(-1.96 / TELLING)
@@ -158,8 +163,9 @@ def test_the_peak_of_dense_noisy_lines_has_no_bias(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None:
-    """60 records of 53 lines and 20 periods: every amount in 51 or more (the binomial quantile of 95 % at
-    0.1 %; 80 % falls below it in 79 of 100), all together in 92 % or more.
+    """40 records of 53 lines and 20 periods: every amount in 33 or more (the binomial quantile of 95 % at
+    0.1 %; of 80 % it sees 56 of 100), all together within three deviations of the records' own shares, which
+    of 80 % sees 97 of 100 though all amounts are missed alike.
     """
     pole = AXIS.pole()
     truth = {
@@ -171,10 +177,12 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
         "delay": AXIS.delay,
         "sensitivity_peak": AXIS.peak(),
         "peak": AXIS.peak(),
+        "gain_margin_lower": float(-1 / AXIS.loop(0j).real),
+        "gain_margin_upper": gain_margin(),
         "phase_margin": AXIS.phase_margin(),
         "measured_phase_margin": AXIS.phase_margin(),
     }
-    held = np.zeros((60, len(truth)))
+    held = np.zeros((40, len(truth)))
     for seed in range(len(held)):
         columns = AXIS.record(np.random.default_rng(seed))
         pipeline = certificate_pipeline(written(tmp_path, AXIS, columns), AXIS, certificate=ASKED)
@@ -183,8 +191,8 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
             low, high = amounts[name].ci95
             held[seed, number] = low <= true <= high
     coverage = held.mean(axis=0)
-    assert np.all(coverage >= 51 / 60), dict(zip(truth, coverage, strict=True))
-    assert np.mean(coverage) >= 0.92
+    assert np.all(coverage >= 33 / 40), dict(zip(truth, coverage, strict=True))
+    assert np.mean(coverage) >= 0.95 - 3 * held.mean(axis=1).std() / np.sqrt(len(held))
 
 
 def test_gains_within_what_is_stated_move_no_unknown(tmp_path: Path) -> None:
