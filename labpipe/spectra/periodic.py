@@ -462,7 +462,7 @@ def _left_out_notes(
     largest: dict[tuple[str, str], tuple[float, float]] = {}
     frequency = spectra[0].frequency
     whole = (
-        np.apply_along_axis(lambda each: np.interp(frequency, frequency[lines], each), 0, matrix)
+        np.apply_along_axis(lambda column: np.interp(frequency, frequency[lines], column), 0, matrix)
         if lines.sum() > 1
         else None
     )

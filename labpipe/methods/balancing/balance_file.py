@@ -121,7 +121,7 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
     # Planes that are not named carry no weights.
     columns = [0, *(1 + names["plane"].index(name) for name in planes)]
     rows = [names["reading"].index(name) for name in lines]
-    mean, root = (each[:, rows][:, :, columns] for each in (mean, root))
+    mean, root = (part[:, rows][:, :, columns] for part in (mean, root))
     flat = root.reshape(mean.size, -1)
     modelled = Influence(mean[0] + 1j * mean[1], flat @ flat.T, modelled=True)
     narrow = replace(modelled, joint=modelled.joint / widened**2) if widened > 1 else None

@@ -306,9 +306,9 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     decays, short = long_enough(decays, settings.band)
     pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
     repeated = None
-    each = len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats)
-    _check(settings, each)
-    if each:
+    alone = len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats)
+    _check(settings, alone)
+    if alone:
         repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
     if repeated is None:
         fitted = most_likely(

@@ -125,12 +125,12 @@ class RotorTheory:
 def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     """The theory of a rotor file over ascending *speeds* (n_speed,) [Hz]."""
     supports = [rig.at_speed(float(speed)).supports() for speed in speeds]
-    each = [
+    at_speeds = [
         modes(rig.rotor, support, 2 * np.pi * speed) for support, speed in zip(supports, speeds, strict=True)
     ]
-    order = follow(each)
+    order = follow(at_speeds)
     frequency, decrement, whirl = (np.full(order.shape, np.nan) for _ in range(3))
-    for number, found in enumerate(each):
+    for number, found in enumerate(at_speeds):
         there = order[number] >= 0
         roots = found.eigenvalues[order[number, there]]
         frequency[number, there] = roots.imag / (2 * np.pi)

@@ -69,14 +69,14 @@ class Theory:
         """
         x = (inputs - self.scales[:, 0]) / self.scales[:, 1]
         if self._changes is not None:
-            each = self._film(matrix, spin, x)
+            values = self._film(matrix, spin, x)
         else:
             weights = [(self.place.bearing, 1 - float(x @ x))]
             for entry, at in zip(self.place.uncertainties, x, strict=True):
                 weights += [(entry.above, (at + at**2) / 2), (entry.below, (at**2 - at) / 2)]
             parts = [weight * self._at(bearing, matrix, spin, omega) for bearing, weight in weights if weight]
-            each = np.sum(parts, axis=0)
-        return np.asarray(spread * np.tile(each, (spread.shape[0] // 2,) * 2))
+            values = np.sum(parts, axis=0)
+        return np.asarray(spread * np.tile(values, (spread.shape[0] // 2,) * 2))
 
     @cached_property
     def _changes(self) -> FloatArray | None:
@@ -88,12 +88,12 @@ class Theory:
             return None
         changes = np.zeros((len(self.place.uncertainties), len(ON_CURVE)))
         for row, entry in enumerate(self.place.uncertainties):
-            for each in fields(film):
-                step = (getattr(entry.above, each.name) - getattr(entry.below, each.name)) / 2
-                if step and each.name not in ON_CURVE:
+            for dimension in fields(film):
+                step = (getattr(entry.above, dimension.name) - getattr(entry.below, dimension.name)) / 2
+                if step and dimension.name not in ON_CURVE:
                     return None
                 if step:
-                    changes[row, ON_CURVE.index(each.name)] = step / getattr(film, each.name)
+                    changes[row, ON_CURVE.index(dimension.name)] = step / getattr(film, dimension.name)
         return changes
 
     def _film(self, matrix: str, spin: FloatArray, x: FloatArray) -> FloatArray:
@@ -121,13 +121,13 @@ class Theory:
                 self._controlled[controlled] = bearing.kind.dynamic(bearing.settings, w.ravel())
             whole = self._controlled[controlled].reshape(*w.shape, 2, 2)
             return whole.real if matrix == "stiffness" else whole.imag / w[..., None, None]
-        each = []
+        values = []
         for speed in np.ravel(spin):
             key = (id(bearing), float(speed))
             if key not in self._points:
                 self._points[key] = bearing.at(OperatingPoint(self.load, float(speed), float(speed)))
-            each.append(getattr(self._points[key], matrix))
-        return np.array(each).reshape(*np.shape(spin), 2, 2)
+            values.append(getattr(self._points[key], matrix))
+        return np.array(values).reshape(*np.shape(spin), 2, 2)
 
     @cached_property
     def _controlled(self) -> dict[tuple[int, bytes], ComplexArray]:
@@ -263,7 +263,7 @@ def build(
         system = replace(
             system, pedestals=tuple(map(partial(_unknown_pedestal, system), system.rig.bearings))
         )
-    turning = frozenset([name for name, each in sensors.items() if each.turning] + [RUNNING])
+    turning = frozenset([name for name, channels in sensors.items() if channels.turning] + [RUNNING])
     if alternative == TOGETHER:
         small = replace(small, together=ALTOGETHER)
     return _Builder(system, small, turning).built(sensors)
@@ -331,10 +331,10 @@ class _Builder:
                 planes[node] = (rig.rotor.dofs(node)[0], parts[0][0], parts[1][0])
         gains: dict[str, tuple[int, ...]] = {}
         phases: dict[str, tuple[int, ...]] = {}
-        for test, each in sensors.items():
-            phase = self.small.phase if each.phase else 0.0
-            gains[test] = self._of_sensors("gain", test, each, each.gain)
-            phases[test] = self._of_sensors("phase", test, each, phase, unit="rad", group="phase")
+        for test, channels in sensors.items():
+            phase = self.small.phase if channels.phase else 0.0
+            gains[test] = self._of_sensors("gain", test, channels, channels.gain)
+            phases[test] = self._of_sensors("phase", test, channels, phase, unit="rad", group="phase")
         n_shaft = 4 * rig.rotor.n_node
         n_dof = n_shaft + 2 * len(self.system.pedestals)
         model = SystemModel(tuple(self.unknowns), tuple(self.terms), n_dof, n_shaft)

@@ -109,7 +109,7 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemRe
         try:
             built, posterior = _fit(settings, system, sensors, work, runs)
         except FitError as error:
-            error.hint = "; ".join(each.message for each in out_of_place) or error.hint
+            error.hint = "; ".join(finding.message for finding in out_of_place) or error.hint
             raise
         kinds = {test.name: test.kind for test in settings.tests}
         result = _result(system, built, posterior, settings.band, kinds, settings.draws, settings.seed)
@@ -145,7 +145,7 @@ def _fit(
         return built, replace(fit_system(built.model, tests), alternative=alternative)
 
     alternatives = [PEDESTALS] if not system.pedestals else []
-    running = any(each.turning for each in sensors.values())
+    running = any(sensor.turning for sensor in sensors.values())
     alternatives += [TOGETHER] if running and not settings.small_errors.together else []
     return most_probable(fitted, alternatives)
 
@@ -189,7 +189,7 @@ def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors
 
 
 def _response(test: SystemTest, work: Work) -> FrequencyResponse:
-    response = next((each for each in work.responses if each.name == test.test), None)
+    response = next((response for response in work.responses if response.name == test.test), None)
     if response is None:
         names = [response.name for response in work.responses]
         raise ConfigError(f"test '{test.name}': no FRF '{test.test}'", hint=nearest(test.test, names))
@@ -489,7 +489,7 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
             "intervals of predictions are widened by half",
         )
     explained = explanations(posterior)
-    if any(each.fall > TELLING and each.test for each in explained):
+    if any(explanation.fall > TELLING and explanation.test for explanation in explained):
         yield Finding("tests-disagree", "tests of one rotor disagree: " + _explained(posterior, explained))
     for name, z in posterior.contradicted:
         yield Finding(
@@ -501,16 +501,15 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
 def _explained(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
     """The best two explanations in words."""
 
-    def words(each: Explanation) -> str:
-        if each.group:
-            return (
-                f"small errors of {each.group.replace('_', ' ')} {each.value:.1f} times as large as declared"
-            )
-        unknown = posterior.model.unknowns[each.number]
-        value, unit = _people(unknown, each.value, 0.0)[0], unknown.unit or unknown.nominal_unit
-        return f"{unknown.name} of {plain_text(value, unit, 3)} in test '{each.test}'"
+    def words(cause: Explanation) -> str:
+        if cause.group:
+            group = cause.group.replace("_", " ")
+            return f"small errors of {group} {cause.value:.1f} times as large as declared"
+        unknown = posterior.model.unknowns[cause.number]
+        value, unit = _people(unknown, cause.value, 0.0)[0], unknown.unit or unknown.nominal_unit
+        return f"{unknown.name} of {plain_text(value, unit, 3)} in test '{cause.test}'"
 
-    text = ", ".join(f"by {each.fall:.0f} with {words(each)}" for each in explained[:2])
+    text = ", ".join(f"by {cause.fall:.0f} with {words(cause)}" for cause in explained[:2])
     same = len(explained) > 1 and explained[0].fall - explained[1].fall < UNDECIDED
     return f"chi-square falls {text}" + ("; which of them, the tests cannot tell" if same else "")
 
@@ -557,7 +556,7 @@ def _next_tests(
     for test in posterior.tests:
         if not isinstance(test, RunUpVectors):
             continue
-        above = [at for each in criticals if (at := 2 * np.pi * each.speed) > test.speed[-1]]
+        above = [at for peak in criticals if (at := 2 * np.pi * peak.speed) > test.speed[-1]]
         if above and (top := NEARER * min(above)) > 1.02 * test.speed[-1]:
             speed = np.linspace(test.speed[0], top, test.speed.size)
             nearer = test.planned(speed, np.median(test.noise, axis=1))

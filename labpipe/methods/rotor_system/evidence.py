@@ -255,7 +255,7 @@ def run_up_whitener(noise: FloatArray, slow_roll: float) -> FloatArray:
     was left in it, alike at all speeds.
     """
     n = noise.shape[1]
-    factors = [np.linalg.cholesky(np.diag(each**2) + slow_roll**2 * np.ones((n, n))) for each in noise]
+    factors = [np.linalg.cholesky(np.diag(probe**2) + slow_roll**2 * np.ones((n, n))) for probe in noise]
     return np.stack([linalg.solve_triangular(factor, np.eye(n), lower=True) for factor in factors])
 
 

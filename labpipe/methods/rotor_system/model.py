@@ -253,7 +253,7 @@ class SystemModel:
         standing = np.array([not term.support for term in self.terms])
         if not rows:
             return dict.fromkeys((True, False), scipy.sparse.csr_array(shape))
-        at, of, values = (np.concatenate(each) for each in (rows, columns, entries))
+        at, of, values = (np.concatenate(parts) for parts in (rows, columns, entries))
         return {
             supported: scipy.sparse.coo_array((values * (supported | standing[of]), (at, of)), shape).tocsr()
             for supported in (True, False)
@@ -472,19 +472,17 @@ class SystemModel:
 
         def at(root: ComplexArray) -> tuple[ComplexArray, ...]:
             """D, dD/dlambda and dD/dw, (n_mode, n_dof, n_dof)."""
-            each, n, step = root[:, None, None], root.size, FREQUENCY_STEP * np.abs(root)
-            stiffness: ComplexArray = np.asarray(
-                each**2 * whole.mass + each * damping + restoring, np.complex128
-            )
-            by_root = np.asarray(2 * each * whole.mass + damping, np.complex128)
+            s, n, step = root[:, None, None], root.size, FREQUENCY_STEP * np.abs(root)
+            stiffness: ComplexArray = np.asarray(s**2 * whole.mass + s * damping + restoring, np.complex128)
+            by_root = np.asarray(2 * s * whole.mass + damping, np.complex128)
             by_omega = np.zeros(by_root.shape, np.complex128)
             # One evaluation of a bearing at all frequencies: it costs little more than at one.
             for power, dofs, block in added(np.concatenate([root.imag, root.imag + step, root.imag - step])):
                 here = np.s_[:, dofs[:, None], dofs]
-                stiffness[here] += each**power * block[:n]
+                stiffness[here] += s**power * block[:n]
                 by_root[here] += power * block[:n]
                 change = (block[n : 2 * n] - block[2 * n :]) / (2 * step[:, None, None])
-                by_omega[here] += each**power * change
+                by_omega[here] += s**power * change
             return stiffness, by_root, by_omega
 
         root, shapes = self._by_bands((whole.mass, damping, restoring), added, most)
@@ -497,7 +495,7 @@ class SystemModel:
             beside = stiffness + ALIKE**2 * np.abs(r)[:, None, None] * by_root
             v = np.linalg.solve(beside, by_root @ right[open_ones])
             p = np.linalg.solve(adjoint(beside), adjoint(by_root) @ left[open_ones])
-            v, p = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (v, p))
+            v, p = (vectors / np.linalg.norm(vectors, axis=1, keepdims=True) for vectors in (v, p))
             scale = between(p, by_root, v)
             step = -between(p, stiffness, v) / scale
             near = np.abs(step) < NEAR * np.abs(r)
@@ -517,7 +515,7 @@ class SystemModel:
         if not slopes:
             return Roots(root, right[:, :, 0].T, np.zeros((root.size, 0), np.complex128))
         moved = self.slopes(values, spin, adjoint(left), right, root)[:, :, 0, 0]
-        scale, by_omega = (between(left, each, right) for each in at(root)[1:])
+        scale, by_omega = (between(left, matrix, right) for matrix in at(root)[1:])
         slope = bent(-moved / scale, by_omega / scale)
         return Roots(root, right[:, :, 0].T, slope.T)
 
@@ -530,7 +528,7 @@ class SystemModel:
         basis, edges = self._start_basis, np.sqrt(MIDDLES[1:] * MIDDLES[:-1])
         n = basis.shape[1]
         mass, damping, restoring = (basis.T @ matrix @ basis for matrix in matrices)
-        sums = [np.repeat(each[None], MIDDLES.size, axis=0) for each in (restoring, damping)]
+        sums = [np.repeat(matrix[None], MIDDLES.size, axis=0) for matrix in (restoring, damping)]
         for power, dofs, block in added(MIDDLES):
             sums[power] += basis[dofs].T @ block @ basis[dofs]
         lower = -np.linalg.solve(mass, np.concatenate(sums, axis=2))
@@ -538,12 +536,12 @@ class SystemModel:
         shapes: list[ComplexArray] = []
         for band, rows in enumerate(lower):
             state = np.concatenate([np.eye(n, 2 * n, n), rows])
-            root, vectors = (np.asarray(each, np.complex128) for each in np.linalg.eig(state))
+            root, vectors = (np.asarray(part, np.complex128) for part in np.linalg.eig(state))
             inside = np.searchsorted(edges, np.abs(root)) == band
             chosen = np.flatnonzero(inside & (root.imag > LEAST_OSCILLATION * np.abs(root)))
             roots.append(root[chosen])
             shapes.append(vectors[:n, chosen].T @ basis.T)
-            if most and sum(each.size for each in roots) >= most:
+            if most and sum(map(len, roots)) >= most:
                 break
         all_roots = np.concatenate(roots)
         first = np.argsort(np.abs(all_roots))[: most or None]

@@ -128,9 +128,9 @@ class SystemPosterior(Posterior[SystemModel]):
         """Unknowns with a declared prior that is more than 3 of its standard uncertainties off."""
         z = (self.values - self.model.means) / self.model.errors
         return [
-            (unknown.name, float(each))
-            for unknown, each in zip(self.model.unknowns, z, strict=True)
-            if abs(each) > 3 and not unknown.group
+            (unknown.name, float(off))
+            for unknown, off in zip(self.model.unknowns, z, strict=True)
+            if abs(off) > 3 and not unknown.group
         ]
 
     def gradient_error(self, gradient: FloatArray) -> FloatArray:
@@ -327,12 +327,14 @@ def explanations(posterior: SystemPosterior) -> list[Explanation]:
             moved = change * (1 - float(covariance[number] @ square[:, number])) - float(step[number])
             value = float(posterior.values[number]) + moved
             new = Explanation(change**2 * float(content[number]), value, test.name, number)
-            best[unknown.name] = max(best.get(unknown.name, new), new, key=lambda each: each.fall)
+            best[unknown.name] = max(
+                best.get(unknown.name, new), new, key=lambda explanation: explanation.fall
+            )
     for group, ratio in posterior.enlarged.items():
         of_group = np.array([unknown.group == group for unknown in model.unknowns])
         larger = least(np.where(of_group, ratio, 1.0) * model.errors)[2]
         best[group] = Explanation(chi2 - larger, ratio, group=group)
-    return sorted(best.values(), key=lambda each: -each.fall)
+    return sorted(best.values(), key=lambda explanation: -explanation.fall)
 
 
 def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]:

@@ -263,8 +263,8 @@ def _drawn_peaks(
     for values in draws:
         acting = at_speed(reduced.model, values)
         amplitude = reduced.amplitudes(acting, 2 * np.pi * grid, unbalance_forces(built, values), [dof])[:, 0]
-        near = [each for each in peaks(grid, amplitude) if abs(np.log(each.speed / peak.speed)) < apart]
-        rows.append(min(near, key=lambda each: abs(np.log(each.speed / peak.speed))) if near else None)
+        near = [other for other in peaks(grid, amplitude) if abs(np.log(other.speed / peak.speed)) < apart]
+        rows.append(min(near, key=lambda other: abs(np.log(other.speed / peak.speed))) if near else None)
     return rows
 
 

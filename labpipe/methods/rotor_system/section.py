@@ -290,8 +290,8 @@ def test_table(result: RotorSystemResult) -> Table:
 def small_error_table(result: RotorSystemResult) -> Table:
     """Sizes of the small errors that are everywhere."""
     rows = tuple(
-        (each.name.replace("_", " "), number(each.declared, 3), number(each.found, 3))
-        for each in result.small_errors
+        (error.name.replace("_", " "), number(error.declared, 3), number(error.found, 3))
+        for error in result.small_errors
     )
     return Table(("small errors of", "declared", "found"), rows, "Standard deviations", (1, 2))
 

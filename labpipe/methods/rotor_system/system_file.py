@@ -104,13 +104,13 @@ def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -
     """
     if node is None or not isinstance(node.content, dict | list):
         return {}
-    each = (
+    entries = (
         node.content.items()
         if isinstance(node.content, dict)
         else ((str(n), entry) for n, entry in enumerate(node.content, 1))
     )
     taken = {}
-    for label, entry in each:
+    for label, entry in entries:
         number = entry.content.get(name) if isinstance(entry.content, dict) else None
         if number is None or not is_uncertain(number.text):
             continue
@@ -272,10 +272,9 @@ def _linear(
         usual = sizes * default / units
         if letter == "k" and skew:
             usual[1] = usual[2] = cross_error * float(np.mean(np.abs(np.diag(values))))
-        each = zip(names, units, usual, strict=True)
-        return np.array(
-            [stated[name] / unit if name in stated else error for name, unit, error in each]
-        ).reshape(2, 2)
+        coefficients = zip(names, units, usual, strict=True)
+        errors = [stated[name] / unit if name in stated else error for name, unit, error in coefficients]
+        return np.array(errors).reshape(2, 2)
 
     return LinearBearing(
         k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None, skew

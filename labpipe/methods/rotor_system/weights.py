@@ -104,13 +104,13 @@ def drawn_influence(built: Built, test: RunUpVectors, draws: FloatArray) -> Comp
     """z_0 = H u [m] and alpha = H [m/(kg m)], (n_draw, n_reading, n_plane + 1), at the speeds and probes of a
     *test*, of *draws* (n_draw, n_unknown) of the unknowns.
     """
-    each = []
+    influences = []
     for values in draws:
         _, _, influence = test.readings(built.model, values)
         h = influence.reshape(-1, len(built.planes))
         u = np.array([values[real] + 1j * values[imaginary] for _, real, imaginary in built.planes.values()])
-        each.append(np.column_stack([h @ u, h]))
-    return np.array(each)
+        influences.append(np.column_stack([h @ u, h]))
+    return np.array(influences)
 
 
 def _next_weights(

@@ -140,7 +140,9 @@ def judge(
     if slow_roll is not None:
         whole = np.abs(smooth.fitted)
         tops = [
-            at for each in whole.T for at in scipy.signal.find_peaks(each, prominence=SMALL * each.max())[0]
+            at
+            for course in whole.T
+            for at in scipy.signal.find_peaks(course, prominence=SMALL * course.max())[0]
         ]
         offsets = _slow_roll(speed, readings, slow_roll, smooth.fine[min(tops, default=-1)], rng)
         rolled, curves = offsets[0], curves - offsets[:, None, :]
@@ -196,7 +198,7 @@ class _Smooth:
                 np.linalg.solve(np.diag(weight) + stiffness * weight.mean() * rough, np.diag(weight))
                 for stiffness in STIFFNESSES
             ]
-            rows[probe] = min(smoothers, key=lambda each: _left(each, readings[:, probe], weight))
+            rows[probe] = min(smoothers, key=lambda smoother: _left(smoother, readings[:, probe], weight))
         self._matrices = between @ rows
         self.fitted = np.einsum("pfn,np->fp", self._matrices, readings)
         dof = np.maximum(n - np.trace(rows, axis1=1, axis2=2), 1.0)
@@ -349,7 +351,7 @@ def _one_mode(
         noise = size * (rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)) if number else 0.0
         curve = turned * np.abs(fitted(readings[near] - shift + noise, place))
         critical.append(_peak(fine, curve, 0, POINTS - 1))
-    return None if critical[0] is None else (critical[0], [each for each in critical[1:] if each is not None])
+    return None if critical[0] is None else (critical[0], [peak for peak in critical[1:] if peak is not None])
 
 
 def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int) -> Critical:
@@ -382,9 +384,9 @@ def _judged_peak(
     speed_range: tuple[float, float] | None,
     rate: float,
 ) -> JudgedPeak:
-    speed = _estimate(peak.speed, [each.speed for each in drawn])
-    amplitude = _estimate(peak.amplitude, [each.amplitude for each in drawn])
-    factors = [each.amplification for each in drawn if each.amplification is not None]
+    speed = _estimate(peak.speed, [draw.speed for draw in drawn])
+    amplitude = _estimate(peak.amplitude, [draw.amplitude for draw in drawn])
+    factors = [draw.amplification for draw in drawn if draw.amplification is not None]
     factor = peak.amplification
     whole = factor is not None and len(factors) > DRAWS / 2
     amplification = _estimate(float(factor or 0.0), factors) if whole else None
@@ -392,9 +394,9 @@ def _judged_peak(
     if speed_range is None:
         return JudgedPeak(label, speed, amplification, amplitude, None, None, "none asked", None, fast)
     there, asked = peak.margin_of(speed_range)
-    pairs = [each.margin_of(speed_range) for each in drawn if each.amplification is not None]
+    pairs = [draw.margin_of(speed_range) for draw in drawn if draw.amplification is not None]
     if amplification is None or asked is None or len(drawn) < DRAWS / 2:
-        margin = _estimate(there, [each.margin_of(speed_range)[0] for each in drawn])
+        margin = _estimate(there, [draw.margin_of(speed_range)[0] for draw in drawn])
         return JudgedPeak(label, speed, None, amplitude, margin, None, UNDECIDED, None, fast)
     kept = float(np.mean([have >= (ask or 0.0) for have, ask in pairs]))
     return JudgedPeak(

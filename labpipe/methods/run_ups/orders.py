@@ -180,7 +180,7 @@ def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
     axis = _amplitude_axis("amplitude", unit, series)
     for peak in verdict.peaks:
         colour = verdict.probes.index(peak.probe) % PALETTE_SIZE
-        sizes = [factor * each for each in (peak.amplitude.low, peak.amplitude.high)]
+        sizes = [factor * end for end in (peak.amplitude.low, peak.amplitude.high)]
         ends = 60 * np.array([peak.speed.low, peak.speed.high])
         top = factor * peak.amplitude.value
         series.append(curve("", ends, [top, top], colour, width=2.0))
@@ -496,9 +496,9 @@ def judgement_lines(verdict: Judgement, unit: str, shown: Callable[[float], floa
         yield "no critical speed within the run"
     if verdict.not_run:
         yield verdict.not_run
-    for each in verdict.sensitivities:
-        per_g_mm = Estimate(*(1e-6 * shown(x) for x in (each.size.value, each.size.low, each.size.high)))
-        yield f"{each.probe:<8} sensitivity {_ends(per_g_mm)} {unit}/(g mm) at {60 * each.speed:.0f} rpm"
+    for row in verdict.sensitivities:
+        per_g_mm = Estimate(*(1e-6 * shown(x) for x in (row.size.value, row.size.low, row.size.high)))
+        yield f"{row.probe:<8} sensitivity {_ends(per_g_mm)} {unit}/(g mm) at {60 * row.speed:.0f} rpm"
 
 
 def _ends(estimate: Estimate, factor: float = 1.0) -> str:
@@ -521,7 +521,7 @@ def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
             for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True)
         },
         "critical_speeds": [asdict(peak) for peak in verdict.peaks],
-        "sensitivities": [asdict(each) for each in verdict.sensitivities],
+        "sensitivities": [asdict(sensitivity) for sensitivity in verdict.sensitivities],
     }
 
 

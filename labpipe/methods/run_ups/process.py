@@ -280,7 +280,7 @@ def fit_with_process(
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     measured = [places_of(group.load, group.speed) for group in groups]
     places = np.concatenate(
-        [*measured, *(places_of(each.load, np.array([each.speed.value])) for each in thresholds)]
+        [*measured, *(places_of(end.load, np.array([end.speed.value])) for end in thresholds)]
     )
     extent = np.ptp(places, axis=0)
     ranges = np.where(extent > 0, extent, places[0])
