@@ -62,6 +62,12 @@ STEPS, TURNS, MANY_DEGREES = (1, 2, 2.5, 5, 10), (15, 30, 45, 90, 180, 360), 60.
 LEAST_DECADES, FEW_DECADES, WITHIN = 0.7, 2.2, (1.0, 2.0, 5.0)
 # Numbers from here on, and below the other, are written with an exponent.
 LARGE, SMALLEST = 1e6, 1e-4
+# What stands around the panels of a chart and takes room, digits all as wide as one; of a laid-out one with
+# where panels and words stand.
+Words = tuple[str, ...]
+Frame = tuple[Any, ...]
+Layout = tuple[Words, list[Any]]
+WIDE = str.maketrans("123456789", "000000000")
 # What is not numbers over axes, by kind: each draws its subject on a canvas of a size.
 DRAWINGS = Registry("drawing")
 
@@ -71,10 +77,10 @@ def style(grid: bool = True) -> Any:
     return mpl.rc_context({**STYLE, "axes.grid": grid})
 
 
-def canvas_of(graphic: Graphic) -> Canvas:
-    """A chart or a drawing on a canvas of its size."""
+def canvas_of(graphic: Graphic, canvases: dict[Frame, Canvas] | None = None) -> Canvas:
+    """A chart or a drawing on a canvas of its size; *canvases* as in chart_canvas."""
     if isinstance(graphic, Chart):
-        return chart_canvas(graphic)
+        return chart_canvas(graphic, canvases)
     canvas: Canvas = DRAWINGS.load(graphic.kind)(graphic.subject, graphic.size)
     return canvas
 
@@ -102,14 +108,65 @@ def png_bytes(canvas: Canvas) -> bytes:
     return stream.getvalue()
 
 
-def laid_out(canvas: Canvas) -> Canvas:
-    """The canvas, laid out once: by itself matplotlib would go through all artists once more for it."""
+def laid_out(canvas: Canvas, layouts: dict[Words, Layout] | None = None) -> Canvas:
+    """The canvas, laid out once: by itself matplotlib would go through all artists once more for it.
+
+    *layouts*, for a chart: those of the same document so far. The layout of a chart with the same words about
+    its panels is taken from there, else its own is added.
+    """
     engine = canvas.get_layout_engine()
-    if engine is not None:
+    if engine is not None and (layouts is None or not _is_placed(canvas, layouts)):
+        words = () if layouts is None else _words(canvas)
         engine.execute(canvas)
-        # Not "none": a canvas with any engine, that one too, is drawn twice.
-        canvas.set_layout_engine(None)
+        if layouts is not None:
+            layouts[words] = _words(canvas), _places(canvas)
+    # Not "none": a canvas with any engine, that one too, is drawn twice.
+    canvas.set_layout_engine(None)
     return canvas
+
+
+def _is_placed(canvas: Canvas, layouts: dict[Words, Layout]) -> bool:
+    """Put the parts of a canvas where those of one with the same words are; False where there is none, or
+    where panels of that size have room for other numbers.
+    """
+    before = _places(canvas)
+    after, places = layouts.get(_words(canvas), ((), before))
+    _put(canvas, places)
+    if _words(canvas) == after:
+        return True
+    _put(canvas, before)
+    return False
+
+
+def _places(canvas: Canvas) -> list[Any]:
+    parts: list[Any] = [*canvas.axes, *canvas.texts]
+    return [drawn.get_position() for drawn in parts]
+
+
+def _put(canvas: Canvas, places: Sequence[Any]) -> None:
+    parts: list[Any] = [*canvas.axes, *canvas.texts]
+    for drawn, place in zip(parts, places, strict=True):
+        drawn.set_position(place)
+        # Axes whose place is set would be left out of the next layout.
+        drawn.set_in_layout(True)
+
+
+def _words(canvas: Canvas) -> Words:
+    """Of a chart: size, places of panels, titles, names and numbers."""
+    words = [*canvas.get_size_inches(), *(text.get_text() for text in canvas.texts)]
+    for legend in (*canvas.legends, *(axes.get_legend() for axes in canvas.axes)):
+        words += [text.get_text() for text in legend.get_texts()] if legend else [None]
+    for axes in canvas.axes:
+        place: Any = axes.get_subplotspec()
+        words += [axes.get_title(), axes.get_aspect(), place, place.get_gridspec().get_height_ratios()]
+        for axis in (axes.xaxis, axes.yaxis):
+            numbers = axis.get_major_formatter().format_ticks(list(axis.get_majorticklocs()))
+            words += [
+                axis.get_label_text(),
+                axis.get_tick_params(),
+                *(text.translate(WIDE) for text in numbers),
+            ]
+    return tuple(map(str, words))
 
 
 def figure_files(document: Document) -> dict[str, bytes]:
@@ -128,22 +185,57 @@ def figure_files(document: Document) -> dict[str, bytes]:
     return contents
 
 
-def chart_canvas(chart: Chart) -> Canvas:
-    """The chart on a canvas of its size."""
-    with style(grid=not any(series.kind == "cells" for panel in chart.panels for series in panel.series)):
-        canvas = Canvas(figsize=chart.size, layout="constrained")
-        grid = canvas.add_gridspec(chart.rows, chart.columns, height_ratios=chart.heights)
-        drawn: list[Axes] = []
+def chart_canvas(chart: Chart, canvases: dict[Frame, Canvas] | None = None) -> Canvas:
+    """The chart on a canvas of its size.
+
+    *canvases*: those of charts that are written already; one with the same panels is emptied and drawn on
+    again, which spares the making of its axes and ticks.
+    """
+    has_cells = any(series.kind == "cells" for panel in chart.panels for series in panel.series)
+    has_names = any(panel.x.ticks or panel.y.ticks for panel in chart.panels)
+    with style(grid=not has_cells):
+        canvas = Canvas(figsize=chart.size)
+        if canvases is not None and not has_cells and not has_names and chart.columns == 1:
+            canvas = _emptied(canvases.setdefault(_frame(chart), canvas))
+        canvas.set_layout_engine("constrained")
+        drawn = canvas.axes or _panels(canvas, chart)
         handles: dict[int, Artist] = {}
-        for number, panel in enumerate(chart.panels):
-            first = drawn[0] if drawn else None
-            together = {f"share{which}": first for which in "xy" if which in chart.shared}
-            axes = canvas.add_subplot(grid[divmod(number, chart.columns)], **together)
-            drawn.append(axes)
+        for number, (axes, panel) in enumerate(zip(drawn, chart.panels, strict=True)):
             handles |= _paint(axes, panel)
             _scales(axes, chart, number)
         _titles(canvas, drawn, chart)
         _legends(canvas, drawn, chart, handles)
+    return canvas
+
+
+def _panels(canvas: Canvas, chart: Chart) -> list[Axes]:
+    """Empty axes of all panels of the chart."""
+    grid = canvas.add_gridspec(chart.rows, chart.columns, height_ratios=chart.heights)
+    drawn: list[Axes] = []
+    for number in range(len(chart.panels)):
+        together = {f"share{which}": drawn[0] for which in "xy" if drawn and which in chart.shared}
+        drawn.append(canvas.add_subplot(grid[divmod(number, chart.columns)], **together))
+    return drawn
+
+
+def _frame(chart: Chart) -> Frame:
+    """What a chart has of axes: size, heights, scales."""
+    panels = ((panel.x.logarithmic, panel.y.logarithmic, panel.equal) for panel in chart.panels)
+    return chart.size, tuple(chart.heights), chart.shared, *panels
+
+
+def _emptied(canvas: Canvas) -> Canvas:
+    """The canvas with nothing in its panels; what stands around them is written anew."""
+    around = [*canvas.legends, *(legend for axes in canvas.axes if (legend := axes.get_legend()))]
+    inside = [(axes.lines, axes.patches, axes.collections, axes.texts) for axes in canvas.axes]
+    for artist in (*around, *(artist for kinds in inside for kind in kinds for artist in list(kind))):
+        artist.remove()
+    for axes in canvas.axes:
+        axes.containers.clear()
+        axes.set_title("")
+        place = axes.get_subplotspec()
+        assert place is not None
+        axes.set_position(place.get_position(canvas))
     return canvas
 
 

@@ -14,6 +14,7 @@ from fpdf import FPDF
 from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure as Canvas
 from pypdf import PageObject, PdfReader, PdfWriter
 from pypdf.generic import (
     ArrayObject,
@@ -26,7 +27,7 @@ from pypdf.generic import (
 )
 
 from labpipe.display import as_printed
-from labpipe.document.charts import STYLE, canvas_of, laid_out, png_bytes
+from labpipe.document.charts import STYLE, Frame, Layout, Words, canvas_of, laid_out, png_bytes
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.chart import Chart
@@ -74,6 +75,9 @@ class _Pages(FPDF):
         self.figures = 0
         # The drawings, a page of a file of their own for each, and where they go.
         self.places: list[_Place] = []
+        # Canvases and layouts, for the next chart like them.
+        self.canvases: dict[Frame, Canvas] = {}
+        self.layouts: dict[Words, Layout] = {}
         self.drawn = io.BytesIO()
         self.file = PdfPages(self.drawn, metadata={"CreationDate": None})
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
@@ -327,7 +331,7 @@ def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
 def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
     """A drawing in its natural size, at most as wide as the text, with its left side at *x* [mm]."""
     width, height = _size(figure)
-    canvas = canvas_of(figure.graphic)
+    canvas = canvas_of(figure.graphic, pages.canvases)
     if _as_dots(figure):
         pages.image(io.BytesIO(png_bytes(canvas)), x=x, w=width, alt_text=figure.alternative)
         return
@@ -335,7 +339,8 @@ def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
     scale = width / (25.4 * figure.graphic.size[0])
     pages.places.append(_Place(pages.page - 1, POINT * x, POINT * low, scale))
     with mpl.rc_context(VECTOR):
-        laid_out(canvas).savefig(pages.file, format="pdf")  # type: ignore[arg-type]
+        layouts = pages.layouts if isinstance(figure.graphic, Chart) else None
+        laid_out(canvas, layouts).savefig(pages.file, format="pdf")  # type: ignore[arg-type]
     room = io.BytesIO(ROOM.format(*figure.graphic.size).encode())
     pages.image(room, x=x, w=width, alt_text=figure.alternative)
 

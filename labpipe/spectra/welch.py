@@ -7,7 +7,7 @@ transformed as they come, channels side by side; a few dozen of them together ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +72,7 @@ class SegmentProducts:
                 place[some] = fft.rfft(rows, axis=1)[:, self._lines]
                 place[some, : self._trend.shape[1]] -= self._trend.T @ coefficients[some]
 
-        in_threads(transform, range(0, n_segment, n_together))
+        self._share(transform, range(0, n_segment, n_together))
         self._n_waiting += n_segment
         if self.room == 0:
             self.flush()
@@ -87,9 +87,16 @@ class SegmentProducts:
                 left = waiting[:, start : start + n_chunk]
                 self._sum[start : start + n_chunk] += left.transpose(1, 2, 0) @ left.conj().swapaxes(0, 1)
 
-        in_threads(multiply, range(0, self._sum.shape[0], n_chunk))
+        self._share(multiply, range(0, self._sum.shape[0], n_chunk))
         self.n_block += self._n_waiting
         self._n_waiting = 0
+
+    def _share(self, work: Callable[[Sequence[int]], None], parts: Sequence[int]) -> None:
+        """Do *work* on the parts, on two threads for long segments: short ones cost less than the second."""
+        if self._taper.size > CACHED_SAMPLES:
+            in_threads(work, parts)
+        else:
+            work(parts)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.

@@ -20,6 +20,7 @@ from labpipe.document.charts import (
     PALETTE,
     canvas_of,
     chart_canvas,
+    laid_out,
     png_bytes,
     svg_text,
     tone,
@@ -171,6 +172,20 @@ def test_the_same_chart_is_drawn_the_same_and_saved_twice_alike(every_kind: Char
     first, second = chart_canvas(every_kind), chart_canvas(every_kind)
     assert svg_text(first) == svg_text(second) == svg_text(first)
     assert png_bytes(first).startswith(b"\x89PNG") and "<text" in svg_text(first)
+
+
+def test_a_chart_is_drawn_the_same_where_another_was_before(every_kind: Chart) -> None:
+    """On its canvas, in its layout: of other curves, title, names and numbers, which fit another layout."""
+    above, below = every_kind.panels
+    fewer = replace(above, series=above.series[:1], title="", y=Axis("k", "MN/m", logarithmic=True))
+    other = replace(every_kind, panels=(fewer, below))
+    wider = replace(every_kind, panels=(above, replace(below, y=Axis("c", "N s/m", low=-1000.0))))
+    canvases, layouts = {}, {}
+    for chart in (other, every_kind, wider, every_kind, other):
+        again = laid_out(chart_canvas(chart, canvases), layouts)
+        fresh = png_bytes(chart_canvas(chart))
+        assert png_bytes(again) == fresh
+    assert len(canvases) == 1 and len(layouts) == 3
 
 
 def test_one_name_in_two_colours_stands_twice_and_a_dot_of_its_curve_not() -> None:

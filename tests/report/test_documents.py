@@ -195,7 +195,7 @@ def test_many_figures_share_rows_and_no_heading_stands_alone(
     """
     chart = Chart(every_kind.panels[:1])
     canvas = pdf.canvas_of(chart)
-    monkeypatch.setattr(pdf, "canvas_of", lambda _: canvas)
+    monkeypatch.setattr(pdf, "canvas_of", lambda *_: canvas)
     table = Table(("name", "value"), (("a", "1"), ("b", "2")), "Values", (1,))
     blocks = (
         Paragraph("Model and band. " * 20),
