@@ -92,7 +92,7 @@ DOFS = tuple(Port(str(n), str(n), str(n)) for n in (1, 2, 3))
 FORCES = tuple(Port(f"f{n}", f"f{n}", str(n)) for n in (1, 2, 3))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def three_dof_response() -> Responder:
     """Receptances of the benchmark, by default its 25 lines 0.01 to 2.41 rad/s; *stiffness* etc.
 

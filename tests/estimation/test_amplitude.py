@@ -39,12 +39,12 @@ def test_exact_with_pure_phase_error_where_ls_is_not(sdof_response, rng, mass, p
 @pytest.mark.parametrize("weight", ["none", "noise"])
 def test_standard_errors_are_the_scatter(sdof_response, weight: str) -> None:
     settings = replace(SDOF, mass=0.79, weight=weight)
-    fits = [identify(sdof_response(2e-6, np.random.default_rng(seed)), settings)[0] for seed in range(150)]
+    fits = [identify(sdof_response(2e-6, np.random.default_rng(seed)), settings)[0] for seed in range(60)]
     for name in ("k", "c"):
         values = [fit.parameter(name).value for fit in fits]
-        # A standard deviation from 150 values is known to 5.8 %; three of those.
+        # A standard deviation from 60 values is known to 9 %; three of those.
         assert np.mean([fit.parameter(name).std_error for fit in fits]) == pytest.approx(
-            np.std(values, ddof=1), rel=0.18
+            np.std(values, ddof=1), rel=0.27
         )
     if weight == "noise":
         assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1.0, abs=0.08)

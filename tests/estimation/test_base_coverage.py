@@ -22,15 +22,14 @@ from tests.estimation.test_base_motion import BASE, F_N, LINES, ZETA, C, K, abso
 NAMES = ("k", "c", "f_n", "zeta")
 
 
-@pytest.mark.parametrize("draws", [40, pytest.param(150, marks=pytest.mark.long)])
 @pytest.mark.parametrize("is_relative", [False, True])
 @pytest.mark.parametrize("estimator", ["ml", "iv"])
-def test_known_noise_is_used_to_the_bound(estimator: str, is_relative: bool, draws: int) -> None:
-    """RMSE over the bound (by differences of the closed form) at most 1.1.
+def test_known_noise_is_used_to_the_bound(estimator: str, is_relative: bool) -> None:
+    """RMSE over the bound (by differences of the closed form) within what chance takes of 40 draws.
 
     95 % intervals within three binomial deviations.
     """
-    std, exact = 0.01, relative if is_relative else absolute
+    draws, std, exact = 40, 0.01, relative if is_relative else absolute
     settings = replace(
         BASE, estimator=estimator, relative=is_relative, weight="none" if estimator == "ml" else "noise"
     )
@@ -54,15 +53,17 @@ def test_known_noise_is_used_to_the_bound(estimator: str, is_relative: bool, dra
     )
     bound = np.sqrt(np.diag(np.linalg.inv((slopes.conj() @ slopes.T).real / std**2)))
     ratio = np.sqrt(np.mean(np.square(errors), axis=0))[:2] / bound
-    assert np.all(ratio < (1.1 if draws > 100 else 1.0 + 3 / np.sqrt(2 * draws)))
+    assert np.all(ratio < 1.0 + 3 / np.sqrt(2 * draws))
     chance = 3 * np.sqrt(0.05 * 0.95 / draws)
     assert np.all(np.abs(np.mean(holds, axis=0) - 0.95) < chance)
 
 
-@pytest.mark.parametrize("draws", [8, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize("draws", [8, pytest.param(40, marks=pytest.mark.long)])
 @pytest.mark.parametrize("run", ["absolute", "relative", "sweep"])
 def test_recordings_of_a_table_give_intervals_that_hold(run: str, draws: int) -> None:
-    """From the recording on, with noise on both sensors: white noise (with its leakage) and a sweep."""
+    """From the recording on, with noise on both sensors: white noise (with its leakage) and a sweep. Of 40
+    recordings 34 hold, which 80 % of both k and c miss in 92 of 100.
+    """
     rig: BaseRig = replace(
         load_virtual_rig(Path(__file__).parents[2] / "configs/virtual-base.yaml"), duration=16.0, pause=3.0
     )
@@ -75,6 +76,6 @@ def test_recordings_of_a_table_give_intervals_that_hold(run: str, draws: int) ->
         found = [fit.parameter(name) for name in NAMES]
         errors.append([(p.value - known[p.name]) / p.std_error for p in found])
         holds.append([p.ci95[0] < known[p.name] < p.ci95[1] for p in found])
-    chance = (3 if draws >= 100 else 4) * np.sqrt(0.05 * 0.95 / draws)
+    chance = (3 if draws >= 40 else 4) * np.sqrt(0.05 * 0.95 / draws)
     assert np.all(np.abs(np.mean(holds, axis=0) - 0.95) < chance), np.mean(holds, axis=0)
     assert np.all(np.abs(np.mean(errors, axis=0)) < 3.5 / np.sqrt(draws)), np.mean(errors, axis=0)

@@ -126,30 +126,30 @@ def rotor(rng, draws: int) -> Worlds:
 
 
 def check(worlds: Worlds, draws: int) -> None:
-    """Scatter within 5 % of first order beside chance, mean coverage 93-97 %.
-
-    Single ones within 3.5 binomial deviations of 95 %.
+    """Scatter within 5 % of first order beside chance, mean coverage within three deviations of the worlds'
+    own shares, single ones within 3.5 binomial deviations of 95 %: 80 worlds see 80 % in 93 of 100.
     """
     np.testing.assert_allclose(worlds.ratio(), 1.0, atol=0.05 + 3 / np.sqrt(2 * draws))
     held = np.mean(worlds.held, axis=0)
-    assert 0.93 <= np.mean(held) <= 0.97
+    shares = np.mean(worlds.held, axis=1)
+    assert abs(np.mean(held) - 0.95) <= 3 * np.std(shares) / np.sqrt(draws)
     assert np.all(np.abs(held - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / draws) + 0.005)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("mass_known", [True, False])
 def test_the_pedestal_s_budget_holds(rng, mass_known: bool) -> None:
-    draws = 600
+    draws = 80
     worlds = pedestal(rng, draws, mass_known)
     check(worlds, draws)
     # Noise alone holds the stiffness in a few worlds only.
-    assert np.mean(worlds.by_noise, axis=0)[0] < 0.1
+    assert np.mean(worlds.by_noise, axis=0)[0] < 0.1 + 3 * np.sqrt(0.1 * 0.9 / draws)
 
 
 @pytest.mark.long
 def test_the_rotor_s_budget_holds(rng) -> None:
-    worlds = rotor(rng, 300)
-    check(worlds, 300)
+    worlds = rotor(rng, 80)
+    check(worlds, 80)
     assert np.mean(np.mean(worlds.by_noise, axis=0)) < 0.4
 
 

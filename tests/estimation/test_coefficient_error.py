@@ -172,9 +172,7 @@ def drift(_: np.ndarray, __: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("fault", "known"), [(other_modes, True), (gain_curve, False), (gain_curve, True), (drift, True)]
-)
+@pytest.mark.parametrize(("fault", "known"), [(other_modes, True), (gain_curve, False), (drift, True)])
 def test_intervals_of_a_matrix_hold_in_spite_of_a_wrong_model(fault, known: bool) -> None:
     """Six matrices each, 72 coefficients: 95 % intervals hold 61 of them or more but once in a thousand."""
     stated, held = counted(fault, 6, FitSettings("mdof"), known=known)

@@ -14,6 +14,7 @@ from labpipe.estimation.damping import PROPORTIONAL, FactorModel, damp
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import MODELS, FitSettings
+from labpipe.records.identification import Fit
 from tests.estimation.conftest import DAMPING, MASS
 
 KNOWN = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, name="three")
@@ -59,11 +60,16 @@ def test_proportional_damping_without_noise(three_dof_response) -> None:
         assert fit.parameter("c_2_3").value == pytest.approx(-0.1, rel=1e-6)
 
 
-@pytest.mark.long
-def test_proportional_standard_errors_are_the_scatter(three_dof_response) -> None:
-    fits = [
+@pytest.fixture(scope="module")
+def fits(three_dof_response) -> list[Fit]:
+    """Of 60 noises."""
+    return [
         identify(three_dof_response(0.05, np.random.default_rng(seed)), RAYLEIGH)[0] for seed in range(60)
     ]
+
+
+@pytest.mark.long
+def test_proportional_standard_errors_are_the_scatter(fits: list[Fit]) -> None:
     for name in ("alpha", "beta", "c_1_1"):
         values = [fit.parameter(name).value for fit in fits]
         assert np.mean([fit.parameter(name).std_error for fit in fits]) == pytest.approx(
@@ -144,13 +150,9 @@ def test_comparison_finds_damping_that_is_not_proportional(three_dof_response) -
 
 
 @pytest.mark.long
-def test_likelihood_ratio_of_a_true_restriction_is_uniform(three_dof_response) -> None:
+def test_likelihood_ratio_of_a_true_restriction_is_uniform(fits: list[Fit]) -> None:
     """Proportional damping is held against free damping coefficients without being asked to."""
-    found = [
-        identify(three_dof_response(0.03, np.random.default_rng(seed)), RAYLEIGH)[0].candidates
-        for seed in range(100, 160)
-    ]
-    levels = [next(c for c in candidates if c.name.startswith("this model")).p_value for candidates in found]
+    levels = [next(c for c in fit.candidates if c.name.startswith("this model")).p_value for fit in fits]
     # 60 values of a uniform variable: mean 0.5 +- 0.037, share below 0.1 is 0.1 +- 0.039; three sigma each.
     assert np.mean(levels) == pytest.approx(0.5, abs=0.12)
     assert np.mean(np.array(levels) < 0.1) < 0.22

@@ -134,7 +134,7 @@ def test_correlated_columns_that_do_no_harm_are_no_warning(three_dof_response, s
     """k and m of a resonance, and the entries of K, stand on columns alike (condition above 100) but are
     known well.
     """
-    directions = 30
+    directions = 10
     (resonance,) = identify(sdof_response(1e-7, np.random.default_rng(1)), FitSettings("sdof"))
     (three,) = identify(
         three_dof_response(0.05, np.random.default_rng(1)),

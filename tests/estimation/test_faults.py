@@ -69,28 +69,16 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
     assert np.sqrt(np.mean(difference**2)) < 1e-3 * np.sqrt(np.mean(motion**2))
 
 
-@pytest.mark.long
-def test_sound_runs_are_left_alone() -> None:
-    """Drift, mass and model-mismatch are tests of 1 % each: of 20 runs at most one, which 1 % exceeds once in
-    60 and 10 % in 61 of 100.
-    """
-    runs = 20
-    codes, _, error = counted(range(1000, 1000 + runs))
-    assert error < 2
-    for code in ("drift", "mass", "model-mismatch"):
-        assert codes[code] <= round(0.05 * runs), codes
-
-
 @pytest.mark.parametrize(
     ("fault", "looks_like", "runs"),
     [
-        ({"gain": 0.03}, "the gain of x1", 1),
-        pytest.param({"stiffness": -0.06}, "all stiffness", 15, marks=pytest.mark.long),
+        ({"gain": 0.03}, "the gain of x1", 2),
+        pytest.param({"stiffness": -0.06}, "all stiffness", 4, marks=pytest.mark.long),
     ],
     ids=["gain", "softer"],
 )
 def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> None:
-    """14 of 15: a rate of 99 % fails once in 100, one of 70 % passes once in 28.
+    """All of four: a rate of half passes once in 16.
 
     The rate of the gain is among those of test_warning_rates.
     """
@@ -108,9 +96,9 @@ def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> 
 @pytest.mark.long
 def test_a_mode_just_above_the_band_is_a_mismatch() -> None:
     """A mode at 60 Hz with 1 % of the static compliance: model-mismatch, and no drift; with 5 % it is among
-    the rates of test_warning_rates. All of 8: a rate of 70 % passes once in 17.
+    the rates of test_warning_rates. All of three: a rate of 40 % passes once in 16.
     """
-    runs = 8
+    runs = 3
     codes, _, _ = counted(range(runs), hidden=(60.0, 0.01, 0.01))
     assert codes["model-mismatch"] >= 0.9 * runs
     assert codes["drift"] <= max(1, 0.05 * runs)
@@ -123,8 +111,8 @@ def test_cubic_springs_are_named_between_two_levels() -> None:
     One level alone looks like noise. Linear springs are among the rates of test_warning_rates.
     """
     conditions = {"quiet": {"level": "5 N"}, "loud": {"level": "10 N"}}
-    # Nine of ten: a rate of 70 % passes once in seven.
-    runs = 10
+    # All of three: a rate of 40 % passes once in 16.
+    runs = 3
     quiet, loud = (fits(range(runs), cubic=5e8, force=force, length=100.0) for force in (5.0, 10.0))
     named = [
         _level_finding(replace(low, test="quiet"), replace(high, test="loud"), conditions)

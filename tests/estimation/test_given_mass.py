@@ -76,15 +76,13 @@ def test_without_covariance_it_is_said_that_chi_square_could_not_be_checked() ->
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "noise",
-    [{}, {"shared": 0.6}, {"relative": True}, {"shared": 0.6, "relative": True}, {"noise_known": True}],
-    ids=["plain", "shared", "relative", "both", "known"],
+    "noise", [{}, {"shared": 0.6, "relative": True}, {"noise_known": True}], ids=["plain", "both", "known"]
 )
 def test_the_right_mass_is_left_alone(noise: dict) -> None:
-    """The test is of 1 %; asked are at most 2 % and three binomial deviations, 8 of 150: 2 % exceed it once
-    in 300, 10 % in 97 of 100.
+    """The test is of 1 %; asked are at most 2 % and three binomial deviations, 6 of 100: 2 % exceed it once
+    in 200, 10 % in 88 of 100.
     """
-    runs = 150
+    runs = 100
     alarms = [bool(findings(single(resonance(0.02, seed, **noise), MASS), "mass")) for seed in range(runs)]
     assert np.mean(alarms) < 0.02 + 3 * np.sqrt(0.02 / runs)
 
@@ -93,11 +91,11 @@ def test_the_right_mass_is_left_alone(noise: dict) -> None:
 @pytest.mark.parametrize("noise_known", [False, True])
 def test_a_mass_ten_standard_errors_off_is_seen(noise_known: bool) -> None:
     """2 % noise knows the mass to about 0.6 %: 6 % is ten of these, 3.6 degrees of freedom without known
-    noise. 18 of 20: a rate of 70 % passes once in 28.
+    noise. All of eight: a rate of 70 % passes once in 17.
     """
     seen = [
         bool(findings(single(resonance(0.02, seed, noise_known=noise_known), 1.06), "mass"))
-        for seed in range(20)
+        for seed in range(8)
     ]
     assert np.mean(seen) >= 0.9
 

@@ -82,9 +82,9 @@ def test_backward_is_forward_at_negative_frequency(rng: np.random.Generator) -> 
 
 @pytest.mark.long
 def test_the_covariance_goes_along(rng: np.random.Generator) -> None:
-    # Recipe: variance over 200 simulated measurements of the same rotor against the mean of the predicted
+    # Recipe: variance over 80 simulated measurements of the same rotor against the mean of the predicted
     # ones.
-    responses = [measured(ANISOTROPIC, rng, noise=0.05) for _ in range(200)]
+    responses = [measured(ANISOTROPIC, rng, noise=0.05) for _ in range(80)]
     matrices = np.array([response.matrix for response in responses])
     predicted = np.mean([response.variance for response in responses], axis=0)
     np.testing.assert_allclose(np.mean(predicted / matrices.var(axis=0), axis=0), 1.0, atol=0.1)

@@ -141,13 +141,13 @@ def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
 
 @pytest.mark.long
 def test_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) -> None:
-    # Recipe: 200 simulated tests of 8 hits each, exponential window with its damping taken out.
+    # Recipe: 80 simulated tests of 8 hits each, exponential window with its damping taken out.
     impact = ImpactSettings(decay=0.25)
     settings = FrfSettings(excitation="impact", block=BLOCK, band=(40.0, 90.0), impact=impact)
     starts = [500 + 4 * N * k for k in range(8)]
     force = half_sine(33 * N, starts, [1.0] * 8)
     quick = -2 * np.pi * 2.0 + 2j * np.pi * 60.0
-    responses = [measure([hammered(rng, force, quick, noise=0.01)], settings) for _ in range(200)]
+    responses = [measure([hammered(rng, force, quick, noise=0.01)], settings) for _ in range(80)]
     matrices = np.array([response.matrix[:, 0, 0] for response in responses])
     predicted = np.mean([response.variance[:, 0, 0] for response in responses], axis=0)
     ratio = predicted / matrices.var(axis=0)

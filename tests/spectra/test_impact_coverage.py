@@ -19,7 +19,7 @@ RATE, F_N, BAND = 1024.0, 60.0, (40.0, 80.0)
 CHANNELS = (Channel("f", "force", "input", "x", 0.0), Channel("x", "displacement", "output", "x", 0.0))
 W_N = 2 * np.pi * F_N
 # Damping ratio, time constant [s], block [s], hits.
-CASES = [(0.006, 0.15, 1.0, 3), (0.006, 2.0, 4.0, 10), (0.02, 0.5, 2.0, 30), (0.05, 0.15, 2.0, 10)]
+CASES = [(0.006, 0.15, 1.0, 3), (0.05, 0.15, 2.0, 10)]
 
 
 def displacement(force: np.ndarray, zeta: float) -> np.ndarray:
@@ -67,7 +67,7 @@ def fitted(rng: np.random.Generator, zeta: float, decay: float, block: float, hi
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.long
 def test_intervals_hold_the_truth(rng: np.random.Generator, case: tuple[float, float, float, int]) -> None:
-    runs, zeta = 100, case[0]
+    runs, zeta = 60, case[0]
     truth = {"k": W_N**2, "c": 2 * zeta * W_N}
     fits = [fitted(rng, *case) for _ in range(runs)]
     for name, value in truth.items():

@@ -105,7 +105,7 @@ def test_a_peak_too_narrow_for_the_polynomials_is_warned_of(degree: int, lines: 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("lines", "n_block", "draws"), [(8.0, 4, 60)])
+@pytest.mark.parametrize(("lines", "n_block", "draws"), [(8.0, 4, 40)])
 def test_intervals_are_narrower_and_hold_the_truth(lines: float, n_block: int, draws: int) -> None:
     errors, sizes, holds = fits(LOCAL, lines, n_block, draws)
     hann_errors, hann_sizes, _ = fits({}, lines, n_block, draws)

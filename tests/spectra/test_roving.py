@@ -62,7 +62,7 @@ def test_columns_are_those_of_their_hits_alone(decay: float | None, rng: np.rand
 
 @pytest.mark.long
 def test_the_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) -> None:
-    """Noise of one level on all responses: variance over 60 repeats of three points hit three times each,
+    """Noise of one level on all responses: variance over 30 repeats of three points hit three times each,
     over its mean prediction.
     """
     plain = hits(3, 2, 4096, noise=0.0)
@@ -72,7 +72,7 @@ def test_the_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generat
         noise = rng.normal(size=samples.shape) * [0.0, 3.0, 3.0]
         return Recording(recording.channels, samples + noise, recording.sample_rate, recording.name)
 
-    measured = [measure([drawn(recording) for recording in plain], settings(4096)) for _ in range(60)]
+    measured = [measure([drawn(recording) for recording in plain], settings(4096)) for _ in range(30)]
     scatter = np.mean(np.var([part.matrix for part in measured], axis=0, ddof=1), axis=0)
     predicted = np.mean([part.variance for part in measured], axis=(0, 1))
     assert np.mean(scatter / predicted) == pytest.approx(1.0, abs=0.1)

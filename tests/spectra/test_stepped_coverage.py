@@ -21,7 +21,7 @@ def test_intervals_hold_the_truth_and_transients_leave_no_bias() -> None:
 
     K and c of the fit.
     """
-    draws = 50
+    draws = 40
     errors, holds, scaled = [], [], []
     for seed in range(draws):
         response = measure([record(seed)], FrfSettings("stepped-sine"))

@@ -67,10 +67,10 @@ def test_a_shaft_speed_line_leaves_the_parameters_within_their_intervals(
 
 @pytest.mark.long
 def test_intervals_hold_the_truth_as_often_as_they_say(rig: WhiteNoiseRig) -> None:
-    # Sensor noise above the window's leakage; 25 runs of 8 parameters: 95 % +- 1.5 %, rms 1 +- .05.
+    # Sensor noise above the window's leakage; 16 runs of 8 parameters: 95 % +- 1.9 %, rms 1 +- .063.
     noisy = replace(rig, noise=SensorNoise(30e-6, 0.05))
     settings = replace(SETTINGS, band=(20.0, 160.0))
-    fits = [fitted(noisy, settings, seed) for seed in range(25)]
+    fits = [fitted(noisy, settings, seed) for seed in range(16)]
     errors = np.array([normal_errors(fit, noisy) for fit in fits])
     assert 0.90 < np.mean(np.abs(errors) < 1.96) < 0.995
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1, abs=0.15)
@@ -80,8 +80,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(rig: WhiteNoiseRig) -> No
 
 @pytest.mark.long
 def test_where_leakage_is_the_noise_intervals_are_as_wide_as_the_scatter(rig: WhiteNoiseRig) -> None:
-    # 20 runs of 8 parameters: at least 95 % - 5 %, rms 1 +- .17, three standard deviations each.
-    fits = [fitted(rig, SETTINGS, seed) for seed in range(20)]
+    # 12 runs of 8 parameters, rms 1 +- .072.
+    fits = [fitted(rig, SETTINGS, seed) for seed in range(12)]
     errors = np.array([normal_errors(fit, rig) for fit in fits])
     assert np.mean(np.abs(errors) < 1.96) > 0.90
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.17)

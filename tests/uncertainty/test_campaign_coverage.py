@@ -26,7 +26,7 @@ from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings
 
 ROOT = Path(__file__).parents[2]
-REPEATS = 16
+REPEATS = 12
 TRUTH, BETA = 1.12, 20e-6
 WAYS = ("radial", "axial", "tilt")
 
@@ -104,8 +104,8 @@ def test_the_ratio_is_unbiased_and_its_error_true(campaigns, name: str) -> None:
 
 @pytest.mark.long
 def test_the_intervals_hold_the_truth(campaigns) -> None:
-    """16 repeats in three directions: 41 of 48 and 13 of 16 at least, by chance once in 400 and in 140; where
-    80 % hold, 77 of 100 fail.
+    """12 repeats in three directions: 31 of 36 and 9 of 12 at least, by chance once in 170 and in 450; where
+    80 % hold, 76 of 100 fail.
     """
     hits = {
         name: sum(
@@ -113,14 +113,14 @@ def test_the_intervals_hold_the_truth(campaigns) -> None:
         )
         for name in ("radial-ratio", "axial-ratio", "tilt-ratio")
     }
-    assert sum(hits.values()) >= 41 and min(hits.values()) >= 13, hits
+    assert sum(hits.values()) >= 31 and min(hits.values()) >= 9, hits
 
 
 @pytest.mark.long
 def test_one_ratio_holds_for_all_preloads_and_damping_is_proportional_but_for_one_case_in_twenty(
     campaigns,
 ) -> None:
-    """96 tests at 5 %: at most 4.8 + 3.5 binomial standard deviations reject."""
+    """72 tests at 5 %: at most 3.6 + 3.5 binomial standard deviations reject."""
     scatter = [
         repeat[f"{way}-ratio"].amount("scatter_p").value
         for repeat in campaigns
@@ -131,7 +131,7 @@ def test_one_ratio_holds_for_all_preloads_and_damping_is_proportional_but_for_on
         for repeat in campaigns
         for way in ("radial", "axial", "tilt")
     ]
-    assert np.sum(np.array([*scatter, *damping]) < 0.05) <= 4.8 + 3.5 * np.sqrt(96 * 0.05 * 0.95)
+    assert np.sum(np.array([*scatter, *damping]) < 0.05) <= 3.6 + 3.5 * np.sqrt(72 * 0.05 * 0.95)
 
 
 @pytest.mark.long

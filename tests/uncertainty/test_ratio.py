@@ -107,13 +107,13 @@ def test_with_a_theory_its_beta_counts() -> None:
 
 @pytest.mark.long
 def test_chance_alone_is_not_proportional_in_one_case_of_twenty(rng) -> None:
-    """600 series of four tests with independent c: 5 % within 4 binomial standard deviations."""
+    """300 series of four tests with independent c: 5 % within 4 binomial standard deviations."""
     wrong = 0
-    for _ in range(600):
+    for _ in range(300):
         k = np.array([1e7, 2e7, 3e7, 4e7]) * (1 + 1e-3 * rng.standard_normal(4))
         c = 2e-5 * np.array([1e7, 2e7, 3e7, 4e7]) * (1 + 2e-3 * rng.standard_normal(4))
         wrong += rayleigh(series(RAYLEIGH, k, c), None).verdict == "not proportional"
-    assert wrong / 600 == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 600))
+    assert wrong / 300 == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 300))
 
 
 def test_a_fit_without_damping_is_refused() -> None:
