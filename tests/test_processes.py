@@ -1,19 +1,15 @@
-"""Workers end with the process that started them; work is shared with a second thread."""
+"""Workers end with the process that started them."""
 
 from __future__ import annotations
 
-import operator
 import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import pytest
-
-from labpipe.processes import in_threads
 
 PARENT = """
 import multiprocessing, os, time
@@ -41,26 +37,6 @@ def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     while time.monotonic() < end and _alive(worker):
         time.sleep(0.02)
     assert not _alive(worker)
-
-
-@pytest.mark.parametrize("processors", [1, 2])
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_every_part_is_done_once_and_half_by_the_second_thread_where_there_is_a_processor_for_it(
-    monkeypatch: pytest.MonkeyPatch, processors: int, count: int
-) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: processors)
-    done: dict[int, list[int]] = {}
-    in_threads(lambda parts: done.setdefault(threading.get_ident(), []).extend(parts), range(count))
-    assert sorted(part for parts in done.values() for part in parts) == list(range(count))
-    here = done[threading.get_ident()]
-    assert here == list(range(0, count, 2) if processors == 2 and count > 1 else range(count))
-
-
-@pytest.mark.parametrize("bad", [0, 1])
-def test_an_error_of_either_thread_is_raised(monkeypatch: pytest.MonkeyPatch, bad: int) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    with pytest.raises(ZeroDivisionError):
-        in_threads(lambda parts: operator.floordiv(1, min(abs(part - bad) for part in parts)), range(4))
 
 
 def _alive(process: int) -> bool:

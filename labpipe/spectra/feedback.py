@@ -11,14 +11,12 @@ w = y - G u, complex, as it is where v is fed back.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 
 import numpy as np
 from scipy import fft, linalg, special
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.processes import in_threads
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.channels import checked_blocks
@@ -55,7 +53,6 @@ TAPER, ENDS = 1.0, 0.1
 # Lines to either side over which spectra are averaged, order of the filter that takes a response's resonances
 # out.
 HALF_WIDTH, ORDER = 12, 20
-MOST_LAGS = max(LAGS.stop, ORDER + 1)
 # The excited band ends where the power of the force falls to the first share within a quarter more frequency,
 # unless it stays coherent with the response as by a loop, or to the third share of its peak, the strongly
 # excited one to the fourth.
@@ -258,25 +255,20 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
     inverted, _ = definite_inverse(_average(u[:, :, None] * u[:, None, :].conj()) + RIDGE * np.eye(n_input))
     spread = np.maximum(np.einsum("lii->li", inverted).real, 0.0) / level**2
     free = (2 * HALF_WIDTH + 1) / max(2 * HALF_WIDTH + 1 - n_input, 1)
-    (cosine, sine), chances = _turns(last), list[float]()
-
-    def judge(outputs: Sequence[ComplexArray]) -> None:
-        for output in outputs:
-            crossed = output[:, None] * u.conj()
-            s_yu, power = _average(crossed), _average(np.abs(output) ** 2).real
-            response = product(s_yu[:, None, :], inverted)[:, 0]
-            noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
-            white = fade * _whitening(power)
-            raw = white[:, None] * product(crossed[:, None, :], inverted)[:, 0] / level * size
-            even, odd = cosine @ np.ascontiguousarray(raw.real), sine @ np.ascontiguousarray(raw.imag)
-            before, after = (even + odd)[: LAGS.stop], (even - odd)[: LAGS.stop]
-            # What one force leaves of another's spectrum is small against the larger of their effects.
-            floor = FLOOR * float(np.max(np.abs(after)))
-            variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
-            shared = cosine[: len(LAGS)] @ variance / 2
-            chances.extend(_chance_of_lags(before[:, i], shared[:, i], floor, degree) for i in range(n_input))
-
-    in_threads(judge, list(y.T))
+    chances = []
+    for output in y.T:
+        s_yu, power = _average(output[:, None] * u.conj()), _average(np.abs(output) ** 2).real
+        response = product(s_yu[:, None, :], inverted)[:, 0]
+        noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
+        white = fade * _whitening(power)
+        raw = (
+            white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
+        )
+        before, after = _before_and_after(raw, LAGS.stop)
+        # What one force leaves of another's spectrum is small against the larger of their effects.
+        floor = FLOOR * float(np.max(np.abs(after)))
+        variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
+        chances += [_chance_of_lags(before[:, i], variance[:, i], floor, degree) for i in range(n_input)]
     return chances
 
 
@@ -301,16 +293,16 @@ def _level(u: ComplexArray) -> FloatArray:
     return np.exp(0.5 * np.column_stack([np.interp(lines, middle, column) for column in np.log(power).T]))
 
 
-def _chance_of_lags(lags: FloatArray, shared: FloatArray, floor: float, degree: int) -> float:
-    """p-value of the *lags* before 0 (LAGS.stop,) of an FRF, whose noise has the autocovariance *shared*
-    (n_lag,).
+def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
+    """p-value of the *lags* before 0 (LAGS.stop,) of an FRF with its *variance* (n_line,) [of the FRF].
 
     *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of
     account.
     """
     before = np.array(LAGS)
     lags = lags[LAGS.start :]
-    covariance = linalg.toeplitz(shared) + np.eye(before.size) * floor**2
+    covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
+    covariance = covariance + np.eye(before.size) * floor**2
     lower = np.linalg.cholesky(covariance)
     white = np.linalg.solve(lower, lags)
     # What lies below the lowest excited line is missing on both sides, as a slow curve.
@@ -399,20 +391,30 @@ def _whitening(power: FloatArray) -> ComplexArray:
     """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of the autoregression of a signal with this *power* (n_line,):
     causal, as its inverse is.
     """
-    covariance = _turns(power.size)[0, : ORDER + 1] @ power
+    covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
     return np.asarray(fft.rfft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1:])
 
 
-@functools.lru_cache(2)
-def _turns(n: int) -> FloatArray:
-    """cos and sin of pi k t / n at the few lags t = 0 ... that are asked for and lines k = 1 ... n, (2,
-    MOST_LAGS, n).
+def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
+    """Sum over lines k = 1 ... n of values (n, ...) [any unit] times e^{-j pi k t / n}, at lags t = 0 ...
+
+    *number* - 1, (number, ...).
     """
-    place = np.outer(range(MOST_LAGS), range(1, n + 1)) % (2 * n)
-    turn = np.exp(1j * np.pi / n * np.arange(2 * n))
-    return np.array([turn.real[place], turn.imag[place]])
+    n = values.shape[0]
+    padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
+    transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
+    return np.asarray(transform(padded, 2 * n, axis=0)[:number])
+
+
+def _before_and_after(response: ComplexArray, number: int) -> tuple[FloatArray, FloatArray]:
+    """Impulse responses of FRFs (n_line, n) [any unit] at lags 0, 1, ...
+
+    before the force and after it, both (number, n).
+    """
+    both = _at_lags(response, 2 * response.shape[0]).real
+    return both[:number], both[-np.arange(number)]
 
 
 def _tukey(n: int) -> FloatArray:

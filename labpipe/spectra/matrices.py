@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.processes import in_threads
 
 # Numbers of matrices that are worked on together: a part of the cache.
 CACHED_NUMBERS = 1 << 15
@@ -112,21 +109,17 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
     n_line, n = matrix.shape[:2]
     rest = lines_last(n_line, n - n_first, n - n_first)
     n_chunk = max(1, CACHED_NUMBERS // (n * n_first))
-
-    def subtract(starts: Sequence[int]) -> None:
-        for start in starts:
-            lines = slice(start, start + n_chunk)
-            columns, factors = _eliminate(matrix[lines, :, :n_first])
-            conjugates = columns.conj()
-            for row in range(n - n_first):
-                left = matrix[lines, n_first + row, n_first : n_first + row + 1].T.copy()
-                for k, factor in enumerate(factors[n_first + row]):
-                    left -= factor * conjugates[n_first : n_first + row + 1, k]
-                left[row] = np.maximum(left[row].real, 0.0)
-                rest[lines, row, : row + 1] = left.T
-                rest[lines, :row, row] = left[:row].conj().T
-
-    in_threads(subtract, range(0, n_line, n_chunk))
+    for start in range(0, n_line, n_chunk):
+        lines = slice(start, start + n_chunk)
+        columns, factors = _eliminate(matrix[lines, :, :n_first])
+        conjugates = columns.conj()
+        for row in range(n - n_first):
+            left = matrix[lines, n_first + row, n_first : n_first + row + 1].T.copy()
+            for k, factor in enumerate(factors[n_first + row]):
+                left -= factor * conjugates[n_first : n_first + row + 1, k]
+            left[row] = np.maximum(left[row].real, 0.0)
+            rest[lines, row, : row + 1] = left.T
+            rest[lines, :row, row] = left[:row].conj().T
     return rest
 
 

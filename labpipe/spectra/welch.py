@@ -1,13 +1,20 @@
 """Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method).
 
-Sums over segments of X_a X_b*, the cross-products of all channels at every line. Segments are tapered and
-transformed as they come, channels side by side; a few dozen of them together are the small matrices
-(n_channel, n_segment) of every line that BLAS multiplies.
+Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments
+at a time.
+
+Three ways of one job. Blocks that stay in the cache: LineProducts, whose small real matrices BLAS multiplies
+line by line, many segments at once. Longer blocks of a few pairs of channels: PackedProducts, in which two
+real channels share one complex transform and lines stand last in memory, so that every operation runs over a
+long row; half the memory, and in place. Longer blocks of other channels: RowProducts, in which every channel
+is transformed in a row of its own, two segments at once, and brought together with the others behind the
+transform, for BLAS.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,19 +22,30 @@ from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
-from labpipe.processes import in_threads
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
-# Measured on blocks of 1024 to 100,000 samples: samples of all channels that are transformed together, and
-# complex numbers of products or of factors, that stay in the cache.
-CACHED_SAMPLES, CACHED_NUMBERS = 1 << 16, 1 << 15
-# Segments whose products are summed at once, which reads and writes the sums once: this many and two for
-# every channel, but no more complex amplitudes than MOST_AMPLITUDES.
-SEGMENTS_AT_ONCE, MOST_AMPLITUDES = 16, 12 << 20
+# Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few
+# segments at a time.
+
+# Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all
+# channels together; the most channels that are worth packing in pairs, and the samples per channel from which
+# on packing pays.
+SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
+# Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in
+# the cache and, for very long blocks, in memory. Products of small matrices are fastest with about this many
+# segments; of long rows with fewer, and of no more than LONG_SAMPLES of a channel together.
+CACHED_SAMPLES = 1 << 18
+MOST_SAMPLES = 1 << 22
+SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
+# Complex numbers of a product that stay in the cache together with what they are made of.
+CACHED_PRODUCTS = 1 << 15
+# The same for rows of all channels: their products are sums of many numbers, which are read and written once
+# per PAIRS_AT_ONCE. Rows that are transposed, and lines whose products are made, in the cache.
+PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 10, 1 << 15
 
 
-class SegmentProducts:
+class SegmentProducts(ABC):
     """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the
     transform.
 
@@ -36,90 +54,333 @@ class SegmentProducts:
     """
 
     def __init__(
-        self, window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+        self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int
     ) -> None:
-        """*window* (n,) [1]; *step* [samples] from segment to segment; *lines* of the DFT that are summed,
-        neighbours above 0; *trend* (n_row, n_disturbed): FFT(w b_p) from there.
+        """*window* (n,) [1]; *lines* of the DFT that are summed, neighbours above 0; *trend* (n_row,
+        n_disturbed): FFT(w b_p) from there.
+
+        *n_together*: segments transformed at once, where memory allows it.
         """
-        self._step, self._lines, self._trend = step, slice(lines[0], lines[-1] + 1), trend
-        # Of every channel, so that a segment is one long row.
-        self._taper = np.repeat(window, n_channel).reshape(window.size, n_channel)
-        room = min(SEGMENTS_AT_ONCE + 2 * n_channel, MOST_AMPLITUDES // (len(lines) * n_channel))
-        self._amplitude = np.empty((max(1, room), len(lines), n_channel), np.complex128)
-        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
+        self._n, self._lines, self._n_channel, self._trend = window.size, lines, n_channel, trend
+        self._room = max(1, min(n_together, MOST_SAMPLES // (window.size * n_channel)))
+        self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
         self._n_waiting = 0
         self.n_block = 0
 
     @property
     def room(self) -> int:
-        """Segments that can still be put in before their products are added."""
-        return self._amplitude.shape[0] - self._n_waiting
+        """Segments that can still be put in before the next transform."""
+        return self._room - self._n_waiting
 
-    def put(self, samples: FloatArray, coefficients: FloatArray) -> None:
-        """Put in at most *room* segments, which begin at every step of samples (n_sample, n_channel), with
-        their trends (n_segment, n_row, n_channel) [channel unit].
+    def put(self, segments: FloatArray, coefficients: FloatArray) -> None:
+        """Put in at most *room* segments (n_segment, n, n_channel) with their trends (n_segment, n_row,
+        n_channel) [channel unit].
         """
-        n_segment, n = coefficients.shape[0], self._taper.shape[0]
-        segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step].swapaxes(1, 2)
-        place = self._amplitude[self._n_waiting : self._n_waiting + n_segment]
-        n_together = max(1, CACHED_SAMPLES // self._taper.size)
-
-        def transform(starts: Sequence[int]) -> None:
-            tapered = np.empty((n_together, *self._taper.shape))
-            for start in starts:
-                some = slice(start, min(start + n_together, n_segment))
-                rows = np.multiply(segments[some], self._taper, out=tapered[: some.stop - start])
-                place[some] = fft.rfft(rows, axis=1)[:, self._lines]
-                place[some, : self._trend.shape[1]] -= self._trend.T @ coefficients[some]
-
-        self._share(transform, range(0, n_segment, n_together))
-        self._n_waiting += n_segment
+        place = slice(self._n_waiting, self._n_waiting + segments.shape[0])
+        self._taper_into(place, segments)
+        self._coefficients[place] = coefficients
+        self._n_waiting = place.stop
         if self.room == 0:
             self.flush()
 
     def flush(self) -> None:
         """Add what is waiting to the sums."""
-        waiting = self._amplitude[: self._n_waiting]
-        n_chunk = max(1, CACHED_NUMBERS // max(1, waiting[:, 0].size))
+        if self._n_waiting:
+            self._add(self._n_waiting, self._coefficients[: self._n_waiting])
+            self.n_block += self._n_waiting
+            self._n_waiting = 0
 
-        def multiply(starts: Sequence[int]) -> None:
-            for start in starts:
-                left = waiting[:, start : start + n_chunk]
-                self._sum[start : start + n_chunk] += left.transpose(1, 2, 0) @ left.conj().swapaxes(0, 1)
+    @abstractmethod
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        """Keep segments (n_segment, n, n_channel) times the window."""
 
-        self._share(multiply, range(0, self._sum.shape[0], n_chunk))
-        self.n_block += self._n_waiting
-        self._n_waiting = 0
+    @abstractmethod
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        """Transform the first *n_segment* that are kept and add their products.
 
-    def _share(self, work: Callable[[Sequence[int]], None], parts: Sequence[int]) -> None:
-        """Do *work* on the parts, on two threads for long segments: short ones cost less than the second."""
-        if self._taper.size > CACHED_SAMPLES:
-            in_threads(work, parts)
-        else:
-            work(parts)
+        Coefficients (n_segment, n_row, n_channel).
+        """
+
+    @abstractmethod
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
+
+        Of all b, or of *columns*.
+        """
+
+
+def segment_products(
+    window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+) -> SegmentProducts:
+    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment.
+
+    The other arguments as for SegmentProducts.
+    """
+    if n_channel % 2 == 0 and n_channel <= MOST_PACKED and window.size >= PACKED_FROM * n_channel:
+        return PackedProducts(window, lines, n_channel, trend)
+    if window.size * n_channel <= SAMPLES_OF_SHORT:
+        return LineProducts(window, lines, n_channel, trend)
+    return RowProducts(window, step, lines, n_channel, trend)
+
+
+class LineProducts(SegmentProducts):
+    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, for blocks of few lines."""
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        super().__init__(
+            window,
+            lines,
+            n_channel,
+            trend,
+            max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel)),
+        )
+        self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
+        self._tapered = np.empty((self._room, self._n, n_channel))
+        self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        np.multiply(segments, self._taper, out=self._tapered[place])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        amplitude, first, n_line = (
+            fft.rfft(self._tapered[:n_segment], axis=1),
+            self._lines[0],
+            len(self._lines),
+        )
+        disturbed = slice(first, first + self._trend.shape[1])
+        for number, trend in enumerate(self._trend):
+            amplitude[:, disturbed] -= trend[None, :, None] * coefficients[:, number, None, :]
+        n_row = 2 * self._n_channel
+        flat = amplitude.reshape(n_segment, -1).view(np.float64)[:, (first - 1) * n_row :]
+        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
 
-        Of all b, or of *columns*. A few lines at a time, which stay in the cache; lines are last in memory.
+        Of all b, or of *columns*.
         """
-        n_line, n = self._sum.shape[:2]
-        chosen = range(n) if columns is None else columns
-        matrix = np.empty((n, len(chosen), n_line), np.complex128)
-        n_chunk = max(1, CACHED_NUMBERS // n**2)
+        return _fold(self._sum[:, :, 1:], columns, scale)
 
-        def turn(starts: Sequence[int]) -> None:
-            for start in starts:
-                lines = slice(start, start + n_chunk)
-                sums = self._sum[lines] * scale
-                # X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row.
-                for number, column in enumerate(chosen):
-                    matrix[column:, number, lines] = sums[:, column:, column].T
-                    matrix[column, number, lines].imag = 0.0
-                    np.conjugate(sums[:, column, :column].T, out=matrix[:column, number, lines])
 
-        in_threads(turn, range(0, n_line, n_chunk))
-        return matrix.transpose(2, 0, 1)
+class PackedProducts(SegmentProducts):
+    """Products of Z = FFT(z) of channels packed in pairs, z_k = x_2k + i x_2k+1, for blocks of many lines.
+
+    X_2k(f) = (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f)
+    Z_m(f)*, Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
+    """
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        super().__init__(
+            window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size))
+        )
+        n_pair, n_line = (n_channel + 1) // 2, len(lines)
+        self._taper = window.astype(np.complex128)
+        # An odd channel's partner stays zero.
+        self._tapered = np.zeros((self._room, n_pair, self._n), np.complex128)
+        # Products with the conjugates of the pairs up to the same one, of positive and of negative
+        # frequencies in rising order.
+        self._positive = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
+        self._negative = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
+        self._crossed = np.zeros((n_pair, n_pair, n_line), np.complex128)
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        even = self._n_channel // 2 * 2
+        if segments[:1].flags.c_contiguous and self._n_channel == even:
+            np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
+            return
+        for channel in range(self._n_channel):
+            half = self._tapered.imag if channel % 2 else self._tapered.real
+            np.multiply(segments[:, :, channel], self._taper.real, out=half[place, channel // 2])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True)
+        n_line, n = len(self._lines), self._n
+        positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
+        negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
+        for number, trend in enumerate(self._trend):
+            weight = coefficients[:, number, 0::2, None].astype(np.complex128)
+            weight[:, : self._n_channel // 2] += 1j * coefficients[:, number, 1::2, None]
+            positive[:, :, : trend.size] -= weight * trend
+            negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
+        n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
+        for start in range(0, n_line, n_chunk):
+            lines = slice(start, min(start + n_chunk, n_line))
+            mirrored = slice(n_line - lines.stop, n_line - lines.start)
+            product = np.empty((transformed.shape[1], lines.stop - lines.start), np.complex128)
+            for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
+                _add_products(above, above.conj(), self._positive, lines, product)
+                _add_products(below, below.conj(), self._negative, mirrored, product)
+                _add_products(above, below[:, ::-1], tuple(self._crossed), lines, product)
+        if self._n_channel % 2:
+            self._tapered[:n_segment, -1].imag = 0.0
+
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
+
+        Of all b, or of *columns*.
+        """
+        n = self._n_channel
+        matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
+        for k in range(len(self._positive)):
+            for m in range(k + 1):
+                positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
+                left, right = self._crossed[k, m], self._crossed[m, k].conj()
+                even, cross, odd, turned = (
+                    positive + negative,
+                    left + right,
+                    positive - negative,
+                    left - right,
+                )
+                matrix[2 * k, 2 * m] = (even + cross) * 0.25
+                matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
+                matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
+                matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
+        return _hermitian_lines(matrix[:n, :n], columns, scale)
+
+
+class RowProducts(SegmentProducts):
+    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, of transforms of two segments each, z
+    = x_1 + i x_2.
+
+    X_1a(f) X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
+    """
+
+    def __init__(
+        self, window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+    ) -> None:
+        """*step* [samples] from a segment to the next; the other arguments as for SegmentProducts."""
+        super().__init__(window, lines, n_channel, trend, 2 * PAIRS_AT_ONCE)
+        n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
+        self._room, self._step, self._window = 2 * n_pair, step, window
+        self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
+        # Samples of a pair of segments, in rows of channels.
+        self._rows = np.empty((n_channel, window.size + step))
+        self._pair = np.empty((n_channel, window.size), np.complex128)
+        # Positive frequencies of every pair, then negative ones, with a line more in front.
+        self._amplitude = np.zeros((n_pair, 2, len(lines) + 1, n_channel), np.complex128)
+        self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        for number, segment in enumerate(segments, place.start):
+            is_second = number % 2 == 1
+            n_known = max(self._n - self._step, 0) if is_second else 0
+            begin = self._step if is_second else 0
+            for start in range(n_known, self._n, CACHED_ROWS):
+                end = min(start + CACHED_ROWS, self._n)
+                self._rows[:, begin + start : begin + end] = segment[start:end].T
+            half = self._pair.imag if is_second else self._pair.real
+            np.multiply(self._rows[:, begin : begin + self._n], self._window, out=half)
+            if is_second:
+                self._transform(number // 2)
+
+    def _transform(self, number: int) -> None:
+        transformed = fft.fft(self._pair, axis=1, overwrite_x=True).T
+        n, lines, kept = self._n, self._lines, self._amplitude[number, :, 1:]
+        positive, negative = (
+            transformed[lines[0] : lines[-1] + 1],
+            transformed[n - lines[-1] : n - lines[0] + 1][::-1],
+        )
+        for start in range(0, len(lines), CACHED_ROWS):
+            chunk = slice(start, start + CACHED_ROWS)
+            kept[0, chunk] = positive[chunk]
+            np.conjugate(negative[chunk], out=kept[1, chunk])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        n_pair, n_row, n_line = (n_segment + 1) // 2, 2 * self._n_channel, len(self._lines)
+        if n_segment % 2:
+            self._pair.imag = 0.0
+            self._transform(n_pair - 1)
+        disturbed = self._amplitude[:n_pair, :, 1 : self._trend.shape[1] + 1]
+        for number, trend in enumerate(self._trend):
+            weight = coefficients[0::2, number].astype(np.complex128)
+            weight[: n_segment // 2] += 1j * coefficients[1::2, number]
+            disturbed -= np.stack([weight, weight.conj()], axis=1)[:, :, None] * trend[:, None]
+        flat = self._amplitude[:n_pair].reshape(2 * n_pair, -1).view(np.float64)
+        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
+
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
+
+        Of all b, or of *columns*.
+        """
+        return _fold(self._sum[:, :, 1:], columns, 0.5 * scale)
+
+
+def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, FloatArray]:
+    """(n_line, n_row, n_segment) and (n_line, n_segment, n_row + 1) of *flat* (n_segment, (n_line + 1)
+    n_row), the first line left out.
+
+    One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own
+    transpose at half the speed of two that differ.
+    """
+    rows = flat[:, n_row : (n_line + 1) * n_row].reshape(flat.shape[0], n_line, n_row)
+    wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][
+        :, :n_line
+    ]
+    return rows.transpose(1, 2, 0), wide.swapaxes(0, 1)
+
+
+def _add_matrices(rows: FloatArray, wide: FloatArray, sums: FloatArray) -> None:
+    """Add to *sums* (n_line, n_row, n_row + 1) the products of *rows* and *wide*, as many lines at a time as
+    stay in the cache.
+    """
+    n_line, n_row = sums.shape[:2]
+    n_chunk = max(1, CACHED_NUMBERS // (n_row * (n_row + 1)))
+    product = np.empty((n_chunk, n_row, n_row + 1))
+    for start in range(0, n_line, n_chunk):
+        chunk = slice(start, min(start + n_chunk, n_line))
+        sums[chunk] += np.matmul(rows[chunk], wide[chunk], out=product[: chunk.stop - start])
+
+
+def _add_products(
+    left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray
+) -> None:
+    """Add to *sums* of pair k, (n_other, n_line), left[k] times the first n_other rows of *right*.
+
+    Left, right (n_pair, n_line).
+    """
+    for row, into in zip(left, sums, strict=True):
+        into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
+
+
+def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """Matrices (n, n, n_line), of which the lower triangle is right, times *scale* as (n_line, n, n) or their
+    *columns*.
+
+    Lines stay last in memory.
+    """
+    for row in range(matrix.shape[0]):
+        matrix[row, row].imag = 0.0
+        for column in range(row):
+            np.conjugate(matrix[row, column], out=matrix[column, row])
+    matrix *= scale
+    return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)
+
+
+def _fold(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """*scale* sum X_a X_b* from sums of products of [re_0 im_0 ...] (n_line, 2 n, 2 n), as (n_line, n, n) or
+    its *columns*.
+
+    Re = re_a re_b + im_a im_b, Im = im_a re_b - re_a im_b, a few lines at a time, which stay in the cache;
+    lines are last in memory.
+    """
+    n_line, n = sums.shape[0], sums.shape[1] // 2
+    chosen = range(n) if columns is None else columns
+    matrix = np.empty((n, len(chosen), n_line), np.complex128)
+    n_chunk = max(1, CACHED_NUMBERS // n**2)
+    for start in range(0, n_line, n_chunk):
+        lines = slice(start, start + n_chunk)
+        parts = sums[lines].reshape(-1, n, 2, n, 2)
+        folded = np.empty((parts.shape[0], n, n), np.complex128)
+        np.add(parts[:, :, 0, :, 0], parts[:, :, 1, :, 1], out=folded.real)
+        np.subtract(parts[:, :, 1, :, 0], parts[:, :, 0, :, 1], out=folded.imag)
+        np.einsum("laa->la", folded).imag[...] = 0.0
+        folded *= scale
+        # X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row.
+        for number, column in enumerate(chosen):
+            matrix[column:, number, lines] = folded[:, column:, column].T
+            np.conjugate(folded[:, column, :column].T, out=matrix[:column, number, lines])
+    return matrix.transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -163,7 +424,7 @@ class WelchAverage:
         self._lines = range(window.size // 2 + 1)[lines]
         self._basis = trend_basis(detrend, window.size)
         trend = _significant_lines(fft.rfft(window * self._basis, axis=1)[:, lines])
-        self._products = SegmentProducts(window, step, self._lines, n_channel, trend)
+        self._products = segment_products(window, step, self._lines, n_channel, trend)
         self._rest: list[FloatArray] = []
 
     def add(self, block: FloatArray) -> None:
@@ -190,25 +451,27 @@ class WelchAverage:
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
         if n_segment:
-            trend = self._trend_of(samples, n_segment)
+            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step][
+                :n_segment
+            ].swapaxes(1, 2)
+            trend = self._trend_of(samples, segments)
         first = 0
         while first < n_segment:
             chunk = slice(first, min(n_segment, first + self._products.room))
-            self._products.put(samples[first * self._step :], trend[chunk])
+            self._products.put(segments[chunk], trend[chunk])
             first = chunk.stop
         return n_segment * self._step
 
-    def _trend_of(self, samples: FloatArray, n_segment: int) -> FloatArray:
-        """The coefficients (n_segment, n_row, n_channel) of the trends of the first segments of *samples*.
+    def _trend_of(self, samples: FloatArray, segments: FloatArray) -> FloatArray:
+        """The trend's coefficients (n_segment, n_row, n_channel); *segments* begin with *samples*.
 
         A mean is that of whole steps, where they fit, so that every sample is summed once, however blocks
         overlap.
         """
         n, step = self._window.size, self._step
         if self._basis.shape[0] != 1 or n % step:
-            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[::step][:n_segment]
-            return self._basis @ segments.swapaxes(1, 2)
-        n_step = n_segment - 1 + n // step
+            return self._basis @ segments
+        n_step = segments.shape[0] - 1 + n // step
         sums = self._basis[:, :step] @ samples[: n_step * step].reshape(n_step, step, -1)
         return np.lib.stride_tricks.sliding_window_view(sums, n // step, axis=0).sum(axis=3)
 

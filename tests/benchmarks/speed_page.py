@@ -97,27 +97,9 @@ def frf_rows() -> Iterator[str]:
         def floor(samples: np.ndarray = samples, block: int = block) -> None:
             cross_products(samples, block)
 
-        least = least_times([bare, floor, averaged, checked], 7)
+        least = least_times([bare, floor, averaged, checked], 15)
         cells = [f"{value:.2f}" for pair in (least[1:] / least[0]).T for value in pair]
         yield f"| {n_output} x {n_input} | {block} | {n_sample} | {1e3 * least[0, 0]:.0f} ms | {' | '.join(cells)} |"
-
-
-def frf_section() -> Iterator[str]:
-    """The table of FRFs with its heading, and how busy the machine was."""
-    yield (
-        "\n## FRF of records in memory\n\nOver `scipy.fft.rfft` of every block of every channel and nothing "
-        "else: first the least that numpy needs for the cross-products of all channels, on one thread "
-        "(window, FFT, a product of matrices per line); then H1 with covariance (in its two factors: it is "
-        "made whole when it is first read), ordinary, multiple and partial coherence; then `measure`, which "
-        "also checks the record and looks for a loop, drift and aliasing. CPU, and by the clock on "
-        f"{os.cpu_count()} processors, where others kept {os.getloadavg()[0]:.1f} busy before: beyond none, "
-        "what reads memory comes out dearer and the clock tells nothing.\n"
-    )
-    yield (
-        "| responses x forces | block | samples | bare FFTs | least | FRF | measure | least, clock | FRF, clock "
-        "| measure, clock |\n|---|---|---|---|---|---|---|---|---|---|"
-    )
-    yield from frf_rows()
 
 
 def least_times(actions: Sequence[Callable[[], object]], repeats: int) -> np.ndarray:
@@ -217,7 +199,15 @@ def page(n_row: int, repeats: int) -> str:
     parts = [
         HEAD,
         f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}.\n",
-        *frf_section(),
+        "\n## FRF of records in memory\n\nOver `scipy.fft.rfft` of every block of every channel and nothing "
+        "else: first the least that numpy needs for the cross-products of all channels, on one thread "
+        "(window, FFT, a product of matrices per line); then H1 with covariance (in its two factors: it is "
+        "made whole when it is first read), ordinary, multiple and partial coherence; then `measure`, which "
+        "also checks the record and looks for a loop, drift and aliasing. CPU, and by the clock on "
+        f"{os.cpu_count()} processors.\n",
+        "| responses x forces | block | samples | bare FFTs | least | FRF | measure | least, clock | FRF, clock | "
+        "measure, clock |\n|---|---|---|---|---|---|---|---|---|---|",
+        *frf_rows(),
         f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows, then files "
         f"of {LARGE:g} MB; beside it bare reading and bare FFTs, piece by piece or at once, whichever is "
         "faster. The import of the libraries is subtracted on both sides.\n",

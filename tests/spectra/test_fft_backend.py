@@ -45,17 +45,19 @@ def recording(n_sample: int, n_output: int, rng: np.random.Generator) -> Recordi
     )
 
 
-@pytest.mark.parametrize(("block", "n_output"), [(1024, 2), (8192, 6)])
+@pytest.mark.parametrize(
+    ("block", "n_output", "method"), [(1024, 2, "rfft"), (8192, 2, "fft"), (8192, 6, "fft")]
+)
 def test_random_data_are_transformed_by_the_backend(
-    rng: np.random.Generator, block: int, n_output: int
+    rng: np.random.Generator, block: int, n_output: int, method: str
 ) -> None:
-    # Short blocks many at a time, long ones of many channels one by one; numpy's own FFT is the independent
-    # calculation.
+    # Short blocks, long ones, and long ones of many channels take three ways; numpy's own FFT is the
+    # independent calculation.
     source, settings = recording(12 * block, n_output, rng), FrfSettings("random", block=block / 1024)
     usual, backend = measure([source], settings), CountingBackend()
     with fft.set_backend(backend):
         other = measure([source], settings)
-    assert backend.calls["rfft"] > 0
+    assert backend.calls[method] > 0
     assert usual.variance is not None
     assert np.max(np.abs(other.matrix - usual.matrix) / np.sqrt(usual.variance)) < 1e-10
 

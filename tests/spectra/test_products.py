@@ -1,36 +1,47 @@
-"""Cross-products of segments against sums written out with numpy.fft."""
+"""Cross-products of segments: all three ways against sums written out with numpy.fft."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from labpipe.spectra import welch
-from labpipe.spectra.welch import SegmentProducts, trend_basis
+from labpipe.spectra.welch import (
+    MOST_PACKED,
+    PACKED_FROM,
+    SAMPLES_OF_SHORT,
+    LineProducts,
+    PackedProducts,
+    RowProducts,
+    SegmentProducts,
+    segment_products,
+    trend_basis,
+)
 from labpipe.spectra.windows import window_values
 
 
 @pytest.mark.parametrize("n_channel", [1, 2, 3, 4])
 @pytest.mark.parametrize("lines", [range(1, 33), range(1, 32), range(5, 12)])
 @pytest.mark.parametrize(("n", "step"), [(64, 64), (64, 24), (65, 24)])
+@pytest.mark.parametrize("way", [LineProducts, PackedProducts, RowProducts])
 def test_sums_are_those_written_out(
-    rng: np.random.Generator, n: int, step: int, lines: range, n_channel: int, monkeypatch: pytest.MonkeyPatch
+    rng: np.random.Generator, way: type[SegmentProducts], n: int, step: int, lines: range, n_channel: int
 ) -> None:
     # Literal twin: the trend is taken out of every segment before the window, X_a X_b* is summed segment by
-    # segment. Room for four segments that are transformed two at a time, so that the sums are added twice.
-    monkeypatch.setattr(welch, "CACHED_SAMPLES", 2 * n * n_channel)
-    monkeypatch.setattr(welch, "MOST_AMPLITUDES", 4 * 33 * n_channel)
+    # segment.
     window, basis = window_values("hann", n), trend_basis("linear", n)
     samples = rng.normal(size=(6 * step + n, n_channel)) + 3.0
     segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[::step].swapaxes(1, 2)
     trend = np.fft.rfft(window * basis, axis=1)[:, lines.start : lines.stop]
-    products = SegmentProducts(window, step, lines, n_channel, trend)
-    first = 0
-    for end in (3, 7):
-        while first < end:
-            number = min(products.room, end - first)
-            products.put(samples[first * step :], basis @ segments[first : first + number])
-            first += number
+    products = (
+        way(window, step, lines, n_channel, trend)
+        if way is RowProducts
+        else way(window, lines, n_channel, trend)
+    )
+    for chunk in (segments[:3], segments[3:]):
+        while chunk.shape[0]:
+            number = min(products.room, chunk.shape[0])
+            products.put(chunk[:number], basis @ chunk[:number])
+            chunk = chunk[number:]
     products.flush()
     left = segments - np.einsum("pn,spc->snc", basis, basis @ segments)
     spectra = np.fft.rfft(left * window[:, None], axis=1)[:, lines.start : lines.stop]
@@ -40,3 +51,17 @@ def test_sums_are_those_written_out(
     np.testing.assert_array_equal(matrix, matrix.conj().swapaxes(1, 2))
     np.testing.assert_array_equal(products.matrix([n_channel - 1, 0]), matrix[:, :, [n_channel - 1, 0]])
     assert products.n_block == 7
+
+
+def test_long_blocks_are_packed_where_channels_are_few_and_in_pairs_and_in_rows_elsewhere() -> None:
+    trend = np.empty((0, 1), complex)
+    for n, n_channel, way in (
+        (2 * PACKED_FROM, 2, PackedProducts),
+        (2 * PACKED_FROM - 1, 2, LineProducts),
+        (MOST_PACKED * PACKED_FROM, MOST_PACKED, PackedProducts),
+        (SAMPLES_OF_SHORT // 3, 3, LineProducts),
+        (SAMPLES_OF_SHORT // 3 + 1, 3, RowProducts),
+        (SAMPLES_OF_SHORT // 8, 8, LineProducts),
+        (SAMPLES_OF_SHORT // 8 + 1, 8, RowProducts),
+    ):
+        assert isinstance(segment_products(np.ones(n), n // 2, range(1, 4), n_channel, trend), way)
