@@ -1,4 +1,4 @@
-"""The preload pipeline's ratio on the virtual ball-bearing rig, 16 times: its 95 % interval must hold the
+"""The preload pipeline's ratio on the virtual ball-bearing rig, 12 times: its 95 % interval must hold the
 rig's truth.
 
 Source: labpipe.methods.rolling_bearing.virtual_rig with the shipped configuration, new noise, new settings of

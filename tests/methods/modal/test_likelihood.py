@@ -125,13 +125,13 @@ def test_residual_terms_are_taken_out_of_the_data() -> None:
 
 @pytest.mark.long
 def test_draws_reach_the_bound() -> None:
-    """20 draws of 18 parameters, noise of 1 and 5 % in turn: three deviations of a share of 95 % are 3.4 %,
-    of the rms .11. Standard errors 20 % too small are seen in 99 of 100, at one level alone in 71.
+    """Ten draws of 18 parameters, noise of 1 and 5 % in turn: three deviations of a share of 95 % are 4.9 %,
+    of the rms .158. Standard errors 20 % too small are seen in 95 of 100.
     """
     structure = nine_modes()
     omega = 2 * np.pi * structure.frequency
     errors = []
-    for seed in range(20):
+    for seed in range(10):
         level = (0.01, 0.05)[seed % 2]
         matrix = structure.noisy(level, seed)
         modes = stabilisation(normal_equations(omega, matrix, 60), (omega[0], omega[-1]), 60).modes
@@ -143,8 +143,8 @@ def test_draws_reach_the_bound() -> None:
         alike = np.diag(modal_assurance(refined.shapes.T, structure.shapes))
         assert alike.min() > (0.9999 if level == 0.01 else 0.999)
     scaled = np.array(errors)
-    assert np.sqrt(np.mean(scaled**2)) < 1.11
-    assert 0.916 < np.mean(np.abs(scaled) < 1.96) < 0.984
+    assert np.sqrt(np.mean(scaled**2)) < 1.158
+    assert 0.901 < np.mean(np.abs(scaled) < 1.96) < 0.999
 
 
 def as_response(frequency: np.ndarray, matrix: np.ndarray) -> FrequencyResponse:

@@ -47,11 +47,11 @@ def fitted(seed: int, band: tuple[float, float], **more: object) -> Fit:
 
 @pytest.mark.long
 def test_an_interval_survives_other_bands() -> None:
-    """A hidden mode beside it, five bands: every interval holds the mode, and
+    """A hidden mode beside it, three bands: every interval holds the mode, and
     every pair of bands agrees.
     """
     stated = []
-    for band in ((2485, 2725), (2500, 2725), (2450, 2750), (2300, 2900), (2200, 2900)):
+    for band in ((2485, 2725), (2450, 2750), (2200, 2900)):
         f_n = fitted(0, band).parameter("f_n_1")
         assert f_n.ci95 is not None and f_n.ci95[0] <= 2617.0 <= f_n.ci95[1], (band, f_n)
         assert f_n.interval.discrepancy > 0

@@ -145,12 +145,12 @@ def test_a_pair_that_one_reference_cannot_tell_from_a_mode_that_moves(gain: floa
 
 @pytest.mark.long
 def test_the_frequency_without_what_moves_is_held() -> None:
-    """Three modes of 3 plates at three pulls: of 27 intervals at 95 % fewer than 23 hold once in 100, at
-    70 % in 94 of 100.
+    """Three modes of 3 plates at two pulls: of 18 intervals at 95 % fewer than 15 hold once in 90, at 70 %
+    in 84 of 100.
     """
     held, right = 0, 0
     for seed in range(3):
-        for pull in (0.3, 1.0, 2.0):
+        for pull in (0.3, 2.0):
             fit = fitted(roving(seed, pull), moving_mass=0.008)
             right += len(fit.detail(Modes).frequency) == 3 and bool(np.min(likeness(fit)) > 0.99)
             for f_n in MODES:
@@ -158,4 +158,4 @@ def test_the_frequency_without_what_moves_is_held() -> None:
                     (p for p in fit.parameters if p.name.startswith("f_n")), key=lambda p: abs(p.value - f_n)
                 )
                 held += near.ci95[0] < f_n < near.ci95[1]
-    assert right >= 8 and held >= 23
+    assert right >= 5 and held >= 15

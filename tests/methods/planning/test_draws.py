@@ -13,13 +13,13 @@ from tests.methods.planning.draws import SECONDS, estimates, planned_rig
 from tests.methods.planning.rigs import RIGS
 from tests.methods.planning.two_stages import two_stages
 
-DRAWS = 800
+DRAWS = 400
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", RIGS)
 def test_predicted_errors_are_those_of_draws(name: str) -> None:
-    # The largest of 12 ratios of 800 draws wanders by 3 / sqrt(2 n) = 7.5 %.
+    # The largest of 12 ratios of 400 draws wanders by 3 / sqrt(2 n) = 10.6 %.
     rig, lines, wanted = planned_rig(name)
     lines = lines[::4]
     rig = Rig(rig.model, rig.noise, rig.limits, rig.directions, rig.shakers, rig.spacing)
@@ -28,7 +28,7 @@ def test_predicted_errors_are_those_of_draws(name: str) -> None:
         [estimates(rig, [(told, SECONDS)], rig.model.expected, DRAWS // 4, seed) for seed in range(4)]
     )
     ratio = found.std(axis=0) / (told.errors(SECONDS) * rig.model.scales)
-    assert np.all(np.abs(ratio - 1) < 0.1), ratio
+    assert np.all(np.abs(ratio - 1) < 0.106), ratio
     assert np.all(np.abs(found.mean(axis=0) - rig.model.expected) < 0.2 * found.std(axis=0))
 
 

@@ -78,7 +78,7 @@ def test_information_adds_up() -> None:
 
 @pytest.mark.long
 def test_predicted_errors_are_those_of_draws(rng: np.random.Generator) -> None:
-    # 120 draws know a standard deviation to 1 / sqrt(240) = 6.5 %; films and tables of unequal cells differ
+    # 80 draws know a standard deviation to 1 / sqrt(160) = 7.9 %; films and tables of unequal cells differ
     # by some per cent in slopes.
     expected = ExpectedWear(RIG, "bearing 2", {name: VALUES[name] for name in ("wear_depth", "wear_angle")})
     testing = ResponseTest(30.0, 60.0, 2.0, 2e-7, 0.0)
@@ -92,7 +92,7 @@ def test_predicted_errors_are_those_of_draws(rng: np.random.Generator) -> None:
     covariance = uncorrelated(np.full(clean.shape, std**2))
     found = []
     start = np.array([20.0, 8.0])
-    for _ in range(120):
+    for _ in range(80):
         noise = std * (rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape)) / np.sqrt(2)
         misfit = misfit_of(
             FrequencyResponse(lines, clean + noise, PORTS, PORTS, covariance=covariance),

@@ -1,7 +1,7 @@
 """Intervals of wear against films solved elsewhere: own discretisation, exact complementarity, 960 x 120
 (reynolds_reference).
 
-The Mendes rotor on ten states of its bearings, none of them shipped: speed 40-60 Hz, clearance 75-100 um,
+The Mendes rotor on five states of its bearings, none of them shipped: speed 40-60 Hz, clearance 75-100 um,
 viscosity .08-.12 Pa s, wear 8-46 um within 18 deg, all drawn; the rotor file of the fit is wrong by draws of
 2 % of clearance and 3 % of viscosity. Lines every .25 Hz, circular noise of 1 and 2 % of the largest |H| in
 turn. Starts at the truth: where minima are is tested by itself.
@@ -46,7 +46,8 @@ def states() -> list[State]:
         speed, clearance, viscosity, depth = (float(rng.uniform(*ends)) for ends in ranges)
         angle = float(np.deg2rad(rng.uniform(-18, 18)))
         drawn.append((speed, clearance, viscosity, depth, angle, *rng.standard_normal(2).tolist()))
-    return drawn
+    # Every second: each takes seconds, and the ninth divides its film.
+    return drawn[::2]
 
 
 def reference(
@@ -145,14 +146,14 @@ def test_the_error_of_the_films_is_in_the_standard_error(drawn_errors: np.ndarra
     """Where wear divides the film (25.9 um here) intervals of the noise alone missed the depth in ten of ten
     draws, by .32 um.
     """
-    depth, angle = drawn_errors[8, 0]
+    depth, angle = drawn_errors[4, 0]
     assert abs(depth[0]) < 0.2e-6 and abs(depth[0]) < 2 * depth[1] and depth[2] and angle[2]
 
 
 @pytest.mark.long
 def test_intervals_hold_the_truth_under_noise(drawn_errors: np.ndarray) -> None:
-    """20 draws: of the depths 94 % or more, .15 um rms; of the angles within the central 99 % of a binomial
-    with 95 %.
+    """Ten draws: all of the depths, .15 um rms, which of 80 % fails in 89 of 100; of the angles within the
+    central 99 % of a binomial with 95 %, which of 60 % fails in 83.
 
     Error over standard error near one. Over 100 draws 97 and 92 %, films of half the cells and no part of the
     mesh 87 and 92 %. The angle's error is that of the noise: .1 deg for deep wear, .5 deg for 12 um; among
@@ -168,6 +169,6 @@ def test_intervals_hold_the_truth_under_noise(drawn_errors: np.ndarray) -> None:
         f"\nheld {held}, rms {1e6 * rms[0]:.3f} um {np.rad2deg(rms[1]):.3f} deg, deep at 1 % "
         f"{deep_angle:.3f} deg, error/se {ratio}"
     )
-    assert held[0] >= 0.94 and held[1] >= stats.binom.ppf(0.005, 20, 0.95) / 20
+    assert held[0] == 1 and held[1] >= stats.binom.ppf(0.005, 10, 0.95) / 10
     assert rms[0] <= 0.15e-6 and deep_angle <= 0.15
     assert np.all(ratio < 1.2)
