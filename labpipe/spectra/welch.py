@@ -25,9 +25,6 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
-# Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few
-# segments at a time.
-
 # Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all
 # channels together; the most channels that are worth packing in pairs, and the samples per channel from which
 # on packing pays.
