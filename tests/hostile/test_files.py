@@ -15,7 +15,7 @@ from tests.hostile.scenarios import SCENARIOS, write_scenario
 from tests.hostile.seeds import ARTEFACTS, READS, TABLES, write_seeds
 from tests.hostile.trials import Tally, trial_of_file, trial_of_yaml
 
-TRIALS, FEWER = 40, 6
+TRIALS, FEWER = 40, 4
 YAML_TRIALS = {"pipeline.yaml": 25, "rig.yaml": 25}
 SLOW = ("a.h5", "a.xlsx", "a.mf4", INDEX, "identification.json")
 
