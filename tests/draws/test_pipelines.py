@@ -27,16 +27,16 @@ def rows_of(name: str, draws: int, cases: int) -> list[Row]:
 @pytest.mark.parametrize(
     ("name", "draws", "cases"),
     [
-        ("budget", 120, 1),
-        ("radial-two-directions", 120, 1),
-        ("floating-bearing", 120, 1),
-        ("levitated-magnet", 200, 1),
+        ("budget", 60, 1),
+        ("radial-two-directions", 60, 1),
+        ("floating-bearing", 60, 1),
+        ("levitated-magnet", 60, 1),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
 def test_combined_uncertainties_are_those_of_drawn_worlds(name: str, draws: int, cases: int) -> None:
     """Scatter within 5 % of the combined uncertainty and 93-97 % of the intervals hold, beside three
-    deviations of so many draws.
+    deviations of so many draws: 80 % are seen in 86 of 100.
 
     A mass within limits, as the pedestal's, is no normal input: its interval holds more often.
     """
@@ -56,7 +56,7 @@ def test_combined_uncertainties_are_those_of_drawn_worlds(name: str, draws: int,
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "draws"), [("preload-calibration", 300), ("repeatability", 20)])
+@pytest.mark.parametrize(("name", "draws"), [("preload-calibration", 100), ("repeatability", 20)])
 @pytest.mark.filterwarnings("ignore")
 def test_results_beside_fits_scatter_as_they_say(name: str, draws: int) -> None:
     """Lines of calibrations, and what repeats give, within three deviations of so many draws."""
@@ -86,7 +86,7 @@ def test_a_sensitivity_scatters_with_its_channels(tmp_path: Path) -> None:
     pipeline = (PIPELINES / "magnetic-sensitivity.yaml").read_text()
     pipeline = pipeline.replace("../configs/hmb-injection.yaml", "rig.yaml").replace("../", f"{ROOT}/")
     (tmp_path / "pipeline.yaml").write_text(pipeline)
-    tally = draw_pipeline(tmp_path / "pipeline.yaml", 100, 600.0, 1, 1)
+    tally = draw_pipeline(tmp_path / "pipeline.yaml", 60, 600.0, 1, 1)
     assert tally is not None and not tally.failed
     rows = list(tally.rows())
     assert {"unknowns.gap", "unknowns.delay", "unknowns.bandwidth", "sensitivity.peak"} <= {

@@ -159,7 +159,11 @@ BASIC = {
     "soft.csv": recording(18e3),
 }
 BASIC_CHANGES = [
-    change for name in ("rig.yaml", "pipeline.yaml") for change in changes(name, yaml.safe_load(BASIC[name]))
+    change
+    for name in ("rig.yaml", "pipeline.yaml")
+    for change in changes(name, yaml.safe_load(BASIC[name]))
+    # Of two fits of one model the first takes every key, and both lose theirs.
+    if change[1][:2] != ("identify", "plain") or change[2] is None
 ]
 
 

@@ -97,7 +97,6 @@ def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
     ("entries", "scheme"),
     [
         pytest.param(PEDESTAL, "one by one", marks=pytest.mark.long),
-        pytest.param(ROTOR, "one by one", marks=pytest.mark.long),
         pytest.param(ROTOR, "interleaved", marks=pytest.mark.long),
         pytest.param(ROTOR, "together", marks=pytest.mark.long),
     ],
@@ -186,7 +185,6 @@ def integrated(rig: tuple[np.ndarray, ...], applied: np.ndarray, step: float) ->
             "displacement_limit": "60 um",
         },
         {**PEDESTAL, "displacement_limit": "60 um", "force_limit": "3 N", "sample_rate": "3 kHz", "skip": 0},
-        {**ROTOR, "displacement_limit": "20 um", "force_limit": "5 N", "scheme": "one by one"},
         {
             **ROTOR,
             "displacement_limit": "20 um",

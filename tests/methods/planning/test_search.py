@@ -80,7 +80,6 @@ def test_crest_factor_out_of_reach() -> None:
     [
         ("pedestal", 40e-6, LEAST_CREST, 2.0),
         ("pedestal", None, BOTH_LIMITS, 6.0),
-        ("rotor", None, BOTH_LIMITS, 4.0),
         ("seal", None, BOTH_LIMITS, 1.6),
     ],
 )
