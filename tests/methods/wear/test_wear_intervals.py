@@ -155,8 +155,8 @@ def test_intervals_hold_the_truth_under_noise(drawn_errors: np.ndarray) -> None:
     central 99 % of a binomial with 95 %, which of 60 % fails in 83.
 
     Error over standard error near one: 1.8 is seen in 89 of 100. Over 100 draws 97 and 92 %, films of half
-    the cells and no part of the mesh 87 and 92 %. The angle's error is that of the noise: .1 deg for deep wear, .5 deg for 12 um; among
-    wears above 20 um .15 deg rms at 1 %.
+    the cells and no part of the mesh 87 and 92 %. The angle's error is that of the noise: .1 deg for deep
+    wear, .5 deg for 12 um; among wears above 20 um .15 deg rms at 1 %.
     """
     drawn, found = states(), drawn_errors
     held = found[..., 2].mean(axis=(0, 1))
