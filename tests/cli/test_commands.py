@@ -323,9 +323,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
             [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ}, check=True
         )
         peaks.append(int(ended.stdout.split()[-1]) / 1024)
-    assert peaks[1] - peaks[0] < limit, (
-        f"{peaks} MiB; the longer recording holds {16 * n_sample / 2**20:.0f} MiB of float64"
-    )
+    assert peaks[1] - peaks[0] < 40, f"{peaks} MiB; the longer recording holds 183 MiB of float64"
 
 
 def test_progress_is_told_on_request_only(tmp_path: Path, labpipe) -> None:
