@@ -43,16 +43,6 @@ def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @needs_proc
-def test_a_run_whose_worker_is_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
-    """As when the machine is short of memory: `python -m tests.machine.kills --processes 2 --worker` does
-    more of them.
-    """
-    prepared(tmp_path)
-    assert kills(1, alone(2), tmp_path, worker=True) == []
-
-
-@pytest.mark.long
-@needs_proc
 def test_a_run_on_a_cluster_whose_worker_is_killed_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
     """`python -m tests.machine.kills --cluster` kills the run itself as well."""
     pytest.importorskip("distributed")
