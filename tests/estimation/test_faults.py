@@ -73,12 +73,12 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
     ("fault", "looks_like", "runs"),
     [
         ({"gain": 0.03}, "the gain of x1", 2),
-        pytest.param({"stiffness": -0.06}, "all stiffness", 4, marks=pytest.mark.long),
+        pytest.param({"stiffness": -0.06}, "all stiffness", 3, marks=pytest.mark.long),
     ],
     ids=["gain", "softer"],
 )
 def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> None:
-    """All of four: a rate of half passes once in 16.
+    """All of three: a rate of 40 % passes once in 16.
 
     The rate of the gain is among those of test_warning_rates.
     """
@@ -91,17 +91,6 @@ def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> 
     assert np.mean([float(shape.split(" by ")[1].split()[0]) for shape in shapes]) == pytest.approx(
         50 * amount, rel=0.1
     )
-
-
-@pytest.mark.long
-def test_a_mode_just_above_the_band_is_a_mismatch() -> None:
-    """A mode at 60 Hz with 1 % of the static compliance: model-mismatch, and no drift; with 5 % it is among
-    the rates of test_warning_rates. All of three: a rate of 40 % passes once in 16.
-    """
-    runs = 3
-    codes, _, _ = counted(range(runs), hidden=(60.0, 0.01, 0.01))
-    assert codes["model-mismatch"] >= 0.9 * runs
-    assert codes["drift"] <= max(1, 0.05 * runs)
 
 
 @pytest.mark.long

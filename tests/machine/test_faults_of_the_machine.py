@@ -43,25 +43,12 @@ def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @needs_proc
-def test_a_run_whose_worker_is_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
-    """As when the machine is short of memory: `python -m tests.machine.kills --processes 2 --worker` does
-    more of them.
-    """
-    prepared(tmp_path)
-    assert kills(2, alone(2), tmp_path, worker=True) == []
-
-
-@pytest.mark.long
-@needs_proc
-@pytest.mark.parametrize("worker", [False, True])
-def test_a_run_on_a_cluster_that_is_killed_is_finished_to_the_same_bytes(
-    tmp_path: Path, worker: bool
-) -> None:
-    """`python -m tests.machine.kills --cluster` does more of them."""
+def test_a_run_on_a_cluster_whose_worker_is_killed_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
+    """`python -m tests.machine.kills --cluster` kills the run itself as well."""
     pytest.importorskip("distributed")
     prepared(tmp_path)
     with cluster(tmp_path) as way:
-        assert kills(1, way, tmp_path, worker=worker) == []
+        assert kills(1, way, tmp_path, worker=True) == []
 
 
 @pytest.mark.long

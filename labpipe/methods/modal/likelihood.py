@@ -328,8 +328,8 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
         of_shape, slopes, rest = (
             np.concatenate([columns.real, columns.imag], axis=1)
             for columns in (
-                np.einsum("lf,ifn->lin", functions[:, : 2 * psi.shape[1]], of_shapes / root[:, None, None]),
-                np.einsum("lf,ifn->lin", functions, by_theta[output] / root[:, None, None]),
+                (functions[:, : 2 * psi.shape[1]] @ (of_shapes / root[:, None, None])).swapaxes(0, 1),
+                (functions @ (by_theta[output] / root[:, None, None])).swapaxes(0, 1),
                 (residual[:, output] / root)[:, :, None],
             )
         )

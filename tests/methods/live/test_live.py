@@ -816,21 +816,6 @@ def test_on_a_terminal_the_table_is_drawn_in_place(bench):
         subprocess.run([*tmux, "kill-server"], check=False)
 
 
-@pytest.mark.long
-def test_killed_at_any_moment_and_taken_up_again_it_gives_the_same(bench):
-    write_csv(bench / "test.csv", samples(40))
-    command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), str(bench / "test.csv")]
-    command += ["--json", "--idle", "0.3"]
-    whole = subprocess.run(command, capture_output=True, check=True).stdout
-    rng = np.random.default_rng(9)
-    for _ in range(2):
-        child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        time.sleep(rng.uniform(0.1, 1.5))
-        child.kill()
-        child.wait()
-    assert subprocess.run(command, capture_output=True, check=True).stdout == whole
-
-
 def killed_and_taken_up(folder: Path, rows: np.ndarray, n_read: int) -> tuple[list[bytes], list[bytes]]:
     """The lines of `labpipe live` on frames of which it is killed when it has kept *n_read*, at once for 0;
     those of the same command on the frames that it had not read.
