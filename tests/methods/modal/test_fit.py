@@ -283,7 +283,7 @@ def test_complex_modes_contradict_real_ones() -> None:
     """Phases of .06 rad at 1 % noise: the fit with real shapes is called a mismatch, that with complex ones
     not.
     """
-    structure = nine_modes(20, 600)
+    structure = nine_modes(12, 600)
     response = response_of(structure, structure.noisy(0.01, 1))
     for kind, seen in (("real", True), ("complex", False)):
         (fit,) = identify(response, FitSettings("modal", model_settings=ModalSettings(shapes=kind)))
