@@ -3,8 +3,8 @@
 
 The Mendes rotor on ten states of its bearings, none of them shipped: speed 40-60 Hz, clearance 75-100 um,
 viscosity .08-.12 Pa s, wear 8-46 um within 18 deg, all drawn; the rotor file of the fit is wrong by draws of
-2 % of clearance and 3 % of viscosity. Lines every .25 Hz, circular noise of 1 and 2 % of the largest |H| of
-one state and the next in turn. Starts at the truth: where minima are is tested by itself.
+2 % of clearance and 3 % of viscosity. Lines every .25 Hz, circular noise of 1 and 2 % of the largest |H| in
+turn. Starts at the truth: where minima are is tested by itself.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def errors(state: State, n_draw: int, number: int) -> np.ndarray:
     )
     rows = []
     for draw in range(n_draw):
-        rng, std = np.random.default_rng([1, number, draw]), NOISE[number % 2] * np.abs(exact).max()
+        rng, std = np.random.default_rng([1, number, draw]), NOISE[draw % 2] * np.abs(exact).max()
         matrix = exact + std * (
             rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)
         ) / np.sqrt(2)
@@ -120,7 +120,7 @@ def errors(state: State, n_draw: int, number: int) -> np.ndarray:
     return np.array(rows, float)
 
 
-@pytest.mark.parametrize("depth", [0.0, 40.19e-6])
+@pytest.mark.parametrize("depth", [0.0, 22.27e-6, 40.19e-6])
 def test_two_independent_films_agree(depth: float) -> None:
     """.15 % of the largest coefficient between labpipe on 480 x 60 and the reference on 480 x 60 and 960 x
     120.
@@ -136,8 +136,8 @@ def test_two_independent_films_agree(depth: float) -> None:
 
 @pytest.fixture(scope="module")
 def drawn_errors() -> np.ndarray:
-    """Errors of one draw of every state, (n_state, 1, 2, 3)."""
-    return np.array([errors(state, 1, number) for number, state in enumerate(states())])
+    """Errors of two draws of every state, (n_state, 2, 2, 3)."""
+    return np.array([errors(state, 2, number) for number, state in enumerate(states())])
 
 
 @pytest.mark.long
@@ -151,24 +151,23 @@ def test_the_error_of_the_films_is_in_the_standard_error(drawn_errors: np.ndarra
 
 @pytest.mark.long
 def test_intervals_hold_the_truth_under_noise(drawn_errors: np.ndarray) -> None:
-    """Ten draws: all of the depths, .15 um rms, which of 80 % fails in 89 of 100; of the angles within the
-    central 99 % of a binomial with 95 %, which of 60 % fails in 83.
+    """20 draws: of the depths 94 % or more, .15 um rms; of the angles within the central 99 % of a binomial
+    with 95 %.
 
-    Error over standard error near one: 1.8 is seen in 89 of 100. Over 100 draws 97 and 92 %, films of half
-    the cells and no part of the mesh 87 and 92 %. The angle's error is that of the noise: .1 deg for deep
-    wear, .5 deg for 12 um; among wears above 20 um .15 deg rms at 1 %.
+    Error over standard error near one. Over 100 draws 97 and 92 %, films of half the cells and no part of the
+    mesh 87 and 92 %. The angle's error is that of the noise: .1 deg for deep wear, .5 deg for 12 um; among
+    wears above 20 um .15 deg rms at 1 %.
     """
     drawn, found = states(), drawn_errors
     held = found[..., 2].mean(axis=(0, 1))
     rms = np.sqrt(np.mean(found[..., 0] ** 2, axis=(0, 1)))
-    deep = np.array([state[3] > 20e-6 and number % 2 == 0 for number, state in enumerate(drawn)])
-    deep_angle = np.rad2deg(np.sqrt(np.mean(found[deep, :, 1, 0] ** 2)))
+    deep = np.array([state[3] > 20e-6 for state in drawn])
+    deep_angle = np.rad2deg(np.sqrt(np.mean(found[deep, ::2, 1, 0] ** 2)))
     ratio = np.sqrt(np.mean((found[..., 0] / found[..., 1]) ** 2, axis=(0, 1)))
     print(
         f"\nheld {held}, rms {1e6 * rms[0]:.3f} um {np.rad2deg(rms[1]):.3f} deg, deep at 1 % "
         f"{deep_angle:.3f} deg, error/se {ratio}"
     )
-    assert held[0] == 1 and held[1] >= stats.binom.ppf(0.005, 10, 0.95) / 10
+    assert held[0] >= 0.94 and held[1] >= stats.binom.ppf(0.005, 20, 0.95) / 20
     assert rms[0] <= 0.15e-6 and deep_angle <= 0.15
-    # 1.27 deviations of a root mean square of ten; of twenty, which took twice the time, it was 1.2.
-    assert np.all(ratio < 1 + 1.27 / np.sqrt(2 * len(drawn)))
+    assert np.all(ratio < 1.2)
