@@ -26,8 +26,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.json_file import entry_of, plain, record_of, stamp_parquet
+from labpipe.artefacts.json_file import entry_of, plain, record_of
 from labpipe.artefacts.parquet import (
     as_written,
     metadata_of,

@@ -15,7 +15,8 @@ from typing import Any
 
 import labpipe
 from labpipe import __version__
-from labpipe.artefacts.json_file import AGAIN, DamagedError, file_sha256, json_value
+from labpipe.artefacts.digest import AGAIN, DamagedError, file_sha256
+from labpipe.artefacts.json_file import json_value
 from labpipe.artefacts.places import origin
 from labpipe.artefacts.writing import show
 from labpipe.errors import DataError

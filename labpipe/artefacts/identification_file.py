@@ -18,12 +18,11 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import ComplexArray
+from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
 from labpipe.artefacts.json_file import (
-    AGAIN,
     DIGEST,
     RECORD_FAULTS,
-    DamagedError,
     entry_of,
     read_digested,
     record_of,

@@ -15,15 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_digest, stamp_parquet
 from labpipe.artefacts.header import Header, header_from_json
-from labpipe.artefacts.json_file import (
-    BLANK,
-    DIGEST_KEY,
-    RECORD_FAULTS,
-    DamagedError,
-    parquet_digest,
-    stamp_parquet,
-)
+from labpipe.artefacts.json_file import RECORD_FAULTS
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, cut
 

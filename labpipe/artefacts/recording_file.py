@@ -15,8 +15,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header, SourceRef, header_from_json, source_ref
-from labpipe.artefacts.json_file import stamp_parquet
 from labpipe.artefacts.parquet import (
     arrow_array,
     batches,

@@ -62,11 +62,13 @@ STEPS, TURNS, MANY_DEGREES = (1, 2, 2.5, 5, 10), (15, 30, 45, 90, 180, 360), 60.
 LEAST_DECADES, FEW_DECADES, WITHIN = 0.7, 2.2, (1.0, 2.0, 5.0)
 # Numbers from here on, and below the other, are written with an exponent.
 LARGE, SMALLEST = 1e6, 1e-4
-# What stands around the panels of a chart and takes room, digits all as wide as one; of a laid-out one with
-# where panels and words stand.
+# Texts around the panels of a chart, which take room.
 Words = tuple[str, ...]
+# Size, heights and scales of a chart's panels.
 Frame = tuple[Any, ...]
+# The texts of a laid-out chart, and where its panels and titles stand.
 Layout = tuple[Words, list[Any]]
+# All digits are as wide as one.
 WIDE = str.maketrans("123456789", "000000000")
 # What is not numbers over axes, by kind: each draws its subject on a canvas of a size.
 DRAWINGS = Registry("drawing")

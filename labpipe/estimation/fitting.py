@@ -294,6 +294,7 @@ def _fit_band(
     if estimator.likelihood and estimate.converged and not setup.closed_loop:
         by_model = weighted_by_model(measured, model.receptance(estimate.values, measured.omega))
         if by_model is not measured:
+            # The minimum is beside that of the other weights: no other start is tried.
             again = maximum_likelihood_from(by_model, model, estimate.values, "")
             measured, estimate = by_model, replace(again, notes=estimate.notes)
     dropped: list[str] = []

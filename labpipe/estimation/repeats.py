@@ -230,9 +230,9 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
         return float(np.sum(weights * (values - columns @ solution) ** 2)) - freedom
 
     high = 10 * float(np.var(values)) + np.finfo(float).tiny
-    return (
-        0.0 if freedom <= 0 or excess(0.0) <= 0 else _bisected(lambda square: excess(square) > 0, 0.0, high)
-    )
+    if freedom <= 0 or excess(0.0) <= 0:
+        return 0.0
+    return _bisected(lambda square: excess(square) > 0, 0.0, high)
 
 
 def _bisected(is_below: Callable[[float], bool], low: float, high: float) -> float:

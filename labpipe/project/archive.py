@@ -20,29 +20,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import IO
 
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import code_digest, source_ref
 from labpipe.artefacts.identification_file import NAME as IDENTIFICATION
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.artefacts.json_file import DamagedError
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
 from labpipe.artefacts.writing import is_remote, output_file, path_of, show
 from labpipe.errors import ConfigError, DataError, cut
-from labpipe.project.crate import (
-    EXPERIMENT,
-    NAME,
-    Contents,
-    Listed,
-    Member,
-    metadata,
-    read_metadata,
-    write_dcc,
-)
+from labpipe.project.crate import EXPERIMENT, NAME, Contents, Listed, Member, metadata, read_metadata
 from labpipe.project.identify import rig_entry, settings_entry
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.measured import files_of_test
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.report import COMMENTS, drawn_from, is_drawn
+from labpipe.project.result_certificate import write_dcc
 from labpipe.project.verification import artefacts_below, verified
 from labpipe.records.identification import Identification
 

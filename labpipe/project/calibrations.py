@@ -13,7 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from labpipe.artefacts.json_file import DamagedError, read_digested
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.json_file import read_digested
 from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value

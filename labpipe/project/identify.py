@@ -11,9 +11,10 @@ from types import MappingProxyType
 from typing import Any
 
 from labpipe import __version__
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
-from labpipe.artefacts.json_file import DamagedError, entry_of
+from labpipe.artefacts.json_file import entry_of
 from labpipe.artefacts.parquet import made_again
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.digest import DigestAlong, file_sha256
 from labpipe.artefacts.header import Header, SourceRef, source_ref
-from labpipe.artefacts.json_file import DigestAlong, file_sha256
 from labpipe.artefacts.parquet import fresh_path, has_header
 from labpipe.artefacts.recording_file import (
     SUFFIX,

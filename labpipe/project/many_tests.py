@@ -11,9 +11,9 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.dataset_file import parts, write_parts
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest, source_ref
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
-from labpipe.artefacts.json_file import DamagedError
 from labpipe.artefacts.parquet import made_again, read_header
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, DataError

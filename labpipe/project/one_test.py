@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.artefacts.dataset_file import CONDITION, UNNAMED, columns_of_conditions, read_rows
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
-from labpipe.artefacts.json_file import DamagedError
 from labpipe.artefacts.parquet import header_of, made_again
 from labpipe.artefacts.places import StorageError, fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING

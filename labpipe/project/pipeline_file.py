@@ -8,7 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from labpipe.artefacts.json_file import DamagedError, read_digested
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry

@@ -439,14 +439,14 @@ def _threshold(
     numbers = list(range(min(settings.repeats, SEARCH_REPEATS)))
     lines = source_of(rig, settings.noise[0], count, settings.runs, frf).n_line
     place = settings.success.index(limit)
-    known = [
+    decided = [
         (case.noise, case.success[place] >= settings.share)
         for case in cases
         if case.fit == fit.name and case.lines == lines and case.repeats >= len(numbers)
     ]
 
     def is_held(noise: float) -> bool:
-        for level, held in known:
+        for level, held in decided:
             if (noise <= level) if held else (noise >= level):
                 return held
         source: Source = source_of(rig, noise, count, settings.runs, frf)

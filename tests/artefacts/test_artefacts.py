@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import Header, SourceRef
 from labpipe.artefacts.identification_file import read_identification, write_identification
-from labpipe.artefacts.json_file import DamagedError
 from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents
 from labpipe.artefacts.writing import output_file, output_folder

@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from labpipe.artefacts.digest import DIGEST_KEY, DamagedError, parquet_digest
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.identification_file import read_fits, read_identification
-from labpipe.artefacts.json_file import DIGEST_KEY, DamagedError, parquet_digest
 from labpipe.artefacts.measured_files import read_decays, read_response, read_spectra, write_decays
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import output_folder

@@ -16,9 +16,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import Header, SourceRef
 from labpipe.artefacts.identification_file import has_fresh_fits, read_fits, read_identification, write_fits
-from labpipe.artefacts.json_file import DamagedError
 from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.artefacts.parquet import HEADER_KEY
 from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents

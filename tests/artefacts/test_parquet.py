@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.artefacts.json_file import DamagedError
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.parquet import as_written, open_parquet
 from labpipe.errors import DataError
 

@@ -18,8 +18,7 @@ import os
 import platform
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +35,7 @@ from labpipe.spectra.welch import WelchAverage
 from labpipe.spectra.windows import window_values
 from tests.benchmarks.raw_files import KINDS, ROOT, TABLE, least_costs, row_of, rows_of
 from tests.benchmarks.test_identify_ratios import chain, cpu_time
+from tests.benchmarks.test_spectral_ratios import ratios
 
 PAGE = ROOT / "docs/pages/speed.md"
 RATE = 1024.0
@@ -94,28 +94,17 @@ def frf_rows() -> Iterator[str]:
         def checked(recording: Recording = recording, settings: FrfSettings = settings) -> None:
             measure([recording], settings)
 
-        def floor(samples: np.ndarray = samples, block: int = block) -> None:
+        def plain(samples: np.ndarray = samples, block: int = block) -> None:
             cross_products(samples, block)
 
-        least = least_times([bare, floor, averaged, checked], 15)
-        cells = [f"{value:.2f}" for pair in (least[1:] / least[0]).T for value in pair]
-        yield f"| {n_output} x {n_input} | {block} | {n_sample} | {1e3 * least[0, 0]:.0f} ms | {' | '.join(cells)} |"
-
-
-def least_times(actions: Sequence[Callable[[], object]], repeats: int) -> np.ndarray:
-    """The least time of the processor and by the clock [s] of every action, (n_action, 2), in turns."""
-    times = np.empty((repeats, len(actions), 2))
-    for turn in range(repeats):
-        for number, action in enumerate(actions):
-            begin = time.process_time(), time.perf_counter()
-            action()
-            times[turn, number] = time.process_time() - begin[0], time.perf_counter() - begin[1]
-    return times.min(axis=0)
+        cells = [f"{value:.2f}" for value in ratios(bare, plain, averaged, checked, repeats=15)]
+        row = f"| {n_output} x {n_input} | {block} | {n_sample} | {1e3 * cpu_time(bare, 7):.0f} ms"
+        yield f"{row} | {' | '.join(cells)} |"
 
 
 def cross_products(samples: np.ndarray, block: int) -> np.ndarray:
-    """Sums of X_a X_b* of all channels (n_line, n_channel, n_channel) by the fewest passes that numpy allows:
-    each segment times the window, its FFT, and one product of matrices for every line and thirty segments.
+    """Sums of X_a X_b* of all channels (n_line, n_channel, n_channel) in plain numpy: each
+    segment times the window, its FFT, and one product of matrices for every line and thirty segments.
     """
     n_channel, step = samples.shape[1], block // 2
     taper = np.repeat(window_values("hann", block), n_channel).reshape(block, n_channel)
@@ -200,13 +189,12 @@ def page(n_row: int, repeats: int) -> str:
         HEAD,
         f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}.\n",
         "\n## FRF of records in memory\n\nOver `scipy.fft.rfft` of every block of every channel and nothing "
-        "else: first the least that numpy needs for the cross-products of all channels, on one thread "
-        "(window, FFT, a product of matrices per line); then H1 with covariance (in its two factors: it is "
+        "else: first the cross-products of all channels in plain numpy (window, FFT, a product of matrices "
+        "per line); then H1 with covariance (in its two factors: it is "
         "made whole when it is first read), ordinary, multiple and partial coherence; then `measure`, which "
-        "also checks the record and looks for a loop, drift and aliasing. CPU, and by the clock on "
-        f"{os.cpu_count()} processors.\n",
-        "| responses x forces | block | samples | bare FFTs | least | FRF | measure | least, clock | FRF, clock | "
-        "measure, clock |\n|---|---|---|---|---|---|---|---|---|---|",
+        "also checks the record and looks for a loop, drift and aliasing.\n",
+        "| responses x forces | block | samples | bare FFTs | numpy / bare | FRF / bare | measure / bare "
+        "|\n|---|---|---|---|---|---|---|",
         *frf_rows(),
         f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows, then files "
         f"of {LARGE:g} MB; beside it bare reading and bare FFTs, piece by piece or at once, whichever is "

@@ -12,7 +12,8 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-from labpipe.methods.rotor.rig import BearingPlace, LinearBearingSettings, RotorRig
+from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
+from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.rotor_file import read_rotor
 from labpipe.methods.rotor_system.build import COEFFICIENTS, LinearBearing, Pedestal, RotorSystem
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry

@@ -1,0 +1,63 @@
+"""A bearing of constant coefficients, as a test or a supplier states them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.bearings.kinds import BearingCoefficients, BearingKind
+from labpipe.errors import ConfigError
+from labpipe.records.settings import Settings, setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearBearingSettings(Settings):
+    """kind: linear-bearing; y horizontal, z up, `k_yz` = force in y per displacement in z."""
+
+    kind: str = setting("choice", "which bearing", choices=("linear-bearing",))
+    name: str = setting("text", "name of the bearing", default="")
+    k_yy: float = setting("value", "stiffness in y", unit="N/m")
+    k_zz: float | None = setting("value", "stiffness in z; default: k_yy", unit="N/m", default=None)
+    k_yz: float = setting("value", "cross-coupled stiffness", unit="N/m", default=0.0)
+    k_zy: float = setting("value", "cross-coupled stiffness", unit="N/m", default=0.0)
+    k_cross: float | None = setting(
+        "value",
+        "cross-coupled stiffness of a seal, k_yz = -k_zy; above zero it drives forward whirl",
+        unit="N/m",
+        default=None,
+    )
+    c: float | None = setting("value", "damping in y and z alike", unit="N.s/m", default=None)
+    c_yy: float = setting("value", "damping in y", unit="N.s/m", default=0.0)
+    c_zz: float = setting("value", "damping in z", unit="N.s/m", default=0.0)
+    c_yz: float = setting("value", "cross-coupled damping", unit="N.s/m", default=0.0)
+    c_zy: float = setting("value", "cross-coupled damping", unit="N.s/m", default=0.0)
+
+    def __post_init__(self) -> None:
+        if self.c is not None and (self.c_yy or self.c_zz):
+            raise ConfigError("'c' is damping in both directions", hint="c, or c_yy and c_zz", field="c")
+        if self.k_cross is not None and (self.k_yz or self.k_zy):
+            what = "'k_cross' is k_yz and -k_zy"
+            raise ConfigError(what, hint="k_cross, or k_yz and k_zy", field="k_cross")
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """(2, 2) [N/m]."""
+        k_yz, k_zy = (self.k_yz, self.k_zy) if self.k_cross is None else (self.k_cross, -self.k_cross)
+        return np.array([[self.k_yy, k_yz], [k_zy, self.k_yy if self.k_zz is None else self.k_zz]])
+
+    @property
+    def damping(self) -> FloatArray:
+        """(2, 2) [N s/m]."""
+        diagonal = (self.c_yy, self.c_zz) if self.c is None else (self.c, self.c)
+        return np.array([[diagonal[0], self.c_yz], [self.c_zy, diagonal[1]]])
+
+
+def linear_coefficients(each: Sequence[LinearBearingSettings]) -> list[BearingCoefficients]:
+    """The coefficients as they are stated."""
+    return [BearingCoefficients(("y", "z"), settings.stiffness, settings.damping) for settings in each]
+
+
+LINEAR = BearingKind(LinearBearingSettings, linear_coefficients)
