@@ -226,6 +226,10 @@ def test_digests_in_place_of_recordings(lab: Path, labpipe: Command) -> None:
         len(content)
     )
     assert entity["@type"] == "CreativeWork"
+    absent = [
+        one["@id"] for one in graph(files[METADATA]).values() if "not in the" in one.get("description", "")
+    ]
+    assert len(absent) == 4 and all(name.startswith("#left-out/") for name in absent)
     ended = labpipe("verify", lab / "d.zip")
     assert ended.code == 0 and ended.out.endswith(
         "not run again: of 4 files the archive holds the digests only\n"

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -47,7 +47,7 @@ from labpipe.report.document import Document, Paragraph, Section
 from labpipe.spectra.settings import FrfSettings
 from tests.conftest import Command, Ended
 from tests.draws.stops import RATE as TURNS_RATE
-from tests.draws.stops import RIGS, SOUND
+from tests.draws.stops import RIGS, SOUND, TRUTH
 
 RATE, N, SKIPPED = 1000.0, 1000, 1
 STIFFNESS, DAMPING, MASS = 80e3, 6.0, 0.5
@@ -232,6 +232,29 @@ def test_directions_that_are_shaken_by_turns():
     assert not any("left out" in event for earlier in bench.updates for event in earlier.events)
     low, high = update.standings["r.c_xx"].parameter.ci95
     assert low < rig.truth < high and update.averages >= 6
+
+
+@pytest.mark.long
+def test_intervals_of_a_test_ended_by_hand_hold_whenever_it_ends():
+    """40 tests of 15 averages, ended where they look worst: by the intervals for it the true stiffness or
+    damping is left in no more than 5 % (6 tests, the binomial quantile at 0.1 %), by those of a test of known
+    length in more of them.
+    """
+    rig, by_hand, as_planned = RIGS["periods"], 0, 0
+    for seed in range(40):
+        bench = Bench(rig.channels, TURNS_RATE, rig.settings, [rig.fit])
+        assert bench.by_hand() == {}
+        left = np.zeros(2, bool)
+        for one in islice(rig.samples(np.random.default_rng([7, seed]), 0.05, SOUND), 15):
+            (update,) = bench.add(one)
+            for name, (low, high) in bench.by_hand().items():
+                true, planned = TRUTH[name.removeprefix("s.")], update.standings[name].parameter
+                assert (low + high) / 2 == pytest.approx(planned.value, rel=1e-9)
+                assert high - low > planned.ci95[1] - planned.ci95[0]
+                outside = not low <= true <= high, not planned.ci95[0] <= true <= planned.ci95[1]
+                left |= outside
+        by_hand, as_planned = by_hand + left[0], as_planned + left[1]
+    assert by_hand <= 6 < as_planned
 
 
 @pytest.mark.parametrize("seed", [1, 2])
