@@ -849,8 +849,7 @@ def killed_and_taken_up(folder: Path, rows: np.ndarray, n_read: int) -> tuple[li
     command = [sys.executable, "-m", "labpipe", "live", str(folder / "pipeline.yaml"), "-", "--json"]
     command += ["-o", str(out), "--set", "report.formats=[md]"]
     frames = out / "frames" / "0001.frames"
-    # Without a buffer nothing waits to be written once the process is killed.
-    with subprocess.Popen(command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         assert child.stdin is not None and child.stdout is not None
         # Lines that nobody reads would end in a full pipe.
         lines: list[bytes] = []
@@ -860,6 +859,8 @@ def killed_and_taken_up(folder: Path, rows: np.ndarray, n_read: int) -> tuple[li
             child.stdin.write(head)
             for piece in np.array_split(rows[:n_read], 50):
                 child.stdin.write(piece.astype("<f8").tobytes())
+            # Nothing waits to be written once the process is killed.
+            child.stdin.flush()
             while not frames.exists() or frames.stat().st_size < len(head) + 16 * n_read:
                 assert child.poll() is None
                 time.sleep(0.01)
