@@ -1,11 +1,42 @@
-"""Processes of labpipe's own: workers that end with the process that started them."""
+"""Processes of labpipe's own: workers that end with the process that started them, and how many a command may
+start.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import threading
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from multiprocessing.connection import wait
+
+# Processes that one piece of work, such as a report, may be shared out to.
+SHARED_OUT: ContextVar[int] = ContextVar("processes", default=1)
+
+
+@contextmanager
+def shared_out(processes: int) -> Iterator[None]:
+    """Let work inside be shared out to so many *processes*; 0: as many as there are processors."""
+    token = SHARED_OUT.set(processes or os.cpu_count() or 1)
+    try:
+        yield
+    finally:
+        SHARED_OUT.reset(token)
+
+
+@contextmanager
+def pool_of(processes: int) -> Iterator[ProcessPoolExecutor | None]:
+    """So many worker processes; None for one, whose work is done here."""
+    if processes == 1:
+        yield None
+        return
+    # Fresh interpreters: forking a process that has threads is not safe.
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=end_with_parent) as pool:
+        yield pool
 
 
 def end_with_parent() -> None:

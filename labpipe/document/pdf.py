@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -28,9 +30,10 @@ from pypdf.generic import (
 
 from labpipe.display import as_printed
 from labpipe.document.charts import STYLE, Frame, Layout, Words, canvas_of, laid_out, png_bytes
+from labpipe.processes import SHARED_OUT, pool_of
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
-from labpipe.report.chart import Chart
+from labpipe.report.chart import Chart, Graphic
 from labpipe.report.document import SIGNATURE, Block, Code, Document, Figure, Paragraph, Section, Table
 
 FONT = "DejaVu"
@@ -46,6 +49,8 @@ MANY_FIGURES, HALF, HALF_HEIGHT = 12, 3.25, 3.0
 TABLE_HEAD = 24.0
 # Most that is kept together with a heading [mm].
 HIGHEST = 150.0
+# Drawings of one file that a process makes, with the same fonts; a report of more can be shared out.
+MOST_TOGETHER = 60
 # Points of a drawing beyond which a picture of dots opens faster.
 MOST_POINTS = 30_000
 # Text of drawings stays text, in fonts of outlines.
@@ -73,13 +78,11 @@ class _Pages(FPDF):
         super().__init__(format="A4")
         self._foot = document.title
         self.figures = 0
-        # The drawings, a page of a file of their own for each, and where they go.
+        # Where the drawings go, those that nobody draws yet, and what gives the files of the others.
         self.places: list[_Place] = []
-        # Canvases and layouts, for the next chart like them.
-        self.canvases: dict[Frame, Canvas] = {}
-        self.layouts: dict[Words, Layout] = {}
-        self.drawn = io.BytesIO()
-        self.file = PdfPages(self.drawn, metadata={"CreationDate": None})
+        self.waiting: list[Graphic] = []
+        self.files: list[Callable[[], bytes]] = []
+        self.pool: Executor | None = None
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         self.add_font(FONT, "", fonts / "DejaVuSans.ttf")
         self.add_font(FONT, "B", fonts / "DejaVuSans-Bold.ttf")
@@ -95,6 +98,24 @@ class _Pages(FPDF):
         self.set_text_color(*GREY)
         self.cell(0, 5, f"{self._foot[:90]}   page {self.page_no()} of {{nb}}", align="C")
 
+    def begin_drawing(self) -> None:
+        """Let a process draw what waits, or draw it when its file is asked for."""
+        draw = partial(drawings_file, tuple(self.waiting))
+        self.files.append(draw if self.pool is None else self.pool.submit(draw).result)
+        self.waiting.clear()
+
+
+def drawings_file(graphics: Sequence[Graphic]) -> bytes:
+    """A PDF file with a page for each of the *graphics*; charts alike share their canvas and layout."""
+    canvases: dict[Frame, Canvas] = {}
+    layouts: dict[Words, Layout] = {}
+    drawn = io.BytesIO()
+    with mpl.rc_context(VECTOR), PdfPages(drawn, metadata={"CreationDate": None}) as file:
+        for graphic in graphics:
+            canvas = laid_out(canvas_of(graphic, canvases), layouts if isinstance(graphic, Chart) else None)
+            canvas.savefig(file, format="pdf")
+    return drawn.getvalue()
+
 
 def pdf_report(identification: Identification) -> bytes:
     """The report of an identification as the bytes of a PDF file."""
@@ -108,9 +129,18 @@ SIGNATURE_AT = 260
 def render_pdf(document: Document) -> bytes:
     """The document as PDF: a cover to sign (or just its title), then every section.
 
-    Headings are the file's bookmarks.
+    Headings are the file's bookmarks. The same bytes whatever the number of processes that draw, which is
+    that of `processes.shared_out`.
     """
     pages = _Pages(document)
+    count = sum(isinstance(block, Figure) for section in document.sections for block in section.blocks)
+    with pool_of(SHARED_OUT.get() if count > MOST_TOGETHER else 1) as pages.pool:
+        _lay_out(pages, document, count > MANY_FIGURES)
+        return _with_drawings(pages)
+
+
+def _lay_out(pages: _Pages, document: Document, many: bool) -> None:
+    """All text, and the places of the drawings; of *many* charts two share a row."""
     pages.add_page()
     if document.to_sign:
         _cover(pages, document)
@@ -119,8 +149,6 @@ def render_pdf(document: Document) -> bytes:
             pages.add_page()
     else:
         _title(pages, document)
-    count = sum(isinstance(block, Figure) for section in document.sections for block in section.blocks)
-    many = count > MANY_FIGURES
     for section in document.sections[1 if document.to_sign else 0 :]:
         pages.ln(3)
         if pages.will_page_break(_height_of(pages, section)):
@@ -131,7 +159,6 @@ def render_pdf(document: Document) -> bytes:
         pages.ln(2)
         for block in _in_pairs(section.blocks) if many else section.blocks:
             _put(pages, block)
-    return _with_drawings(pages)
 
 
 def _in_pairs(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]]:
@@ -152,15 +179,14 @@ def _is_chart(block: Block | None) -> TypeGuard[Figure]:
 
 
 def _with_drawings(pages: _Pages) -> bytes:
-    """The file with each drawing at its place, all of them with the same fonts."""
+    """The file with each drawing at its place."""
+    if pages.waiting:
+        pages.begin_drawing()
     text = bytes(pages.output())
     if not pages.places:
         return text
-    with mpl.rc_context(VECTOR), pages.file:
-        # The fonts are written when the file is closed.
-        pass
     writer = PdfWriter(clone_from=io.BytesIO(text))
-    drawings = PdfReader(pages.drawn).pages
+    drawings = (page for file in pages.files for page in PdfReader(io.BytesIO(file())).pages)
     for number, (place, drawing) in enumerate(zip(pages.places, drawings, strict=True)):
         _lay(writer, writer.pages[place.page], drawing, place, f"/Drawing{number}")
     written = io.BytesIO()
@@ -331,16 +357,16 @@ def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
 def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
     """A drawing in its natural size, at most as wide as the text, with its left side at *x* [mm]."""
     width, height = _size(figure)
-    canvas = canvas_of(figure.graphic, pages.canvases)
     if _as_dots(figure):
-        pages.image(io.BytesIO(png_bytes(canvas)), x=x, w=width, alt_text=figure.alternative)
+        dots = io.BytesIO(png_bytes(canvas_of(figure.graphic)))
+        pages.image(dots, x=x, w=width, alt_text=figure.alternative)
         return
     low = pages.h - pages.get_y() - height
     scale = width / (25.4 * figure.graphic.size[0])
     pages.places.append(_Place(pages.page - 1, POINT * x, POINT * low, scale))
-    with mpl.rc_context(VECTOR):
-        layouts = pages.layouts if isinstance(figure.graphic, Chart) else None
-        laid_out(canvas, layouts).savefig(pages.file, format="pdf")  # type: ignore[arg-type]
+    pages.waiting.append(figure.graphic)
+    if len(pages.waiting) == MOST_TOGETHER:
+        pages.begin_drawing()
     room = io.BytesIO(ROOM.format(*figure.graphic.size).encode())
     pages.image(room, x=x, w=width, alt_text=figure.alternative)
 

@@ -18,6 +18,7 @@ from pypdf import PdfReader
 import labpipe
 from labpipe.document import html_page, pdf
 from labpipe.document.render import DOCUMENTS, RENDERERS
+from labpipe.processes import shared_out
 from labpipe.records.identification import Identification, RuleOutcome
 from labpipe.report.chart import Chart, Drawing
 from labpipe.report.document import Code, Document, Figure, Paragraph, Section, Table
@@ -131,6 +132,21 @@ def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(
     assert len(PAGE.findall(written("pdf"))) == 4
     alone = replace(document, sections=document.sections[:1], to_sign=False)
     assert len(PAGE.findall(DOCUMENTS.load("pdf")(alone))) == 1
+
+
+def test_processes_that_draw_change_no_byte(
+    every_kind: Chart, drawings: dict[str, Drawing], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five figures in files of two: a page for each in its order, drawn by one process or by two."""
+    monkeypatch.setattr(pdf, "MOST_TOGETHER", 2)
+    graphics = [every_kind, *list(drawings.values())[:1], every_kind, every_kind, every_kind]
+    figures = tuple(Figure(graphic, f"Caption {n}", "") for n, graphic in enumerate(graphics))
+    document = Document("Title", "Subtitle", (Section("S", figures),), ())
+    here = pdf.render_pdf(document)
+    with shared_out(2):
+        assert pdf.render_pdf(document) == here
+    names = [name for page in PdfReader(io.BytesIO(here)).pages for name in page["/Resources"]["/XObject"]]
+    assert [name for name in names if "Drawing" in name] == [f"/Drawing{n}" for n in range(5)]
 
 
 def test_heat_maps_are_dots_in_a_pdf_and_curves_are_lines(every_kind: Chart, heat_map: Chart) -> None:
