@@ -105,7 +105,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_findings_are_those_of_the_definitions(seed: int) -> None:
     rng = np.random.default_rng(seed)
     names = list(FAULTS)

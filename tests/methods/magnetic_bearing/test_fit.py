@@ -113,7 +113,10 @@ def test_the_held_balance_is_the_smooth_one_at_high_rates() -> None:
     np.testing.assert_allclose(held, smooth, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("late", "name"), [([1, 0, 0, 0], "ix"), ([0, 0, 1, 1], "every reading")])
+@pytest.mark.parametrize(
+    ("late", "name"),
+    [([1, 0, 0, 0], "ix"), pytest.param([0, 0, 1, 1], "every reading", marks=pytest.mark.long)],
+)
 def test_the_channel_that_is_late_is_named(late: list[int], name: str, rng: np.random.Generator) -> None:
     """0.2 ms of one channel of four, and of both readings; the values with it are those of the rotor."""
     spectra = COUPLED.spectra(rng)

@@ -120,7 +120,7 @@ def test_a_close_pair_stays_two_and_what_stands_still_is_as_it_was() -> None:
     assert low < 163 < high
 
 
-@pytest.mark.parametrize("gain", [0.0, 0.03])
+@pytest.mark.parametrize("gain", [0.0, pytest.param(0.03, marks=pytest.mark.long)])
 def test_a_pair_that_one_reference_cannot_tell_from_a_mode_that_moves(gain: float) -> None:
     """A pair a few lines wide, in other shares at every point. Where noise alone is left it is a pair; where
     gains bend the curves, the interval of either pole holds a mode of the points' frequencies as well.

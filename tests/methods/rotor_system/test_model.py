@@ -188,7 +188,9 @@ unbalances: [{node: 2, size: 0 g.mm +- 20 g.mm}]
     )
 
 
-@pytest.mark.parametrize("bearings", ["oil", "seal", "magnets"])
+@pytest.mark.parametrize(
+    "bearings", ["oil", *(pytest.param(other, marks=pytest.mark.long) for other in ("seal", "magnets"))]
+)
 def test_derivatives_on_other_bearings(bearings: str) -> None:
     """By central differences, for every unknown that is no small error elsewhere, of the run-up and of
     eigenvalues at speed; those of magnets with the controller at the frequency of each mode.

@@ -94,6 +94,7 @@ def test_a_test_of_another_rotor_is_named(fitted) -> None:
     assert all(abs(pull.z) < 4 for pull in pulls(found))
 
 
+@pytest.mark.long
 def test_oil_of_another_temperature_is_a_conflict_and_named() -> None:
     """A rotor in oil films by clearance and viscosity: in its interval; a run-up with oil of 60 % of the
     viscosity pulls against what the shaken rotor says, and enlarges small errors: the oil is named, with what
@@ -120,6 +121,7 @@ def test_oil_of_another_temperature_is_a_conflict_and_named() -> None:
     assert "chi-square falls by" in text and "oil of" in text and "in test 'run'" in text
 
 
+@pytest.mark.long
 def test_a_gain_of_a_probe_is_named_where_that_was_wrong(fitted) -> None:
     of, truth, found = fitted
     gain, loud = of.model.number("gain run 10 y"), truth.copy()
@@ -171,6 +173,7 @@ def test_a_missing_pedestal_is_the_most_probable_alternative() -> None:
     assert with_them.ln_evidence > without.ln_evidence + 10
 
 
+@pytest.mark.long
 def test_critical_speed_and_amplification_of_draws(fitted) -> None:
     """The reduced basis against the whole model, and the truth in its interval."""
     of, truth, found = fitted
