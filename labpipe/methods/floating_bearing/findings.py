@@ -148,8 +148,8 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
 
 
 def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
-    """How far the shaft moves: a note where the accelerations take care of it, a warning where nothing
-    does.
+    """How far the shaft moves: a note where the accelerations take care of it, a
+    warning where nothing does.
     """
     moved = shaft_motion(stator)
     if moved is None or moved[1] < SEEN or moved[0] < MOVES:

@@ -238,7 +238,6 @@ class StiffnessModel:
 
     def stiffness(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s].
-
         Equation (ds-form).
         """
         basis = self.form.basis(values[self.n_linear :], omega)

@@ -84,7 +84,6 @@ def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
 
 def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
     """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m].
-
     Equation (ds-residual).
     """
     h = stiffness[:, None]
@@ -323,9 +322,7 @@ class Noise:
 
     def p_value(self, squares: float, dof: int) -> float:
         """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the
-        covariance was estimated.
-
-        Equation (ds-p-value).
+        covariance was estimated. Equation (ds-p-value).
         """
         effective = dof / self.shared_power
         if not np.isfinite(self.dof):
@@ -414,9 +411,7 @@ def _pulls(
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
     """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise;
-    pseudo-inverse of a singular one.
-
-    Equation (ds-covariance).
+    pseudo-inverse of a singular one. Equation (ds-covariance).
     """
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)

@@ -72,7 +72,6 @@ class Given:
 
     def side(self, omega: FloatArray) -> ComplexArray:
         """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg].
-
         Equation (ds-balance).
         """
         mass = 0.0 if self.mass is None else self.mass.value
@@ -119,9 +118,7 @@ def balance_of(stator: Stator, given: Given) -> Balance:
 
 def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, state: Whitened) -> ComplexArray:
     """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z
-    B^H S^-1 e.
-
-    Equation (ds-smoothed).
+    B^H S^-1 e. Equation (ds-smoothed).
     """
     to_balance = projection(stator, given) @ stator.to_axes
     rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
@@ -277,7 +274,6 @@ class SmearedBalance:
 
     def shown(self, stiffness: Stiffness) -> ComplexArray:
         """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H.
-
         Equation (ds-smeared).
         """
         omega, place = self.leakage.grid

@@ -197,7 +197,6 @@ class LineStiffness:
 
 def line_stiffness(balance: Balance) -> LineStiffness:
     """H of every line from two or more runs; FitError where the runs of a line move in one direction.
-
     Equation (ds-line).
     """
     n_run = balance.motion.shape[1]
@@ -250,9 +249,7 @@ LETTERS = ("k", "c", "m")
 
 def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
     """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter)
-    [1/parameter unit] of the Jacobian.
-
-    Equation (ds-excitation).
+    [1/parameter unit] of the Jacobian. Equation (ds-excitation).
     """
     n_line, n_run = stator.channels.shape[:2]
     rows = columns.reshape(2, n_line, 2 * n_run, -1).transpose(1, 0, 2, 3).reshape(n_line, 4 * n_run, -1)

@@ -60,9 +60,7 @@ class Whirl:
 
 def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
     """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where
-    there is no real solution.
-
-    Equation (ds-whirl).
+    there is no real solution. Equation (ds-whirl).
     """
     polynomial = _polynomial(model, values)[0].real
     square = _root(polynomial)
@@ -165,7 +163,6 @@ class Course:
 
 def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
     """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it.
-
     Equation (ds-forward).
     """
     direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
@@ -176,9 +173,7 @@ def effective(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0
 ) -> Course:
     """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter,
-    n_parameter) [parameter units].
-
-    Equation (ds-effective).
+    n_parameter) [parameter units]. Equation (ds-effective).
     """
     h = forward(model.stiffness(values, omega), sense)
     slopes = forward(model.jacobian(values, omega), sense)
@@ -474,7 +469,6 @@ def dimensionless(
     coefficients: Sequence[Valued], bearing: Bearing, speed: float | None
 ) -> tuple[Valued, ...]:
     """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
-
     Equation (ds-dimensionless).
     """
     if not bearing.clearance or not bearing.load or not speed:

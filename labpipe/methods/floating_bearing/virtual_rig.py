@@ -246,9 +246,7 @@ def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, Fl
 
 def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
     """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator
-    is -H D.
-
-    Equation (sim-film).
+    is -H D. Equation (sim-film).
     """
     omega = 2 * np.pi * np.asarray(frequency, float)
     jw = 1j * omega[:, None, None]

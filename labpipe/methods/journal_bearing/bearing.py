@@ -314,7 +314,6 @@ class JournalEquilibrium:
     @property
     def attitude(self) -> float:
         """Angle from the load to the displacement of the journal, positive with the spin [rad].
-
         Equation (jour-attitude).
         """
         turned = complex(*self.state.displacement) * complex(*self.load).conjugate()

@@ -257,9 +257,7 @@ class Between:
 
     def moments(self, omega: FloatArray) -> ComplexArray:
         """n_j(w), (n_power, n_line) [s^(2 j)]: (1/T^2) integral of (T - |t|)^(2 j + 1) / (2 j + 1)! i(t) /
-        i_0 over -T ... T.
-
-        Equation (mag-moments).
+        i_0 over -T ... T. Equation (mag-moments).
         """
         interval = 1 / self.rate
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
@@ -307,9 +305,7 @@ class MagnetModel:
 
     def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
         """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass*
-        (n, n) [kg] in its place.
-
-        Equation (mag-balance).
+        (n, n) [kg] in its place. Equation (mag-balance).
         """
         mass = self.mass if mass is None else mass
         matrices, w = self.matrices(values), np.asarray(omega)[:, None, None]

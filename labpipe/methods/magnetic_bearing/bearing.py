@@ -46,8 +46,8 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Magnet(Settings):
-    """Geometry of a radial hybrid magnet: four poles per ring, and between the two rings a permanent
-    magnet.
+    """Geometry of a radial hybrid magnet: four poles per ring, and between the two
+    rings a permanent magnet.
     """
 
     turns: int = setting("integer", "turns of the coil on each pole")
@@ -122,9 +122,8 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
-    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N].
-
-    Equation (mag-force).
+    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A)
+    [N]. Equation (mag-force).
     """
     fluxes = pole_fluxes(magnet, displacement, current)
     return float(RINGS * (ALONG_X @ fluxes**2) / (2 * MU_0 * magnet.pole_area))
@@ -132,9 +131,7 @@ def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
 
 def magnet_factors(magnet: Magnet) -> MagnetFactors:
     """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the
-    bias flux of a pole.
-
-    Equation (mag-factors).
+    bias flux of a pole. Equation (mag-factors).
     """
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
@@ -155,9 +152,7 @@ def static_stiffness(factors: MagnetFactors, current_per_displacement: float) ->
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
     """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
-    reluctance [m^2].
-
-    Equation (mag-area).
+    reluctance [m^2]. Equation (mag-area).
     """
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 

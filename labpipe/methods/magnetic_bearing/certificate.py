@@ -130,9 +130,7 @@ class ClosedLoop:
 
 def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
     """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in
-    the unknowns' errors.
-
-    Equation (comp-closed-loop).
+    the unknowns' errors. Equation (comp-closed-loop).
     """
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
@@ -256,9 +254,10 @@ def certificate(
     """
     certificate_settings = resolve(settings)
     matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
-    peaks = _peaks(matrix, response)
+    loops = [matrix.loop(number) for number in range(len(matrix.loops))]
+    peaks = [peak_of(loop) for loop in loops]
     worst = max(peaks, key=lambda peak: peak.value)
-    measured_amounts, budget = _measured_amounts(matrix, peaks)
+    measured_amounts, budget = _measured_amounts(matrix, loops, peaks)
     model = None if file is None else _fit(settings, certificate_settings, response, matrix, file)
     limits = [
         _zone_limit(certificate_settings, worst, None if model is None else model.trusted),
@@ -289,7 +288,7 @@ def certificate(
             f"{verdict.capitalize()}: "
             f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
         ),
-        curves=_curves(matrix, model),
+        curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
         budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
@@ -344,41 +343,30 @@ def resolve(settings: CompareSettings) -> CertificateSettings:
     return replace(certificate, before=certificate.before or (settings.before,), after=(settings.after,))
 
 
-def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
-    peaks = []
-    for number in range(len(matrix.loops)):
-        size, error = matrix.size(number)
-        phased, above = matrix.values[:, number, number], np.maximum(error, 1e-15 * size)
-        errors = matrix.errors_of(number)
-        measured = MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, errors)
-        peaks.append(peak_of(measured))
-    return peaks
-
-
 def _measured_amounts(
-    matrix: SensitivityMatrix, peaks: Sequence[Peak]
+    matrix: SensitivityMatrix, loops: Sequence[MeasuredSensitivity], peaks: Sequence[Peak]
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
     amounts: list[Parameter] = []
     changes: list[FloatArray] = []
-    for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
-        suffix = f"_{loop}" if len(peaks) > 1 else ""
-        amounts += peak.amounts(matrix.quantile, suffix)
+    frequency, dof = matrix.response.frequency, matrix.response.covariance_dof
+    for name, loop, peak in zip(matrix.loops, loops, peaks, strict=True):
+        suffix = f"_{name}" if len(peaks) > 1 else ""
+        amounts += peak.amounts(loop.quantile, suffix)
         changes += [peak.changes, peak.frequency_changes]
-        transfer, moved = matrix.loop_transfer(number), matrix.transfer_changes(number)
-        noise = matrix.dof, matrix.quantile
-        for margin, change in measured_margins(matrix.frequency, transfer, moved, noise, suffix):
-            amounts.append(margin)
-            changes.append(change)
+        noise = dof, loop.quantile
+        margins = measured_margins(frequency, loop.transfer, loop.transfer_changes, noise, suffix)
+        amounts += [margin for margin, _ in margins]
+        changes += [change for _, change in margins]
     if len(peaks) > 1:
         size, error = matrix.largest()
         top = int(np.argmax(size))
         amounts.append(
             with_error("largest_singular_value", "1", float(size[top]), float(error[top]), matrix.quantile)
         )
-        amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
+        amounts.append(Parameter("largest_frequency", float(frequency[top]), "Hz", derived=True))
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
-    dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
-    return with_budget(amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof)
+    sources = [error.uncertainty for error in matrix.errors]
+    return with_budget(amounts, sources, np.array(changes).T, 2 * dof if np.isfinite(dof) else None)
 
 
 def _fit(
@@ -455,32 +443,32 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
     return [Limit("log_decrement", probability, said)]
 
 
-def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:
+def _curves(
+    matrix: SensitivityMatrix, loops: Sequence[MeasuredSensitivity], model: FittedModel | None
+) -> tuple[Curve, ...]:
     curves = []
-    fitted = _fitted_size(matrix.frequency, model)
-    several = len(matrix.loops) > 1
-    named = [
-        (f"sensitivity {name}" if several else "sensitivity", matrix.combined_size(n))
-        for n, name in enumerate(matrix.loops)
+    frequency = matrix.response.frequency
+    fitted = np.empty(0)
+    if model is not None and model.loop is not None:
+        plant = with_unknowns(model.file, model.fit.values()).levitated()
+        fitted = np.abs(open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
+    several = len(loops) > 1
+    sizes = [
+        (f"sensitivity {name}" if several else "sensitivity", loop.size, loop.combined)
+        for name, loop in zip(matrix.loops, loops, strict=True)
     ]
     if several:
-        named.append(("largest singular value", matrix.combined_largest()))
-    for quantity, (size, error) in named:
+        size, error = matrix.largest()
+        combined = np.sqrt(error**2 + np.sum(matrix.largest_changes() ** 2, axis=0))
+        sizes.append(("largest singular value", size, combined))
+    for quantity, size, error in sizes:
         reach = matrix.quantile * error
-        curves.append(_curve(matrix.frequency, quantity, size, (size - reach, size + reach), fitted))
-    for n, name in enumerate(matrix.loops):
-        label = f"L {name}" if several else "L"
-        transfer, _ = matrix.loop_transfer(n)
-        curves.append(_curve(matrix.frequency, f"{label} real", transfer.real))
-        curves.append(_curve(matrix.frequency, f"{label} imaginary", transfer.imag))
+        curves.append(_curve(frequency, quantity, size, (size - reach, size + reach), fitted))
+    for name, loop in zip(matrix.loops, loops, strict=True):
+        label, transfer = f"L {name}" if several else "L", loop.transfer[0]
+        curves.append(_curve(frequency, f"{label} real", transfer.real))
+        curves.append(_curve(frequency, f"{label} imaginary", transfer.imag))
     return tuple(curves)
-
-
-def _fitted_size(frequency: FloatArray, model: FittedModel | None) -> FloatArray:
-    if model is None or model.loop is None:
-        return np.empty(0)
-    plant = with_unknowns(model.file, model.fit.values()).levitated()
-    return np.abs(open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
 
 
 def _curve(

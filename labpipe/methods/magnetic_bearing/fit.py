@@ -89,9 +89,7 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
     """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of
-    F with 2 and 2 nu.
-
-    Equation (mag-radius).
+    F with 2 and 2 nu. Equation (mag-radius).
     """
     beyond = -np.expm1(np.log(confidence) / count)
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
@@ -100,8 +98,8 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 def state_space(
     model: MagnetModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the
-    currents.
+    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and
+    velocities under the currents.
     """
     matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
@@ -113,9 +111,7 @@ def state_space(
 
 def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, float]:
     """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere
-    below *weight* (n_line,) [1].
-
-    Equation (mag-overbound).
+    below *weight* (n_line,) [1]. Equation (mag-overbound).
     """
     low, high = np.log10(frequency[0]) - BEYOND, np.log10(frequency[-1]) + BEYOND
     corners = np.logspace(low, high, int(PER_DECADE * (high - low)) + 1)

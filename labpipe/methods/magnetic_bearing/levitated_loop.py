@@ -319,9 +319,7 @@ def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
     """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]:
-    reading per force k_i i.
-
-    Equation (sim-rotor).
+    reading per force k_i i. Equation (sim-rotor).
     """
     of = mechanics(rig)
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]

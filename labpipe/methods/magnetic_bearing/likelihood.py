@@ -104,9 +104,7 @@ class MagnetLikelihood:
 
 def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
     """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its
-    covariance is singular.
-
-    Equation (mag-likelihood).
+    covariance is singular. Equation (mag-likelihood).
     """
     b = rows[:, None]
     e = (b @ rotor.channels[..., None])[..., 0]
@@ -124,39 +122,42 @@ def start(problem: MagnetLikelihood) -> FloatArray:
     The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with
     k_i = 0, since the noise of w^2 x grows with frequency.
     """
-    rotor, model = problem.rotor, problem.model
-    smooth = MagnetModel(model.names, model.places, model.mass)
-    none = np.zeros(len(model.names))
-    slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
-    columns = np.einsum("plac,lrc->plra", slopes, rotor.channels)
-    values: FloatArray = none
+    rotor = problem.rotor
+    smooth, columns, free = _linear(rotor, problem.model)
+    values: FloatArray = np.zeros(len(columns))
     starts = []
     for _ in range(REWEIGHTED):
         state = residual(rotor, smooth.rows(values, rotor.omega) @ rotor.to_axes)
-        free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
-        design = real_rows(state.whiten(columns).reshape(len(none), -1)).T
-        side = real_rows(state.whiten(free[..., 0]).reshape(1, -1))[0]
-        values = _least_squares(design, side)
+        values = _least_squares(state.whiten(columns), state.whiten(free))
         starts.append(values)
     return min(starts, key=problem.chi2)
+
+
+def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, ComplexArray, ComplexArray]:
+    """The model of smooth currents, the forces of its parameters (n_parameter, n_line, n_run, n), and those
+    of the free rotor.
+    """
+    smooth = MagnetModel(model.names, model.places, model.mass)
+    none = np.zeros(len(model.names))
+    slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
+    free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
+    return smooth, np.einsum("plac,lrc->plra", slopes, rotor.channels), free[..., 0]
 
 
 def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
     """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free
     of noise.
     """
-    smooth = MagnetModel(model.names, model.places, model.mass)
-    none = np.zeros(len(model.names))
-    columns = np.einsum("plac,lrc->plra", smooth.slopes(none, rotor.omega) @ rotor.to_axes, rotor.channels)
-    free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
-    design, side = real_rows(columns.reshape(len(none), -1)).T, real_rows(free[..., 0].reshape(1, -1))[0]
-    return _least_squares(design, side)
+    return _least_squares(*_linear(rotor, model)[1:])
 
 
-def _least_squares(design: FloatArray, side: FloatArray) -> FloatArray:
+def _least_squares(columns: ComplexArray, side: ComplexArray) -> FloatArray:
+    design = real_rows(columns.reshape(len(columns), -1)).T
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    return np.asarray(-np.linalg.lstsq(design / scale, side, rcond=None)[0] / scale)
+    return np.asarray(
+        -np.linalg.lstsq(design / scale, real_rows(side.reshape(1, -1))[0], rcond=None)[0] / scale
+    )
 
 
 NEAR, MOST_STEPS = 1e-4, 60
@@ -337,9 +338,8 @@ class LateLikelihood(MagnetLikelihood):
             turned = self.rotor.channels * np.exp(1j * self.rotor.omega[:, None, None] * delay * self._late)
             forces = np.einsum("plac,lrc->plra", columns, turned)
             white = np.linalg.solve(lower, forces[..., None])[..., 0].reshape(len(columns), -1)
-            *design, side = real_rows(white)
-            step = _least_squares(np.array(design).T, side)
-            left = float(np.sum((side + step @ np.array(design)) ** 2))
+            step = _least_squares(white[:-1], white[-1])
+            left = float(np.sum(np.abs(white[-1] + step @ white[:-1]) ** 2))
             if left < best[0]:
                 best = left, np.append(values + step, delay)
         return best

@@ -153,9 +153,7 @@ RATIO, DECREMENT = "zeta", "log_decrement"
 
 def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Comparison:
     """The probability that every mode of the fits has its decrement; ConfigError for fits without damping
-    ratios.
-
-    Equation (comp-decrement).
+    ratios. Equation (comp-decrement).
     """
     certificate_settings: CertificateSettings = settings.kind_settings
     several = len(fits) > 1

@@ -138,7 +138,6 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
     """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop.
-
     Equation (mag-controller).
     """
     total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
@@ -167,9 +166,7 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
     """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError
-    for an integrator.
-
-    Equation (mag-static).
+    for an integrator. Equation (mag-static).
     """
     if not np.isfinite(loop.at_rest):
         raise ConfigError(
@@ -182,7 +179,6 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
     """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m].
-
     Equation (mag-stiffness).
     """
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness

@@ -209,9 +209,7 @@ class LoopMinimum:
 
     def bent(self, covariance: FloatArray) -> FloatArray:
         """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
-        away.
-
-        Equation (comp-bent).
+        away. Equation (comp-bent).
         """
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))

@@ -35,16 +35,21 @@ from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
 
 ALIASES = {"gain": "amplifier"}
-FACTORS = ("force_per_current", "negative_stiffness")
-_LOOP = {name: entry.unit for name, (entry, _) in settings_of(ControlLoop).items() if entry.kind == "value"}
-_MAGNET = {name: entry.unit for name, (entry, _) in settings_of(Magnet).items() if entry.kind == "value"}
-
-
 # An entry of the controller's blocks, "controller.2.frequency"; they count from 1.
 BLOCK = "controller."
-_BLOCK_ENTRIES = {
-    name: entry.unit for name, (entry, _) in settings_of(ControllerBlock).items() if entry.kind == "value"
+
+
+def _units(owner: type) -> dict[str, str]:
+    return {name: entry.unit for name, (entry, _) in settings_of(owner).items() if entry.kind == "value"}
+
+
+# Section of the file -> entries that may be unknown, with their units.
+ENTRIES = {
+    "": {"force_per_current": "N/A", "negative_stiffness": "N/m", "static_stiffness": "N/m"},
+    "loop": _units(ControlLoop),
+    "magnet": _units(Magnet),
 }
+_BLOCK_ENTRIES = _units(ControllerBlock)
 
 
 @dataclass(frozen=True)
@@ -56,84 +61,65 @@ class Unknown:
     unit: str
 
 
-def unknown(file: MagneticFile, name: str) -> Unknown:
-    """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
+def _place(file: MagneticFile, name: str) -> tuple[str, str, str]:
+    """Section (of a block its number), entry and unit of an unknown; ConfigError where there is none."""
     field = ALIASES.get(name, name)
-    value_and_unit: tuple[float | None, str] | None
     if field.startswith(BLOCK):
-        place, _, entry = name.removeprefix(BLOCK).partition(".")
+        number, _, entry = field.removeprefix(BLOCK).partition(".")
         count = len(file.loop.controller)
-        if not place.isdigit() or not 1 <= int(place) <= count:
+        if not number.isdigit() or not 1 <= int(number) <= count:
             hint = f"controller.1 to controller.{count}" if count else ""
             raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
         if entry not in _BLOCK_ENTRIES:
-            raise ConfigError(
-                f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES))
-            )
-        value_and_unit = getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
-    elif field == "static_stiffness":
-        value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
-    elif field in FACTORS:
+            hint = nearest(entry, list(_BLOCK_ENTRIES))
+            raise ConfigError(f"estimate: '{name}' is no number of a block", hint=hint)
+        return number, entry, _BLOCK_ENTRIES[entry]
+    for section, units in ENTRIES.items():
+        if field in units:
+            return section, field, units[field]
+    names = dict.fromkeys([*ALIASES, *(entry for units in ENTRIES.values() for entry in units)])
+    raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, names))
+
+
+def unknown(file: MagneticFile, name: str) -> Unknown:
+    """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
+    section, field, unit = _place(file, name)
+    value: float | None
+    if section == "" and field != "static_stiffness":
         plant = file.levitated()
-        value_and_unit = (
-            (plant.loop.force_per_current, "N/A")
-            if field == "force_per_current"
-            else (plant.negative_stiffness, "N/m")
-        )
-    elif field in _LOOP:
-        value_and_unit = (getattr(file.loop, field), _LOOP[field])
-    elif field in _MAGNET:
-        value_and_unit = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
+        value = getattr(plant.loop if field == "force_per_current" else plant, field)
     else:
-        raise ConfigError(
-            f"estimate: '{name}' is no unknown of a magnetic bearing",
-            hint=nearest(name, list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))),
-        )
-    if value_and_unit is None or value_and_unit[0] is None:
-        where = (
-            "static_stiffness"
-            if field == "static_stiffness"
-            else f"magnet: {{{field}: ...}}"
-            if field in _MAGNET
-            else f"loop.{field}"
-        )
+        owner = {"": file, "loop": file.loop, "magnet": file.magnet}.get(section)
+        value = getattr(file.loop.controller[int(section) - 1] if section.isdigit() else owner, field, None)
+    if value is None:
+        where = {"": field, "magnet": f"magnet: {{{field}: ...}}"}.get(section, f"loop.{field}")
         raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
-    if value_and_unit[0] == 0:
+    if value == 0:
         raise ConfigError(
             f"estimate: '{name}' is zero in the bearing file",
             hint="a value near the expected one is needed to start from",
         )
-    return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
+    return Unknown(name, float(value), unit)
+
+
+def _changed(settings: Any, changes: Mapping[str, Any]) -> Any:
+    return replace(settings, **changes) if settings and changes else settings
 
 
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
     """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
-    loop: dict[str, Any] = {}
-    magnet: dict[str, float] = {}
-    factors: dict[str, float] = {}
+    changes: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
-        field = ALIASES.get(name, name)
-        if field.startswith(BLOCK):
-            blocks = loop.get("controller", file.loop.controller)
-            place, _, entry = name.removeprefix(BLOCK).partition(".")
-            number = int(place) - 1
-            loop["controller"] = (
-                *blocks[:number],
-                replace(blocks[number], **{entry: value}),
-                *blocks[number + 1 :],
-            )
-        elif field in (*FACTORS, "static_stiffness"):
-            factors[field] = value
-        elif field in _LOOP:
-            loop[field] = value
-        else:
-            magnet[field] = value
+        section, field, _ = _place(file, name)
+        changes.setdefault(section, {})[field] = value
+    own, magnet = changes.get("", {}), changes.get("magnet")
     # An explicit negative stiffness replaces the one inferred from the static stiffness.
-    freed = {"static_stiffness": None} if "negative_stiffness" in factors else {}
-    changed = replace(file, loop=replace(file.loop, **loop), **freed, **factors)  # type: ignore[arg-type]
-    if not magnet or file.magnet is None:
-        return changed
-    return replace(changed, magnet=replace(file.magnet, **magnet))  # type: ignore[arg-type]
+    own |= {"static_stiffness": None} if "negative_stiffness" in own else {}
+    blocks = tuple(
+        _changed(block, changes.get(str(n), {})) for n, block in enumerate(file.loop.controller, 1)
+    )
+    changed = replace(file, loop=replace(file.loop, controller=blocks, **changes.get("loop", {})), **own)
+    return changed if magnet is None else replace(changed, magnet=_changed(file.magnet, magnet))
 
 
 def response_errors(
@@ -397,8 +383,8 @@ def checked_view(view: View) -> View:
 
 
 def _directions(view: View) -> FloatArray:
-    """cos of the angle between output and force, (n_output, n_input): all directions are equal and
-    uncoupled.
+    """cos of the angle between output and force, (n_output, n_input): all
+    directions are equal and uncoupled.
     """
     rows, columns = view.ports
     outputs, inputs = (

@@ -60,9 +60,7 @@ class Course:
 
     def follows(self, starts: IntArray, width: int) -> BoolArray:
         """Whether a parabola over log omega leaves no more than noise of *width* lines, from each of *starts*
-        (n,) on.
-
-        Equation (comp-course).
+        (n,) on. Equation (comp-course).
         """
         if width <= PARABOLA:
             return np.ones(starts.size, dtype=bool)
@@ -154,7 +152,6 @@ class Smooth:
 
     def of(self, margin: Margin, n: int) -> Found:
         """A margin between the places n and n + 1, its standard error and its changes.
-
         Equation (comp-margins-change).
         """
         part = slice(n, n + 2)
@@ -185,9 +182,7 @@ def measured_margins(
 
     Each with its change (n_source,) [its unit] by one standard uncertainty of every systematic source, that
     changes L by *changes* (n_source, n_line) [1]. noise: complex degrees of freedom behind the variance, and
-    standard errors to either side of a 95 % interval. *frequency* (n_line,) [Hz].
-
-    Equation (comp-margins).
+    standard errors to either side of a 95 % interval. *frequency* (n_line,) [Hz]. Equation (comp-margins).
     """
     dof, quantile = noise
     if frequency.size < LOCAL:
@@ -356,9 +351,7 @@ class Crest:
 
 def crest_of(course: Course) -> Crest | None:
     """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
-    lies at an end of the lines.
-
-    Equation (comp-peak).
+    lies at an end of the lines. Equation (comp-peak).
     """
     count = course.omega.size
     if count < FEWEST:
@@ -424,7 +417,6 @@ def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
 def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> float:
     """Distance [rad/s] between the maximum of |S| and the minimum of |1/S| by polynomials of fourth degree
     through the same lines, a step of Newton each: what lines far apart leave of the place.
-
     Equation (comp-peak-truncation).
     """
     places = of_place.omega[top - 1 : top + 2]
@@ -442,8 +434,8 @@ def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> floa
 
 
 def _modulus(near: Smooth, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The modulus at some places (n,), its covariance (n, n) by noise and its changes (n_source, n), all
-    [1].
+    """The modulus at some places (n,), its covariance (n, n) by noise and its
+    changes (n_source, n), all [1].
     """
     values = near.values[part]
     along = values.conj() / np.abs(values)

@@ -296,9 +296,7 @@ def _step(
 
 def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
     """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear
-    transform; *time*, *interval* [s].
-
-    Equation (mag-tustin).
+    transform; *time*, *interval* [s]. Equation (mag-tustin).
     """
     fast = 2 / interval
     whole = 1 + fast * time

@@ -62,9 +62,7 @@ class SensitivityPeak:
 
 def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]:
     """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! /
-    ((2n)! k! (n-k)!) (s tau)^k.
-
-    Equation (mag-pade).
+    ((2n)! k! (n-k)!) (s tau)^k. Equation (mag-pade).
     """
     terms = [
         factorial(2 * order - k)
@@ -144,9 +142,7 @@ def closed_loop_poles(plant: Levitated) -> ComplexArray:
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
     """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty
-    memory, are left out.
-
-    Equation (mag-sampled).
+    memory, are left out. Equation (mag-sampled).
     """
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
     return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
@@ -212,9 +208,7 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
     """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes
-    the largest |S_ii|.
-
-    Equation (mag-sensitivity).
+    the largest |S_ii|. Equation (mag-sensitivity).
     """
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     return rotor[:, None, None] * np.linalg.inv(
@@ -224,7 +218,6 @@ def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 def zone_of(peak: float) -> str:
     """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above.
-
     Equation (mag-zone).
     """
     return next((zone for zone, end in ZONES if peak < end), "D")

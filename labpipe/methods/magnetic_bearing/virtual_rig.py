@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
@@ -37,6 +37,7 @@ from labpipe.simulate.virtual_rigs import (
     SimulatedRun,
     Truth,
     chosen_runs,
+    coefficients_by_name,
     generator,
     kind_of_tests,
     one_mass_truth,
@@ -45,6 +46,8 @@ from labpipe.simulate.virtual_rigs import (
 
 READING, BEFORE, AFTER, OUTPUT, CURRENT = range(len(OUTPUTS))
 HOVER_CORNER = 5.0
+# Direction of the force on the levitated rotor.
+DIAGONAL = "45 deg"
 # Half length of the logger's filter [s].
 MARGIN = 0.05
 SETTLING = 3.0
@@ -100,11 +103,8 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _log(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
     shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
-    channels = [Channel("f", "force", "input", "45 deg", np.pi / 4)]
-    columns: list[FloatArray] = [shaker]
-    for number, dof in enumerate("xy"):
-        channels.append(Channel(dof, "displacement", "output", dof, AXIS_ANGLES[dof]))
-        columns.append(signals[:, number, READING])
+    channels = _channels(DIAGONAL, "xy")
+    columns: list[FloatArray] = [shaker, *signals[:, :2, READING].T]
     # The gain study needs force and motion only.
     for number, dof in enumerate("xy" if name not in GAINS else ""):
         channels += [
@@ -114,20 +114,23 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
         columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
     omega = line_frequencies(force)
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
-    return SimulatedRun(
-        name,
-        {
-            "mass": rig.rotor_mass,
-            "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
-            "proportional": plant.loop.proportional,
-            "delay": plant.loop.delay,
-            "negative_stiffness_per_bearing": plant.negative_stiffness,
-            "frequency_hz": (omega / (2 * np.pi)).tolist(),
-            "k_per_bearing": bearing.real.tolist(),
-            "c_per_bearing": (bearing.imag / omega).tolist(),
-        },
-        Recording(tuple(channels), np.column_stack(columns), rate, name),
-    )
+    truth = {
+        "mass": rig.rotor_mass,
+        "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
+        "proportional": plant.loop.proportional,
+        "delay": plant.loop.delay,
+        "negative_stiffness_per_bearing": plant.negative_stiffness,
+        **_per_bearing(omega, bearing),
+    }
+    return _run(name, truth, channels, columns, rate)
+
+
+def _per_bearing(omega: FloatArray, bearing: ComplexArray) -> dict[str, list[float]]:
+    return {
+        "frequency_hz": (omega / (2 * np.pi)).tolist(),
+        "k_per_bearing": bearing.real.tolist(),
+        "c_per_bearing": (bearing.imag / omega).tolist(),
+    }
 
 
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -149,12 +152,8 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> S
     reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
     channels = [Channel("e", "voltage", "input", "e")]
     channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
-    samples = np.column_stack([reference, signals[:, BEFORE], signals[:, AFTER]])
-    return SimulatedRun(
-        name,
-        {"mass": plant.mass, "injection_rms": INJECTION},
-        Recording(tuple(channels), samples, rate, name),
-    )
+    samples = [reference, signals[:, BEFORE], signals[:, AFTER]]
+    return _run(name, {"mass": plant.mass, "injection_rms": INJECTION}, channels, samples, rate)
 
 
 def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -189,9 +188,7 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         "mass": plant.mass,
         "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()},
     }
-    return SimulatedRun(
-        name, truth, Recording(tuple(channels), np.column_stack([displacements, tacho]), rate, name)
-    )
+    return _run(name, truth, channels, [displacements, tacho], rate)
 
 
 def _unbalance_force(
@@ -219,8 +216,8 @@ def _probe_noise(
 def _hover_force(
     rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator
 ) -> FloatArray:
-    """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low
-    pass.
+    """A slow force that makes the rotor wander by the stated rms: white noise
+    through a first-order low pass.
     """
     wander = slow_noise(shape, CONTROL_RATE, rng)
     static = (
@@ -362,18 +359,17 @@ def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArra
     return clean + rng.normal(0.0, std, clean.shape)
 
 
-def _recording(
-    name: str, channels: list[Channel], samples: list[FloatArray], sample_rate: float
-) -> Recording:
-    return Recording(tuple(channels), np.column_stack(samples), sample_rate, name)
+def _run(
+    name: str, truth: dict[str, Any], channels: Sequence[Channel], samples: Sequence[FloatArray], rate: float
+) -> SimulatedRun:
+    return SimulatedRun(name, truth, Recording(tuple(channels), np.column_stack(samples), rate, name))
 
 
-def _force_channel(dof: str, angle: float | None) -> Channel:
-    return Channel("f", "force", "input", dof, angle)
-
-
-def _displacement_channel(name: str) -> Channel:
-    return Channel(name, "displacement", "output", name, AXIS_ANGLES.get(name))
+def _channels(force: str, moved: str) -> list[Channel]:
+    """A force in a direction (dof) and the displacements of some axes."""
+    angle = np.pi / 4 if force == DIAGONAL else AXIS_ANGLES.get(force)
+    of_motion = [Channel(dof, "displacement", "output", dof, AXIS_ANGLES.get(dof)) for dof in moved]
+    return [Channel("f", "force", "input", force, angle), *of_motion]
 
 
 def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -389,8 +385,7 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         _noisy(run.force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng),
         _noisy(clean, rig.noise.displacement, rng),
     ]
-    channels = [_force_channel(run.dof, AXIS_ANGLES.get(run.dof)), _displacement_channel(run.dof)]
-    return SimulatedRun(name, run.truth, _recording(name, channels, samples, timing.sample_rate))
+    return _run(name, run.truth, _channels(run.dof, run.dof), samples, timing.sample_rate)
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -421,14 +416,11 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         "speed_hz": rig.speed if rotating else 0.0,
         "forcing_angle": np.pi / 4,
         "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
-        "frequency_hz": (omega / (2 * np.pi)).tolist(),
-        "k_per_bearing": bearing.real.tolist(),
-        "c_per_bearing": (bearing.imag / omega).tolist(),
+        **_per_bearing(omega, bearing),
     }
     if rig.levitation.law == "control-loop":
         truth["negative_stiffness_per_bearing"] = mechanics.negative_stiffness(rig.levitation)
-    channels = [_force_channel("45 deg", np.pi / 4), _displacement_channel("x"), _displacement_channel("y")]
-    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+    return _run(name, truth, _channels(DIAGONAL, "xy"), samples, timing.sample_rate)
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -445,14 +437,9 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     for row in range(2):
         clean = linear.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
         samples.append(_noisy(clean, rig.noise.displacement, rng))
-    matrices = (("k", mechanics.COUPLED_STIFFNESS), ("c", mechanics.COUPLED_DAMPING))
-    truth: dict[str, Any] = {"mass": rig.rotor_mass}
-    for letter, matrix in matrices:
-        truth.update(
-            {f"{letter}_{'xy'[r]}{'xy'[c]}": float(matrix[r, c]) for r in range(2) for c in range(2)}
-        )
-    channels = [_force_channel(dof, AXIS_ANGLES[dof]), _displacement_channel("x"), _displacement_channel("y")]
-    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+    support = coefficients_by_name("xy", k=mechanics.COUPLED_STIFFNESS, c=mechanics.COUPLED_DAMPING)
+    truth = {"mass": rig.rotor_mass, **support}
+    return _run(name, truth, _channels(dof, "xy"), samples, timing.sample_rate)
 
 
 def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:

@@ -77,9 +77,7 @@ def ball_passage(
     positions: int = POSITIONS,
 ) -> Passage:
     """Equilibrium and stiffness at *positions* cage angles of one passage; arguments and errors as in
-    `equilibrium`.
-
-    Equation (roll-passage).
+    `equilibrium`. Equation (roll-passage).
     """
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     n_case = max(len(f), len(q))

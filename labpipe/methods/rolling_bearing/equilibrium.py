@@ -219,9 +219,7 @@ def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 def newton_step(problem: Problem, trial: Trial) -> FloatArray:
     """(K + |f - F| / R) p = f - F, (n_case, 5) [m]: limited to the bearing's reach R without stiffness,
-    converging quadratically.
-
-    Equation (roll-newton).
+    converging quadratically. Equation (roll-newton).
     """
     k = stiffness_sum(trial.state, problem.frame)[:, problem.free[:, None], problem.free]
     floor = 1e-15 * np.trace(k, axis1=1, axis2=2) + np.finfo(np.float64).tiny

@@ -359,8 +359,8 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     exponent of c over k.
 
     With a theory (*matched*), beta is the factor by which the theory's curve has the measured damping,
-    without the influence of neighbouring modes and of the bending shaft; without, the fit's c / k. Equation
-    (comp-rayleigh).
+    without the influence of neighbouring modes and of the bending shaft; without, the fit's c / k.
+    Equation (comp-rayleigh).
     """
     if matched is None:
         logs, covariance = _log_betas([observation.fit for observation in campaign.observations])

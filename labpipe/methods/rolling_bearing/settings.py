@@ -69,7 +69,6 @@ class BallGeometry:
     @property
     def groove_distance(self) -> float:
         """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load.
-
         Equation (roll-groove-distance).
         """
         return (self.inner_conformity + self.outer_conformity - 1) * self.ball_diameter
@@ -77,7 +76,6 @@ class BallGeometry:
     @property
     def groove_centre_radius(self) -> float:
         """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie.
-
         Equation (roll-groove-radius).
         """
         return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(
@@ -87,7 +85,6 @@ class BallGeometry:
     @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
         """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2).
-
         Equation (roll-ball-constant).
         """
         contacts = (
@@ -132,9 +129,7 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
 
 def ellipse_ratio(curvature_ratio: float) -> float:
     """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0,
-    1, k^2) (Carlson).
-
-    Equation (roll-ellipse).
+    1, k^2) (Carlson). Equation (roll-ellipse).
     """
     if curvature_ratio >= 1:
         return 1.0
@@ -167,7 +162,6 @@ def roller_stiffness_constant(length: float) -> float:
 
 def in_series(constants: tuple[float, ...], exponent: float) -> float:
     """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n).
-
     Equation (roll-series).
     """
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)

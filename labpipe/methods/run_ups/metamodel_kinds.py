@@ -231,7 +231,6 @@ class ResponseSurface:
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
     """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds.
-
     Equation (run-surface).
     """
     extent = Extent.of(grid)

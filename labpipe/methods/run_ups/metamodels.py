@@ -156,9 +156,7 @@ class GaussianProcess:
 
 def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
     """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
-    priors.
-
-    Equation (run-process).
+    priors. Equation (run-process).
     """
     return GaussianProcess.of(grid, np.tile([median for median, _ in HYPER], (8, 1)), _likeliest)
 
@@ -213,9 +211,7 @@ class Network:
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s]
-        (n_point,).
-
-        Equation (run-network).
+        (n_point,). Equation (run-network).
         """
         coded = self.extent.coded(load, speed)
         scaled = [

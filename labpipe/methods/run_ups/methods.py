@@ -191,9 +191,7 @@ def fit_points(
     rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE
 ) -> list[PointFit]:
     """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
-    ConfigError unless positive.
-
-    Equation (run-points).
+    ConfigError unless positive. Equation (run-points).
     """
     if not (bound > 0 and ridge > 0):
         raise ConfigError(

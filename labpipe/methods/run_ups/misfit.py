@@ -40,9 +40,7 @@ class ExcitedRun:
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N
-        s/m].
-
-        Equation (run-weights).
+        s/m]. Equation (run-weights).
         """
         return self._weight(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
@@ -127,8 +125,8 @@ def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
 
 
 def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
-    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share
-    none.
+    """The runs grouped by load and speeds, in order: for a fit over all speeds,
+    whose runs need share none.
     """
     return _group(rig, runs, lambda run: (run.load, run.speed.tobytes()))
 

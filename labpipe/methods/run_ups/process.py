@@ -66,7 +66,6 @@ class SquaredExponential:
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s].
-
         Equation (run-field).
         """
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
@@ -100,8 +99,8 @@ class SmoothField:
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:
-        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N,
-        rad/s].
+        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places
+        (n_point, 2) [N, rad/s].
         """
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)

@@ -80,8 +80,8 @@ def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
 
 
 def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Critical speeds and thresholds of every method with the measurement, then values printed in a
-    source.
+    """Critical speeds and thresholds of every method with the measurement, then
+    values printed in a source.
     """
     blocks: list[Block] = []
     for item, title in KINDS.items():

@@ -457,7 +457,6 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017).
-
     Equation (wear-log).
     """
     matrix = measured.chosen.matrix

@@ -296,8 +296,8 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
     angle.
 
     1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other parameters
-    estimated again at every point (their spread is the same with and without wear, so it cancels). Equation
-    (wear-healthy).
+    estimated again at every point (their spread is the same with and without wear, so it cancels).
+    Equation (wear-healthy).
     """
     gain = healthy_chi2 - best.chi2
     share = _peak_share(misfit, best) if gain > NARROW else _mean_likelihood(misfit, best)

@@ -40,8 +40,8 @@ class JournalNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
-    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of
-    `rotor`.
+    """The rotor of a rotor file with a model error, its shaker and its sensors;
+    *rig*: contents of `rotor`.
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
