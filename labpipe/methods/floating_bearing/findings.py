@@ -75,9 +75,7 @@ LOSS = 1.1
 
 
 def remedy(group: Sequence[str]) -> str:
-    """What separates the parameters of a collinear group: forces of another pattern, where both directions of
-    the motion are in it.
-    """
+    """What separates a collinear group: other forces where it has both directions of the motion."""
     ends = [name.partition("_")[2][:2] for name in group]
     motions = {end[1] for end in ends if end in AXES}
     if len(motions) > 1:
@@ -93,9 +91,7 @@ def remedy(group: Sequence[str]) -> str:
 
 
 def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
-    """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few
-    periods.
-    """
+    """Notes on intervals wider than need be: scatter that is not noise, few periods."""
     findings = few_averages(noise)
     if found.reduced < 1 - SURE * noise.spread(found.dof):
         message = (
@@ -148,9 +144,7 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
 
 
 def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
-    """How far the shaft moves: a note where the accelerations take care of it, a
-    warning where nothing does.
-    """
+    """A note where accelerations take care of a moving shaft, a warning where nothing does."""
     moved = shaft_motion(stator)
     if moved is None or moved[1] < SEEN or moved[0] < MOVES:
         return ()

@@ -83,10 +83,7 @@ NONE = Uncertain(0.0)
 
 
 def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names.
-
-    ConfigError if there is none.
-    """
+    """Settings with the earlier fit that `baseline` names; ConfigError if there is none."""
     stiffness_settings: DynamicStiffnessSettings = settings.model_settings
     if not stiffness_settings.baseline:
         return settings

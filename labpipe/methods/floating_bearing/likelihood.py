@@ -102,10 +102,7 @@ def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
 
 
 class ErrorsInVariables:
-    """V of a model as a sum of squares.
-
-    Its Jacobian is L^-1 dB/dp u^, which gives the gradient of V exactly, 2 Re sum (dB u^)^H S^-1 e.
-    """
+    """V of a model; the Jacobian L^-1 dB/dp u^ gives its gradient 2 Re sum (dB u^)^H S^-1 e exactly."""
 
     def __init__(self, balance: Balance, model: StiffnessModel) -> None:
         self.balance, self.model = balance, model
@@ -137,11 +134,7 @@ class ErrorsInVariables:
         return self.columns(parameters)
 
     def columns(self, parameters: FloatArray) -> FloatArray:
-        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element
-        of the matrices.
-
-        Equation (ds-jacobian).
-        """
+        """-L^-1 (dH/dp) m^ as columns (n_equation, n_parameter) [1/unit]. Equation (ds-jacobian)."""
         state, model, omega = self.at(parameters), self.model, self.balance.omega
         theta = parameters[model.n_linear :]
         moved = state.whiten(times(model.elements[:, None, None], state.smoothed))
@@ -183,9 +176,7 @@ def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
 
 
 def _weights(balance: Balance, symmetry: str) -> Whitened:
-    """Weights by the noise of the balance: first all lines alike, then twice with the K, C and M that come
-    out.
-    """
+    """Weights by the balance's noise: all lines alike, then twice with the K, C and M that result."""
     model = StiffnessModel(FORMS["kcm"], symmetry)
     ones = np.ones(balance.right.shape[:2])
     weights = Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
@@ -304,9 +295,7 @@ class Noise:
 
     @property
     def _excess_variance(self) -> float:
-        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 2 p and 2 (nu -
-        p + 1) degrees of freedom.
-        """
+        """Of the squares over chi-square's: each is F with 2 p and 2 (nu - p + 1) degrees."""
         return max(self.dof / (self.dof - self.least_dof), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
 
     @property

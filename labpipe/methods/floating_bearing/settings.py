@@ -41,9 +41,7 @@ Respond = Callable[[ComplexArray], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Baseline:
-    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a
-    *model*, with *uncertainties*.
-    """
+    """What holds the stator beside the bearing: a *model*, values (n,) [its units], *uncertainties*."""
 
     model: StiffnessModel
     values: FloatArray
@@ -58,9 +56,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Given:
-    """The given part of the balance. *absolute*: the model moves with the stator's absolute motion, as a
-    baseline does.
-    """
+    """What is given; *absolute*: the model moves with the stator's absolute motion, as a baseline."""
 
     mass: Uncertain | None = None
     baseline: Baseline | None = None
@@ -71,9 +67,7 @@ class Given:
         return self.mass is not None or self.baseline is not None
 
     def side(self, omega: FloatArray) -> ComplexArray:
-        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg].
-        Equation (ds-balance).
-        """
+        """Before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg]. Equation (ds-balance)."""
         mass = 0.0 if self.mass is None else self.mass.value
         side = np.broadcast_to(-mass * np.eye(2, dtype=np.complex128), (omega.size, 2, 2))
         return (
@@ -179,9 +173,7 @@ def join(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncer
 def errors_by_given(
     stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened
 ) -> ComplexArray:
-    """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values
-    (n_parameter,) of a model.
-    """
+    """All changes of e [N] by given numbers (n, n_line, n_run, 2) at values (n_parameter,)."""
     stiffness = model.stiffness(values, stator.omega)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     return np.concatenate(
@@ -192,9 +184,7 @@ def errors_by_given(
 def given_uncertainties(
     errors: Sequence[tuple[Uncertainty, ComplexArray]], respond: Respond
 ) -> tuple[GivenUncertainty, ...]:
-    """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n,
-    n_line, n_run, 2) [N].
-    """
+    """By source, *respond*: (n, n_parameter) by changes of e (n, n_line, n_run, 2) [N]."""
     return tuple(
         GivenUncertainty(
             uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit
@@ -273,9 +263,7 @@ class SmearedBalance:
         return np.asarray(np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio))
 
     def shown(self, stiffness: Stiffness) -> ComplexArray:
-        """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H.
-        Equation (ds-smeared).
-        """
+        """H (n_line, 2, 2) [N/m] as averages over blocks show it. Equation (ds-smeared)."""
         omega, place = self.leakage.grid
         lines = self.stator.omega
         at = omega[place]
@@ -297,9 +285,7 @@ class SmearedBalance:
         return replace(balance, right=balance.right - times(leaked[:, None], balance.motion))
 
     def finding(self, stiffness: Stiffness, modelled: bool) -> tuple[Finding, ...]:
-        """A warning where the blocks are too short for the resonance of the stator in the band; *modelled*:
-        what leaks is part of the fit.
-        """
+        """A warning where blocks are short for the stator's resonance; *modelled*: leakage is fitted."""
         lines = self.stator.omega
         omega = np.linspace(lines[0], lines[-1], N_SOUGHT)
         every = np.arange(lines.size)

@@ -87,19 +87,13 @@ def stator_of(
 
 
 def _measured(spectra: ChannelSpectra, quantity: str) -> list[int]:
-    """Columns of a quantity in its role.
-
-    Accelerations that stand in sums only, as references, where no others are there.
-    """
+    """Columns of a quantity in its role; of accelerations else those of sums, as references."""
     columns = spectra.columns(quantity, ROLES[quantity])
     return columns or (spectra.columns(quantity, "reference") if quantity == ACCELERATION else [])
 
 
 def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
-    """Columns of a quantity that are named, or all.
-
-    A channel that stands in a chosen sum only acts through that, unless it is named.
-    """
+    """Columns of a quantity by name, else all that do not act through a chosen sum."""
     columns = _measured(spectra, quantity)
     if names:
         return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
@@ -153,9 +147,7 @@ def direction(channel: Channel) -> float:
 
 
 def _check_once(channels: Sequence[Channel], quantity: str) -> None:
-    """ConfigError for two channels of one direction: a raw force and the same force with the inertia taken
-    out must not be added.
-    """
+    """ConfigError for two channels of one direction, as a force with and without its inertia."""
     seen: dict[str, str] = {}
     for channel in channels:
         if channel.dof in seen:
@@ -196,9 +188,7 @@ class LineStiffness:
 
 
 def line_stiffness(balance: Balance) -> LineStiffness:
-    """H of every line from two or more runs; FitError where the runs of a line move in one direction.
-    Equation (ds-line).
-    """
+    """H by line from two runs or more; FitError where they move alike. Equation (ds-line)."""
     n_run = balance.motion.shape[1]
     if n_run < 2:
         what = "least squares needs two runs with independent forces at every line, there is one"

@@ -121,9 +121,7 @@ def _root(polynomial: FloatArray) -> float | None:
 def _fieller(
     polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float
 ) -> tuple[float, float]:
-    """All x around the root at which the quadratic is not significantly different from zero: phi(x)^2 <
-    1.96^2 var phi(x).
-    """
+    """All x around the root where phi(x)^2 < 1.96^2 var phi(x) of the quadratic phi."""
     slope = 2 * polynomial[0] * square + polynomial[1]
     powers = slopes @ np.array([square**2, square, 1.0])
     unit = max(
@@ -150,9 +148,7 @@ N_FREQUENCY = 4000
 
 @dataclass(frozen=True)
 class Course:
-    """K_eff [N/m] and C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with standard errors of the same
-    shape and unit.
-    """
+    """K_eff [N/m], C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with their standard errors."""
 
     omega: FloatArray
     stiffness: FloatArray
@@ -186,9 +182,7 @@ def effective(
 
 @dataclass(frozen=True)
 class Crossover:
-    """Frequency w [rad/s] above which damping is positive, its slopes (n_parameter,) [per parameter unit] and
-    95 % interval (Fieller).
-    """
+    """w [rad/s] above which damping is positive, slopes (n_parameter,), 95 % interval (Fieller)."""
 
     omega: float
     slopes: FloatArray
@@ -198,10 +192,7 @@ class Crossover:
 def crossover(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, band: FloatArray, sense: float = 1.0
 ) -> Crossover | None:
-    """The highest frequency at which C_eff turns from negative to positive; None where it does not.
-
-    *band* omega (n_line,) [rad/s].
-    """
+    """Highest w at which C_eff turns from negative to positive, or None; *band* (n_line,) [rad/s]."""
     omega = np.geomspace(SHARES[0] * band[0], SHARES[1] * band[-1], N_FREQUENCY)
     course = effective(model, values, covariance, omega, sense)
     signs = np.sign(course.damping)
@@ -234,9 +225,7 @@ SAME = 1 + 1e-9
 
 @dataclass(frozen=True)
 class FittedStiffness:
-    """Estimated values (n_parameter,) as they are fitted, covariance by noise and in all (n_parameter,
-    n_parameter) [their units].
-    """
+    """Values (n_parameter,), covariance by noise and in all (n_parameter, n_parameter) [their units]."""
 
     model: StiffnessModel
     values: FloatArray
@@ -252,10 +241,7 @@ class FittedStiffness:
 
 @dataclass(frozen=True)
 class Shaft:
-    """The shaft: *speed* [Hz], negative where it turns from y to x.
-
-    Mass [kg] and stiffness [N/m] of a rotor whose onset is asked for.
-    """
+    """*speed* [Hz], negative from y to x; mass [kg], stiffness [N/m] of a rotor whose onset is asked."""
 
     speed: float | None = None
     rotor_mass: Uncertain | None = None
@@ -268,18 +254,14 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Valued:
-    """A reported parameter and its *slopes* (n_parameter,) [its unit per parameter unit] over the fitted
-    values.
-    """
+    """A reported parameter, its *slopes* (n_parameter,) [its unit per unit] over the fitted values."""
 
     parameter: Parameter
     slopes: FloatArray
 
 
 def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
-    """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry
-    ties to them.
-    """
+    """The estimated parameters with their vifs (n_parameter,) [1], then those tied by symmetry."""
     model = found.model
     plain = [
         _estimate(found, number, name, unit, float(vif))
@@ -337,10 +319,7 @@ def _tie(valued: Valued) -> Valued:
 def derived_values(
     found: FittedStiffness, omega: FloatArray, shaft: Shaft
 ) -> tuple[tuple[Valued, ...], Whirl | None]:
-    """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself.
-
-    Omega (n_line,) [rad/s] of the fit.
-    """
+    """Whirl, crossover, values at the speed, as far as they exist; omega (n_line,) [rad/s]."""
     full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
     turning = whirl(found.model, found.values, found.whole) if full else None
     parts = [
@@ -367,10 +346,7 @@ def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -
 def _onset(
     found: FittedStiffness, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray
 ) -> Valued:
-    """Speed [Hz] W = sqrt(k / m) / WFR at which a rotor on these coefficients begins to whirl.
-
-    K in series with the shaft's stiffness.
-    """
+    """Speed [Hz] W = sqrt(k / m) / WFR of whirl of a rotor, k in series with its shaft."""
     mass = shaft.rotor_mass
     assert mass is not None
     softer = 1 + turning.stiffness / shaft.rotor_stiffness if shaft.rotor_stiffness else 1.0
@@ -419,9 +395,7 @@ def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[
 
 
 def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
-    """Re H and Im H / W at the speed W of the shaft, where it lies in the band and the form is more than K
-    and C.
-    """
+    """Re H and Im H / W at the shaft's speed W, where it lies in the band and H is not K and C."""
     if not shaft.speed or found.model.form.name == "kc":
         return []
     speed = 2 * np.pi * abs(shaft.speed)
@@ -521,9 +495,7 @@ UNSEEN = 1e-3
 def budgeted(
     valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The parameters with their systematic part, which may be zero, and the budget; none without
-    uncertainties.
-    """
+    """The parameters with their systematic part, and the budget; none without uncertainties."""
     parameters = tuple(quantity.parameter for quantity in valued)
     slopes = np.stack([quantity.slopes for quantity in valued])
     whole = np.array([parameter.full_error or np.nan for parameter in parameters])

@@ -52,9 +52,7 @@ class Relaxation(Settings):
 
 @dataclass(frozen=True)
 class Pad(Settings):
-    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in either direction: a pad with inertia, as of a
-    tilting-pad bearing.
-    """
+    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in x and in y: a pad with inertia."""
 
     stiffness: float = quantity("R_0", "N/m")
     damping: float = quantity("R_1", "N.s/m")
@@ -68,9 +66,7 @@ class Pad(Settings):
 
 @dataclass(frozen=True)
 class Condition(Settings):
-    """A condition of the test: the film between stator and shaft, H = K + j w C - w^2 M and what is added to
-    it.
-    """
+    """Film of a test between stator and shaft, H = K + j w C - w^2 M and what is added to it."""
 
     speed: float = quantity("shaft speed", "Hz", 0.0)
     load: float = quantity("static load on the bearing, downwards (-y)", "N", 0.0)
@@ -116,10 +112,7 @@ class FloatingNoise(Settings):
 
 @dataclass(frozen=True)
 class FloatingRig(Settings):
-    """A stator on soft supports around a shaft on its own supports, pushed by two shakers.
-
-    Runs CONDITION-x, -y, -plus, -minus, ...
-    """
+    """A stator on soft supports around a shaft, under two shakers; runs CONDITION-x, -y, -plus, ..."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     stator_mass: float = quantity("mass of the stator with its housing", "kg")
@@ -355,9 +348,7 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
 
 
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
-    """Amplitudes (n_sample // 2 + 1, 2) [N]: the multisine times *shares* in x and y, or its lines to x and y
-    in turn.
-    """
+    """Amplitudes (n_sample // 2 + 1, 2) [N]: a multisine times *shares*, or its lines in turn."""
     design = design_multisine(rig.band, rig.spacing, rig.force)
     size = (design.lines * design.spacing) ** rig.slope
     amplitude = size * np.exp(1j * design.phases)

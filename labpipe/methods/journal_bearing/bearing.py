@@ -60,9 +60,7 @@ class FilmState:
     coarse: FilmState | None = None
 
     def moved(self, first: FilmState, second: FilmState) -> FilmState:
-        """This state with displacement and pressure changed as from *first* to *second*: a start value, no
-        equilibrium.
-        """
+        """Displacement and pressure changed as from *first* to *second*: a start value."""
         return replace(
             self,
             displacement=self.displacement + second.displacement - first.displacement,
@@ -202,9 +200,7 @@ def film_at(
 
 
 def _squeeze(film: Film) -> FloatArray:
-    """Derivative of the squeeze term 2 dh/d(Omega t) by the velocity of the journal, (2, n_theta, n_half)
-    [-].
-    """
+    """Derivative of 2 dh/d(Omega t) by the journal's velocity, (2, n_theta, n_half) [-]."""
     return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
 
 
@@ -313,9 +309,7 @@ class JournalEquilibrium:
 
     @property
     def attitude(self) -> float:
-        """Angle from the load to the displacement of the journal, positive with the spin [rad].
-        Equation (jour-attitude).
-        """
+        """From the load to the displacement, positive with the spin [rad]. Equation (jour-attitude)."""
         turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
         return float(np.angle(turned))
 
@@ -337,17 +331,12 @@ class JournalEquilibrium:
         )
 
     def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
-        """A start value beside this equilibrium: its state moved as that of *second* differs from that of
-        *first*, on the same mesh.
-        """
+        """A start value: its state moved as that of *second* from *first*, on the same mesh."""
         return replace(self, state=self.state.moved(first.state, second.state))
 
     @property
     def coarser(self) -> JournalEquilibrium | None:
-        """Roughly the same equilibrium on half the cells each way, a start value.
-
-        None where it was not needed.
-        """
+        """A start value on half the cells each way; None where it was not needed."""
         mesh = self.mesh.halved()
         return (
             None
@@ -411,9 +400,7 @@ def film_force(
     speed: float,
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> FloatArray:
-    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without
-    linearisation.
-    """
+    """Force on the journal (2,) [N] at *position* (2,) [m] and *velocity* (2,) [m/s], exact."""
     displacement = np.asarray(position) / bearing.clearance
     state = film_at(
         bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed)

@@ -77,10 +77,7 @@ class JournalCurve:
         )
 
     def rest(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Eccentricity ratio [-] and attitude [rad] from the load with the spin, same shape as *sommerfeld*.
-
-        FitError outside the table.
-        """
+        """Eccentricity ratio [-], attitude [rad], of the shape (...) of *sommerfeld*; FitError beyond."""
         values = self.spline(self._place(sommerfeld))
         return values[..., 8], values[..., 9]
 
@@ -97,9 +94,7 @@ class JournalCurve:
 
 
 def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArray) -> FloatArray:
-    """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] of the same shape, N in revolutions per
-    second.
-    """
+    """mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] (...), N in revolutions per second."""
     scale = (
         bearing.viscosity
         * bearing.length
@@ -195,10 +190,7 @@ class TableRange:
 
 @dataclass(frozen=True)
 class TableCoefficients:
-    """stiffness [N/m], damping [N s/m], (2, 2).
-
-    Their derivatives by PARAMETERS in SI units, (5, 2, 2) each.
-    """
+    """stiffness [N/m], damping [N s/m], (2, 2), and slopes by PARAMETERS, (5, 2, 2) each."""
 
     stiffness: FloatArray
     damping: FloatArray
@@ -310,9 +302,7 @@ def journal_table(
 
 @dataclass(frozen=True)
 class _Sheet:
-    """The part of a table at one *root* of depth over clearance: its equilibria do not depend on those of
-    other parts.
-    """
+    """A table at one *root* of depth over clearance, independent of other sheets."""
 
     bearing: JournalBearing
     load: tuple[float, float]
@@ -344,10 +334,7 @@ class _Sheet:
 
 
 def _sheet(sheet: _Sheet) -> FloatArray:
-    """Scaled coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at one depth.
-
-    The angle changes the film most, so that it varies slowest.
-    """
+    """Coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at a depth; the angle varies slowest."""
     angles, places = sheet.nodes[1], list(product(sheet.nodes[2], sheet.nodes[3]))
     rows = []
     before: list[JournalEquilibrium] = []

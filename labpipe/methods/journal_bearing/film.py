@@ -71,10 +71,7 @@ FEWEST_ACROSS = 4
 
 @dataclass(frozen=True)
 class FilmMesh:
-    """Cells *around* the journal by cells *across* the full width.
-
-    Both even, because half the width is solved.
-    """
+    """Cells *around* by cells *across*, both even, because half the width is solved."""
 
     around: int = 120
     across: int = 30
@@ -136,10 +133,7 @@ def film_grid(mesh: FilmMesh) -> FilmGrid:
 
 @lru_cache(maxsize=16)
 def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatArray]:
-    """Matrices a (n_fine, n_coarse), b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b.
-
-    Linear, periodic around the journal.
-    """
+    """a (n_fine, n_coarse), b (n_coarse, n_fine) [1]: fine = a @ coarse @ b, periodic around."""
     position = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
     before = np.floor(position).astype(int)
     part = position - before
@@ -204,9 +198,7 @@ class Film:
         cavitation: float = 0.0,
         groove: float = 0.0,
     ) -> Film:
-        """The film over a bore with wear *depth* (over clearance) at *angle* [rad] from the bottom, with or
-        without grooves.
-        """
+        """The film over a bore with wear *depth* (over clearance) at *angle* [rad] from the bottom."""
         grid = film_grid(mesh)
         centre, face = (mean_worn_depth(theta, depth, angle, mesh.arc) for theta in (grid.centre, grid.face))
         grooved, opening = _grooves(grid, mesh.arc, groove)
@@ -365,10 +357,7 @@ class FactoredFilm:
     diagonal: FloatArray
 
     def solve(self, sides: FloatArray) -> FloatArray:
-        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape.
-
-        Only the diagonal in cavitated columns.
-        """
+        """(A + diagonal)^-1 times (n_side, n_theta, n_half) [-], same shape."""
         # Imported here: settings of a rotor know bearings, and are read where nothing is solved.
         from scipy.linalg import lapack
 

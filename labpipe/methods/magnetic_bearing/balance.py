@@ -152,9 +152,7 @@ def _pair(channels: Sequence[Channel], currents: Sequence[int], displacements: S
 def _at_magnets(
     currents: Sequence[Channel], sensors: Sequence[Channel]
 ) -> tuple[FloatArray, tuple[int, ...], tuple[tuple[int, ...], ...]]:
-    """Displacements at the magnets by the sensors' (n, n) [1], the bearing of every axis, and the axes of
-    every plane.
-    """
+    """Displacements at the magnets by the sensors' (n, n) [1], the bearing of each axis, axes by plane."""
     planes: dict[float | str, list[int]] = {}
     for number, channel in enumerate(currents):
         planes.setdefault(_plane(channel), []).append(number)
@@ -176,9 +174,7 @@ def _at_magnets(
 
 
 def _plane(channel: Channel) -> float | str:
-    """What axes of one plane have in common: the angle, or the last letter of a name such as ax and
-    bearing2.y.
-    """
+    """What axes of one plane share: the angle, or the last letter of a name such as ax and bearing2.y."""
     if channel.angle is not None:
         return round(channel.angle, 9)
     return AXIS_ANGLES.get(channel.dof[-1:], channel.dof)
@@ -248,9 +244,7 @@ UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
 
 @dataclass(frozen=True)
 class Between:
-    """How the current goes on between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz]
-    or at once.
-    """
+    """Current between samples: held at *rate* [Hz], at once or behind an amplifier of *bandwidth* [Hz]."""
 
     rate: float
     bandwidth: float | None = None
@@ -327,9 +321,7 @@ class MagnetModel:
         return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * matrices["c"]], axis=2)
 
     def slopes(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not
-        linear.
-        """
+        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences."""
         # Sizes of parameters that count, from the inertia at the middle of the band.
         middle = float(np.median(omega))
         inertia = float(np.max(np.abs(self.mass))) * middle**2
@@ -351,9 +343,7 @@ def magnet_model(
     damping: bool,
     between: Between | None,
 ) -> MagnetModel:
-    """The model of axes *labels* on their bearings with mass (n, n) [kg]: which terms of K_i, K_s and C are
-    estimated.
-    """
+    """The model of axes *labels* with mass (n, n) [kg]: which terms of K_i, K_s and C are estimated."""
     n = len(labels)
     pairs = [
         (row, column)

@@ -106,9 +106,7 @@ class ClosedLoop:
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
     def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
-        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their
-        logarithm, and their budget.
-        """
+        """All amounts with 95 % intervals, *quantile* standard errors to either side, and their budget."""
         plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
         return (
             with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC)
@@ -156,9 +154,7 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
 def _bent(
     at: Amounts, values: Mapping[str, float], slopes: FloatArray, covariance: FloatArray
 ) -> tuple[str, ...]:
-    """Names of the amounts whose course is not straight where the unknowns move REACH combined standard
-    errors along an amount's slope.
-    """
+    """Names of amounts that are not straight REACH combined standard errors of the unknowns away."""
     here = at(values)
     errors = np.sqrt(np.maximum(np.einsum("ji,jk,ki->i", slopes, covariance, slopes), 0.0))
     bent = []
@@ -188,9 +184,7 @@ def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names
 
 
 def bent_findings(loop: ClosedLoop) -> list[Finding]:
-    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their
-    errors.
-    """
+    """A warning where amounts of the fitted loop are not straight within its unknowns' errors."""
     if not loop.bent:
         return []
     names = ", ".join(loop.bent)
@@ -217,9 +211,7 @@ def _nearest(poles: ComplexArray, modes: ComplexArray) -> ComplexArray:
 
 
 def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
-    """Margins where the loop is stable, then f_n, logarithmic decrement 2 pi z / sqrt(1 - z^2) and pole of
-    every mode.
-    """
+    """Margins of a stable loop, then f_n, log decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
     amounts: dict[str, float] = {}
     if stable:
         highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)
@@ -248,10 +240,7 @@ BEYOND = 1.5
 def certificate(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """The certificate of the loops of one test.
-
-    ConfigError for channels and settings that do not fit together, FitError without a covariance.
-    """
+    """The certificate of a test's loops; ConfigError for unfit channels, FitError without covariance."""
     certificate_settings = resolve(settings)
     matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
     loops = [matrix.loop(number) for number in range(len(matrix.loops))]

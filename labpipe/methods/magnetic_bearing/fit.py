@@ -98,9 +98,7 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 def state_space(
     model: MagnetModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and
-    velocities under the currents.
-    """
+    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements under the currents."""
     matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
     a[:n, n:], c[:, :n] = np.eye(n), np.eye(n)
@@ -174,9 +172,7 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
 
 
 def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
-    """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
-    would give.
-    """
+    """Sign and size of the estimate, its use as a force, and what plain least squares would give."""
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
     notes = [
@@ -235,9 +231,7 @@ def draw(rotor: Levitation, best: MagnetEstimate) -> FittedCurve | None:
 
 
 def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) -> FloatArray:
-    """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of every run times what that run is in
-    I^-1.
-    """
+    """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of each run by its part in I^-1."""
     n = rotor.n_axis
     covariance = rotor.to_axes @ rotor.covariance @ rotor.to_axes.T
     rows = np.concatenate([-measured, np.broadcast_to(np.eye(n), measured.shape)], axis=2)
@@ -323,9 +317,7 @@ def _matrix(mass: object) -> FloatArray:
 def _given(
     rotor: Levitation, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
-    """Uncertainties of the mass and of the moment of inertia, with the change (n, n) [kg] of the mass matrix
-    by one standard deviation.
-    """
+    """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
     magnet_settings: MagnetSettings = settings.model_settings
     given: list[tuple[Uncertainty, FloatArray]] = []
     of_mass = dict(settings.uncertainties).get("mass")
@@ -379,9 +371,7 @@ LEAST_LINES = 4
 
 @dataclass(frozen=True)
 class Block:
-    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau scaled by the highest line, then ln f and
-    ln zeta.
-    """
+    """K e^{-j w tau} times low-passes: values (n,) ln |K|, tau by the highest line, ln f, ln zeta."""
 
     order: int
     sign: float
@@ -440,10 +430,7 @@ class _Problem:
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band.
-
-    ConfigError for more than one input or output, FitError for lines without noise or too few.
-    """
+    """A fit per band; ConfigError for several inputs or outputs, FitError for too few or noiseless lines."""
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
         raise ConfigError(

@@ -34,9 +34,7 @@ RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
 
 @dataclass(frozen=True)
 class BendingMode(Settings):
-    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of
-    shape times force.
-    """
+    """A free-free bending mode of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of shape * force."""
 
     frequency: float = quantity("natural frequency w_0", "Hz")
     at_bearings: tuple[float, ...] = setting(
@@ -102,10 +100,7 @@ class SampledPid(Settings):
 
 @dataclass(frozen=True)
 class Injection(Settings):
-    """What is added in the loop, at the controller's output (a current) or input (a displacement).
-
-    Its rms is that of one axis.
-    """
+    """Added at the controller's output (a current) or input (a displacement), its rms by axis."""
 
     rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
     place: str = setting("choice", "where it is added", choices=PLACES, default="output")
@@ -121,9 +116,7 @@ class Injection(Settings):
 
 @dataclass(frozen=True)
 class LevitatedNoise(Settings):
-    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of
-    the recording.
-    """
+    """Standard deviations of what is added up to half the sampling rate of the recording."""
 
     displacement: float = quantity("position sensors; it is in the loop", "m", 1e-7)
     current: float = quantity("measured currents", "A", 1e-4)
@@ -307,9 +300,7 @@ def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray,
 
 
 def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
-    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
-    y.
-    """
+    """k_s of the bearings and what couples x with y, (n_axis, n_axis) [N/m]."""
     n = len(rig.labels)
     coupling = (
         np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))

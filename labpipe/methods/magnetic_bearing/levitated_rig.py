@@ -90,10 +90,7 @@ def _inputs(
     added: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """What drives the loop (n_sample, n_input) [N, m, m, A].
-
-    Noise that is stated for the recording has its density at the loop's rate.
-    """
+    """What drives the loop (n_sample, n_input) [N, m, m, A]; noise at the density of the recording."""
     of, loudness = mechanics(rig), np.sqrt(rig.decimation)
     directions = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(AXES[rig.axes])]
     whirling = rig.unbalance * (2 * np.pi * rig.speed) ** 2 * directions
@@ -121,10 +118,7 @@ def _injection(rig: LevitatedRig, name: str, length: int, rng: np.random.Generat
 def _random(
     rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.random.Generator, *, straight_lines: bool
 ) -> FloatArray:
-    """White in the injection's band, of this *rms*.
-
-    With *straight_lines*, what is straight between its samples has this spectrum.
-    """
+    """White in the injection's band; *straight_lines*: what is straight between samples is."""
     frequency = fft.rfftfreq(shape[0], 1 / rig.control.rate)
     inside = (frequency >= rig.injection.band[0]) & (frequency <= rig.injection.band[1])
     spectrum = np.zeros((frequency.size, shape[1]), np.complex128)
@@ -144,9 +138,7 @@ def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
 
 
 def _log(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -> FloatArray:
-    """Signals known *per_step* times in a step of the controller, as a logger stores them: all channels by
-    one filter without delay.
-    """
+    """Signals known *per_step* times in a step, stored by one filter without delay."""
     # Loading scipy.signal takes longer than most runs.
 
     before = round(MARGIN * rig.sample_rate)
@@ -177,10 +169,7 @@ def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
 
 
 def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
-    """Standard deviation of what the logger adds to a channel [A, N, A or m].
-
-    The sensors' noise is in the loop already.
-    """
+    """Standard deviation that the logger adds [A, N, A or m]; sensor noise is in the loop already."""
     if channel.name.startswith("r_"):
         return rig.noise.reference
     if channel.name.startswith("s_"):

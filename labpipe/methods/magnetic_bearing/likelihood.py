@@ -31,9 +31,7 @@ REWEIGHTED = 4
 
 @dataclass(frozen=True)
 class Residual:
-    """e = B z (n_line, n_run, n) [N], L L^H = S (n_line, n_run, n, n), white = L^-1 e, smoothed channels z^
-    (n_line, n_run, n_channel).
-    """
+    """e = B z (n_line, n_run, n) [N], L L^H = S, white = L^-1 e, channels z^ (n_line, n_run, n_channel)."""
 
     plain: ComplexArray
     lower: ComplexArray
@@ -69,15 +67,11 @@ class MagnetLikelihood:
         return self._at[1]
 
     def rows(self, values: FloatArray) -> ComplexArray:
-        """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at *values* (n_parameter,)
-        [parameter units].
-        """
+        """B by channels (n_line, n, n_channel) [N per SI unit] at *values* (n_parameter,)."""
         return np.asarray(self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there.
-        """
+        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit and parameter unit]."""
         return np.asarray(self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -134,9 +128,7 @@ def start(problem: MagnetLikelihood) -> FloatArray:
 
 
 def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, ComplexArray, ComplexArray]:
-    """The model of smooth currents, the forces of its parameters (n_parameter, n_line, n_run, n), and those
-    of the free rotor.
-    """
+    """The model of smooth currents, its forces by parameter (n, n_line, n_run, n_axis), the free rotor's."""
     smooth = MagnetModel(model.names, model.places, model.mass)
     none = np.zeros(len(model.names))
     slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
@@ -145,9 +137,7 @@ def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, Complex
 
 
 def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
-    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free
-    of noise.
-    """
+    """Values (n_parameter,) [parameter units] of least squares without regard to noise."""
     return _least_squares(*_linear(rotor, model)[1:])
 
 
@@ -259,9 +249,7 @@ def _check_noise(rotor: Levitation, noise: Noise) -> None:
 def errors_by_given(
     problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
 ) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
-    source once.
-    """
+    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation, each source once."""
     rotor, model = problem.rotor, problem.model
     smoothed = problem.at(values).smoothed
     axes = smoothed @ rotor.to_axes.T
@@ -317,9 +305,7 @@ class LateLikelihood(MagnetLikelihood):
         return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """Its derivatives (n_parameter + 1, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there, the last one by s.
-        """
+        """dB/dp (n_parameter + 1, n_line, n, n_channel) [N per SI and parameter unit], the last by s."""
         turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
         return np.concatenate([super().slopes(values[:-1]) * self._turn(values[-1]), turned[None]])
 
@@ -368,9 +354,7 @@ def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
 
 
 def _may_be_late(rotor: Levitation) -> list[tuple[str, BoolArray]]:
-    """Name and channels (n_channel,) of everything that may be late; of one axis only the reading against the
-    current.
-    """
+    """Name and channels (n_channel,) of what may be late; of one axis its reading only."""
     n, used = rotor.n_axis, np.any(rotor.to_axes != 0, axis=0)
     readings = np.any(rotor.to_axes[n:] != 0, axis=0)
     channels = rotor.spectra.channels

@@ -123,9 +123,7 @@ def words(probability: float) -> str:
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
-    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else
-    undecided.
-    """
+    """Accepted where all limits are kept with *confidence*, not where one is broken, else undecided."""
     judged = [limit.probability for limit in limits if limit.probability is not None]
     if any(probability < 1 - confidence for probability in judged):
         return BROKEN
@@ -204,10 +202,7 @@ def _why_undecided(fit: Fit, several: bool) -> str:
 
 
 def _decrements(fit: Fit, several: bool) -> list[Parameter]:
-    """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, ends by the ends of z.
-
-    Or the decrement that the fit has.
-    """
+    """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, or the fit's own decrements."""
     given = [parameter for parameter in fit.parameters if parameter.name.startswith(DECREMENT)]
     decrements = given or [
         _of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO
@@ -320,9 +315,7 @@ def recorded_loop(
 def cause_of(
     own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
 ) -> str:
-    """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
-    empty without one.
-    """
+    """The change of sign, power of ten or place of excitation that makes the fit good; else empty."""
     changes = []
     for what, changed_own, changed in _changes(own, response):
         observation = recorded_loop(changed_own, changed, file)

@@ -78,10 +78,7 @@ class ControlLoop(Settings):
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
-        """The blocks of an element of the controller matrix.
-
-        None for the PID, and for a coupling that is zero.
-        """
+        """Blocks of an element of the controller matrix; none of a PID or a coupling that is zero."""
         if self.cross is None or (output, input) == ("x", "x"):
             return self.controller if output == input else ()
         return getattr(self.cross, output + input) or (self.controller if output == input else ())
@@ -108,10 +105,7 @@ class ControlLoop(Settings):
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
-    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1].
-
-    A controller of blocks is one term.
-    """
+    """Terms of the PID, or the blocks as one, by name at *omega* [rad/s], each (n_line,) [1]."""
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
     s = 1j * omega
@@ -137,9 +131,7 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop.
-    Equation (mag-controller).
-    """
+    """G(jw) x by x with delay, amplifier and probe, (n_line,) [1]. Equation (mag-controller)."""
     total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
@@ -178,9 +170,7 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
-    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m].
-    Equation (mag-stiffness).
-    """
+    """K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
@@ -269,9 +259,7 @@ def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[
 
 
 def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tuple[list[float], list[float]]:
-    """Distance of the phase from -180 deg to either side [rad], and the delay that takes it there [s], where
-    |L| is 1.
-    """
+    """Phase from -180 deg [rad], and the delay that takes it there [s], where |L| is 1."""
     turns, delays = [], []
     for place in _roots(lambda w: np.log(np.abs(loop(w))), omega, np.log(np.abs(values))):
         angle = float(np.angle(-loop(np.array([place]))[0]))
@@ -283,9 +271,7 @@ def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tupl
 def _roots(
     function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
 ) -> list[float]:
-    """Where *values* (n_line,) of the *function* at *omega* (n_line,) [rad/s] change their sign, all at once
-    by finer lines, to 1e-12 of each.
-    """
+    """Where *values* (n_line,) at *omega* (n_line,) change their sign, by finer lines to 1e-12."""
     places = np.flatnonzero((values[:-1] * values[1:] < 0) & (omega[:-1] > 0))
     if places.size == 0:
         return []

@@ -29,9 +29,7 @@ ZERO = -1.0
 
 @dataclass(frozen=True)
 class HeldProblem:
-    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,)
-    [1].
-    """
+    """The problem over *free* (n_parameter,) parameters, the others held at u (n_parameter,) [1]."""
 
     problem: LoopProblem
     u: FloatArray
@@ -56,18 +54,12 @@ class HeldProblem:
         return self.problem.jacobian(self.whole(values))[:, self.free]
 
     def chi2(self, values: FloatArray) -> float:
-        """Sum of squares [1] at the free parameters (n_free,) [1].
-
-        Infinite for values that no bearing can have.
-        """
+        """Sum of squares [1] at the free ones (n_free,) [1]; infinite where no bearing can be."""
         return self.problem.chi2(self.whole(values))
 
 
 def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
-    """(n_parameter,): the unknowns that would go below zero if a bearing could have that.
-
-    U (n_parameter,) [1].
-    """
+    """(n_parameter,): unknowns at u (n_parameter,) [1] that would go below zero if they could."""
     gradient = problem.jacobian(u).T @ problem.residual(u)
     at_zero = np.zeros(u.size, dtype=bool)
     for number in range(len(problem.unknowns)):
@@ -153,16 +145,12 @@ class LoopMinimum:
         return self.inverse[len(self.problem.unknowns) :]
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the
-        sources add.
-        """
+        """Covariance (n_parameter, n_parameter) [1] of u by noise alone."""
         steps = self.steps
         return np.asarray(inflation * (self.inverse - steps.T @ steps))
 
     def combined(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by
-        all sources.
-        """
+        """Covariance (n_parameter, n_parameter) [1] of u by noise times *inflation*, and all sources."""
         steps = self.steps
         return self.random(inflation) + steps.T @ steps
 
@@ -208,9 +196,7 @@ class LoopMinimum:
         return None
 
     def bent(self, covariance: FloatArray) -> FloatArray:
-        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
-        away. Equation (comp-bent).
-        """
+        """Second over first order (n_unknown,) [1], REACH combined errors away. Equation (comp-bent)."""
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
         for column in range(bends.size):
@@ -470,9 +456,7 @@ def goodness(fit: LoopFit) -> list[Parameter]:
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
-    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or
-    errors beyond first order.
-    """
+    """Warnings: unknowns hardly told apart, no convergence, errors beyond first order."""
     if not fit.parameters:
         return list(fit.contradicted)
     together = " and ".join(fit.alike)

@@ -268,9 +268,7 @@ class LoopProblem:
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
     def changes(self, u: FloatArray) -> FloatArray:
-        """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
-        each source beside the support.
-        """
+        """Change (n_source, n_datum) [1] of all residuals by each source beside the support."""
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
@@ -311,10 +309,7 @@ class LoopProblem:
         return (ahead - behind) / (2 * STEP)
 
     def residual_within(self, u: FloatArray) -> FloatArray | None:
-        """The residual (n_equation,) [1] at u (n_parameter,) [1].
-
-        None for values that no bearing can have.
-        """
+        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None where no bearing can be."""
         try:
             return self.residual(u)
         except ConfigError:
@@ -362,11 +357,7 @@ class View:
 
 
 def checked_view(view: View) -> View:
-    """The view.
-
-    ConfigError for fits whose coefficients are not those of one bearing in one direction, or without known
-    mass.
-    """
+    """The view; ConfigError unless its fits are of one bearing in one direction with known mass."""
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
@@ -383,9 +374,7 @@ def checked_view(view: View) -> View:
 
 
 def _directions(view: View) -> FloatArray:
-    """cos of the angle between output and force, (n_output, n_input): all
-    directions are equal and uncoupled.
-    """
+    """cos between output and force, (n_output, n_input): all directions are equal and uncoupled."""
     rows, columns = view.ports
     outputs, inputs = (
         [view.response.outputs[row] for row in rows],
@@ -446,9 +435,7 @@ def view_errors(
 
 
 def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[MatrixError]:
-    """What directions that are written too large do to measured less predicted cos(output - force) / *total*
-    (n_line, 1, 1) [N/m].
-    """
+    """What directions too large do to measured less cos(output - force) / *total* (n_line, 1, 1) [N/m]."""
     across = across_ports(measured.outputs)
     for number, port in enumerate(measured.outputs):
         for error in _uncertainties_of_direction(port):
@@ -472,9 +459,7 @@ def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
 
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:
-    """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are
-    known.
-    """
+    """sin(output - force) (n_output, n_input) along one port, where both directions are known."""
     sines = np.zeros((len(measured.outputs), len(measured.inputs)))
     for row, output in enumerate(measured.outputs):
         for column, force in enumerate(measured.inputs):
@@ -484,9 +469,7 @@ def _sines(measured: Measured, turned_port: Port) -> FloatArray:
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
-    """The same fits of the predicted response, on the same lines with the same weights, for comparison with
-    the measured fits.
-    """
+    """The same fits of the predicted response, on the same lines with the same weights."""
     frequency = view.response.frequency
     rows, columns = view.ports
     matrix = view.response.matrix.copy()

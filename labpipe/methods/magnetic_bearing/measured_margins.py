@@ -79,9 +79,7 @@ class Course:
         return np.asarray(np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding))
 
     def smoother(self) -> FloatArray:
-        """(n_line, n_line) [1]: from the lines as measured to every one by those around it, as many as a
-        parabola follows, up to LOCAL.
-        """
+        """(n_line, n_line) [1]: to every line from as many around it as a parabola follows, up to LOCAL."""
         count = self.omega.size
         weights, open_lines = np.zeros((count, count)), np.arange(count)
         for width in range(LOCAL, FEWEST - 1, -2):
@@ -131,9 +129,7 @@ def _through(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatA
 
 
 def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
-    """(..., n_place, count) [1]: powers of log omega at some places [rad/s], from -1 to 1 over the lines
-    omega (..., n_line) [rad/s].
-    """
+    """(..., n_place, count) [1]: powers of log omega [rad/s], -1 to 1 over omega (..., n_line)."""
     low, high = np.log(omega[..., :1]), np.log(omega[..., -1:])
     x = (2 * np.log(places) - low - high) / (high - low)
     return np.asarray(x[..., None] ** np.arange(count))
@@ -141,9 +137,7 @@ def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Smooth:
-    """A smoothed response at omega (n_place,) [rad/s] with its covariance (n_place, n_place) and changes
-    (n_source, n_place), all [1].
-    """
+    """A smoothed response at omega (n,) [rad/s], covariance (n, n), changes (n_source, n), all [1]."""
 
     omega: FloatArray
     values: ComplexArray
@@ -151,9 +145,7 @@ class Smooth:
     changes: ComplexArray
 
     def of(self, margin: Margin, n: int) -> Found:
-        """A margin between the places n and n + 1, its standard error and its changes.
-        Equation (comp-margins-change).
-        """
+        """A margin between places n and n + 1, its error and changes. Equation (comp-margins-change)."""
         part = slice(n, n + 2)
         pair, places, total = self.values[part], self.omega[part], 0.0
         moved = np.zeros(len(self.changes))
@@ -341,9 +333,7 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Crest:
-    """The highest |S| by itself: value [1] and place [rad/s], each with its standard error by noise and its
-    changes (n_source,) by every source.
-    """
+    """The highest |S|: value [1] and place [rad/s], each with its error and changes (n_source,)."""
 
     value: Found
     place: Found
@@ -434,9 +424,7 @@ def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> floa
 
 
 def _modulus(near: Smooth, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The modulus at some places (n,), its covariance (n, n) by noise and its
-    changes (n_source, n), all [1].
-    """
+    """Moduli (n,), their covariance (n, n) by noise and changes (n_source, n), all [1]."""
     values = near.values[part]
     along = values.conj() / np.abs(values)
     covariance = np.real(along[:, None] * along.conj()[None]) * near.covariance[part, part] / 2

@@ -78,10 +78,7 @@ class SampledLoop:
         return states @ self.c.T + inputs @ self.d.T
 
     def response(self, omega: FloatArray) -> ComplexArray:
-        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3).
-
-        The force as `straight` feeds it.
-        """
+        """z over force (as `straight` feeds it), noise, injection at *omega* [rad/s], (n_line, 5, 3)."""
         z = np.exp(1j * omega / self.rate)[:, None, None]
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
@@ -134,10 +131,7 @@ class SampledPlant:
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop of one direction as matrices.
-
-    ConfigError for what cannot be sampled, see `sampled_matrix`.
-    """
+    """The closed loop of one direction as matrices; ConfigError as `sampled_matrix`."""
     if plant.loop.cross is not None:
         raise ConfigError(
             "a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross"
@@ -255,10 +249,7 @@ def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
 
 @lru_cache(maxsize=16)
 def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
-    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz].
-
-    ConfigError for one shorter than the hold.
-    """
+    """Motion between samples, whole intervals of the delay, at *rate* [Hz]; ConfigError below the hold."""
     loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
@@ -348,9 +339,7 @@ def integrals(
 def step_matrices(
     step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column:
-    (n_state, n_state), ...
-    """
+    """A, B, C, D (n_state, n_state), ... [any unit] of a linear *step* (state, inputs) -> both."""
     still = np.zeros(n_input)
     by_state = [step(unit, still) for unit in np.eye(n_state)]
     by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]

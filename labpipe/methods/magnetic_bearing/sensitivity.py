@@ -79,9 +79,7 @@ class MeasuredSensitivity:
 
     @property
     def transfer(self) -> tuple[ComplexArray, FloatArray]:
-        """L = 1 / S - 1 of a loop that is cut alone and its variance |S|^-4 var S, (n_line,) each [1].
-        Equation (mag-loop-transfer).
-        """
+        """L = 1 / S - 1, its variance |S|^-4 var S, (n_line,) each [1]. Equation (mag-loop-transfer)."""
         return np.asarray(1 / self.values - 1), 2 * self.error**2 / self.size**4
 
     @property
@@ -211,9 +209,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
 def loop_sensitivity(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be
-    fitted to S.
-    """
+    """Peak and zone of the measured |S|; the prediction of the file, whose unknowns may be fitted."""
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     zone = zone_of(peak.value)
@@ -382,9 +378,7 @@ def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
 def _covariance(
     spectra: ChannelSpectra, places: tuple[list[int], list[int]], matrix: ComplexArray, inverse: ComplexArray
 ) -> ComplexArray:
-    """E[dH dH^H] (n_line, n, n) row by row: sum over runs of E[(dY - H dR)(dY - H dR)^H] times what the run
-    is in R^-1.
-    """
+    """E[dH dH^H] (n_line, n, n) row by row: of dY - H dR of every run, by its part in R^-1."""
     outputs, inputs = places
     rows = np.zeros((*matrix.shape[:2], len(spectra.channels)), np.complex128)
     rows[:, np.arange(len(outputs)), outputs] = 1.0
@@ -398,9 +392,7 @@ def _covariance(
 def _errors(
     spectra: ChannelSpectra, places: tuple[list[int], list[int]], matrix: ComplexArray, inverse: ComplexArray
 ) -> tuple[MatrixError, ...]:
-    """dH (n_line, n_output, n_input) by one standard uncertainty of every source in the channels and their
-    sums.
-    """
+    """dH (n_line, n_output, n_input) by every source in the channels and their sums."""
     outputs, inputs = places
     uncertainties = {
         calibration.uncertainty.source: calibration.uncertainty
@@ -469,17 +461,13 @@ class SensitivityMatrix:
         )
 
     def largest(self) -> tuple[FloatArray, FloatArray]:
-        """The largest singular value of S and its standard error, d sigma = Re u^H dS
-        v, (n_line,) each [1].
-        """
+        """The largest singular value, its error by d sigma = Re u^H dS v, (n_line,) each [1]."""
         slopes = self._largest_slopes
         variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
         return np.linalg.svd(self.values, compute_uv=False)[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
 
     def largest_changes(self) -> FloatArray:
-        """Changes of the largest singular value by every source, (n_source, n_line) [1].
-        Equation (mag-singular-change).
-        """
+        """Its changes by every source, (n_source, n_line) [1]. Equation (mag-singular-change)."""
         slopes = self._largest_slopes
         changes = [np.sum(slopes * error.change.reshape(slopes.shape), axis=1).real for error in self.errors]
         return np.array(changes).reshape(len(self.errors), len(slopes))

@@ -25,9 +25,7 @@ VANISHED, SAME = 1e-10, 1e-6
 
 @dataclass(frozen=True)
 class Transfer:
-    """G = gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a sampling *rate* [Hz] v = z =
-    e^{s / rate} [1].
-    """
+    """gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a *rate* [Hz] v = e^{s / rate}."""
 
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
@@ -77,9 +75,7 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
 
 
 def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
-    """Without leading coefficients that make zeros far beyond the *largest* pole: what rounding has left of a
-    power that is not there.
-    """
+    """Without leading coefficients, left by rounding, that make zeros far beyond the *largest* pole."""
     while coefficients.size > 1 and abs(coefficients[1]) > FAR * largest * abs(coefficients[0]) > 0:
         coefficients = coefficients[1:]
     return coefficients
@@ -100,9 +96,7 @@ def low_pass(frequency: float, order: int, damping: float) -> Transfer:
 
 
 def notch(frequency: float, depth: float, width: float) -> Transfer:
-    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D: |G| = *depth* at *frequency* [Hz], *width*
-    2 D of it at -3 dB.
-    """
+    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D, at *frequency* [Hz]; *width* is 2 D."""
     omega = 2 * np.pi * frequency
     return Transfer(_pair(omega, depth * width / 2), _pair(omega, width / 2), 1.0)
 
@@ -234,9 +228,7 @@ CONJUGATE = 1e-6
 
 @dataclass(frozen=True)
 class Form:
-    """Entries that a block of the form *needs* and those that it *takes* beside them, and its transfer
-    function.
-    """
+    """Entries that a block of the form *needs* and *takes* beside them, and its transfer function."""
 
     needs: tuple[str, ...]
     takes: tuple[str, ...]
@@ -344,9 +336,7 @@ class ControllerBlock(Settings):
 
     @classmethod
     def entries_from(cls, value: Any) -> Any:
-        """Blocks as they are, or from a system with one input and one output of python-control or
-        scipy.signal.
-        """
+        """Blocks, or a system of python-control or scipy.signal with one input and output."""
         if isinstance(value, (str, Sequence)):
             return value
         try:

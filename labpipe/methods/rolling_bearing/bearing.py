@@ -219,9 +219,7 @@ def rolling_response(
 
 @dataclass(frozen=True)
 class RollingOnRotor:
-    """A rolling bearing on a rotor: its x and y are the rotor's y and z, its axial load and moments are those
-    of its settings.
-    """
+    """A rolling bearing on a rotor: x, y are the rotor's y, z; axial load and moments are its own."""
 
     settings: RollingSettings
 

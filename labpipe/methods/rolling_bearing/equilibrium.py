@@ -84,9 +84,7 @@ def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Seque
 
 
 def check_carried(bearing: RollingBearing, at: Contacts) -> None:
-    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90
-    deg.
-    """
+    """FitError beyond the range of Hertzian contact, or of a contact angle beyond 90 deg."""
     beyond = at.deflection > bearing.reach
     if np.any(beyond):
         case, element = (int(n) for n in np.argwhere(beyond)[0])
@@ -174,9 +172,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Trial:
-    """A position u (n_case, 5) [m], the contacts there, the residual f - F of the free dofs [N], and the
-    potential [J].
-    """
+    """u (n_case, 5) [m], contacts, residual f - F of free dofs [N], and the potential [J]."""
 
     u: FloatArray
     state: Contacts
@@ -190,9 +186,7 @@ class Trial:
 
 
 def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Positions u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): displacements,
-    zero where free.
-    """
+    """u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): zero where free."""
     u = starting_point(problem, fixed)
     unsolved = np.arange(len(u))
     solved = np.zeros(len(u), dtype=bool)
@@ -281,9 +275,7 @@ def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
 
 
 def _axial_approach(bearing: RollingBearing, size: FloatArray, side: FloatArray) -> FloatArray:
-    """dz [m] at which *size* [N] loads all elements equally towards *side* (+1, -1), by fixed-point steps of
-    the contact angle.
-    """
+    """dz [m] at which *size* [N] loads all elements equally towards *side* (+1, -1)."""
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
     per_element = size / bearing.elements / bearing.stiffness_constant
     if bearing.groove_distance is None:
@@ -327,11 +319,7 @@ class Equilibrium:
 
     @property
     def mirrored(self) -> BoolArray:
-        """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite
-        contact angle.
-
-        The equations allow it.
-        """
+        """Cases (n_case,) with an element carrying at the opposite contact angle, as equations allow."""
         opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
         return np.any(
             opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1

@@ -90,9 +90,7 @@ class RollingBearing:
 
     @property
     def reach(self) -> float:
-        """Largest deflection of the model [m]: the groove centres' distance, about 5 % of a ball; 2 % of the
-        pitch radius for rollers.
-        """
+        """Largest deflection [m]: groove centres' distance, or 2 % of the rollers' pitch radius."""
         return self.groove_distance or ROLLER_REACH * self.pitch_radius
 
     def angles(self, cage_angle: ArrayLike = 0.0) -> FloatArray:
@@ -122,10 +120,7 @@ class ElementFrame:
 
     @cached_property
     def squares(self) -> FloatArray:
-        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-].
-
-        For a frame common to all load cases.
-        """
+        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-]."""
         r, a = self.radial, self.axial
         mixed = r[:, :, None] * a[:, None, :]
         pairs = (
@@ -237,9 +232,7 @@ def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike =
 
 
 def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad],
-    symmetric.
-    """
+    """K (n_case, 5, 5) [N/m, N/rad, N m/rad], symmetric, at *q* (n_case, 5) [m, rad]."""
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
     return stiffness_sum(contacts(bearing, displacement, frame), frame)
@@ -462,9 +455,7 @@ class BendingShaft:
 
 @dataclass(frozen=True)
 class SeriesCorrection:
-    """A bearing's stiffness without the shaft's bending [N/m], its 95 % interval, and the amplification of
-    the relative error.
-    """
+    """Stiffness without the shaft's bending [N/m], 95 % interval, amplification of its error."""
 
     bearing: Uncertain
     ci95: tuple[float, float]

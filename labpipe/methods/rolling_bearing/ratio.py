@@ -45,9 +45,7 @@ LARGEST_MOVE = 1.0
 
 @dataclass(frozen=True)
 class TheoryAt:
-    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share
-    *step*, and the shaft.
-    """
+    """K (5, 5) [N/m, N/rad, N m/rad] at a condition, one larger by the share *step*, the shaft."""
 
     stiffness: FloatArray
     near: FloatArray
@@ -57,9 +55,7 @@ class TheoryAt:
 
 @dataclass(frozen=True)
 class Rig:
-    """How the rig measures the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts
-    [m].
-    """
+    """Bending stiffness of the shaft [N/m] (infinite: rigid), and arm of tilts [m]."""
 
     bending: Uncertain
     arm: float | None
@@ -168,10 +164,7 @@ def _log_changes(fit: Fit) -> dict[str, FloatArray]:
 
 
 def log_covariance(fit: Fit) -> FloatArray:
-    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation.
-
-    FitError without standard errors.
-    """
+    """Covariance of ln k, ln c, (2, 2) [1], of a fit; FitError without standard errors."""
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     places = [names.index("k"), names.index("c")]
     chosen = [fit.parameters[place] for place in places]
@@ -185,9 +178,7 @@ def log_covariance(fit: Fit) -> FloatArray:
 def overlay(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig, matched: Matched
 ) -> Overlay:
-    """|H| of the fitted term on all lines of the response: measured, theory with the measured damping, theory
-    times the ratio.
-    """
+    """|H| of the fitted term: measured, theory with the measured damping, theory times the ratio."""
     curve = _curve(fit, response, settings, rig, whole=True)
     beta = float(np.exp(matched.log[1]))
     curves = [
@@ -397,9 +388,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
 
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
-    """ln(c / k) and its covariance (n, n), from that of c and k in each fit and from what the fits have in
-    common.
-    """
+    """ln(c / k) and its covariance (n, n), by each fit and by what the fits have in common."""
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
     variances = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
@@ -432,10 +421,7 @@ class _Solved:
 
 
 def theory_of(folder: Path, settings: TheorySettings) -> Theory:
-    """The bearing file as a function of the condition [SI].
-
-    ConfigError for a bearing without five dofs, or without a shaft on it.
-    """
+    """The bearing file over the condition [SI]; ConfigError without five dofs or a shaft."""
     file = open_bearing(folder / settings.bearing)
 
     def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:

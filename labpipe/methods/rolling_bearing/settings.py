@@ -68,9 +68,7 @@ class BallGeometry:
 
     @property
     def groove_distance(self) -> float:
-        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load.
-        Equation (roll-groove-distance).
-        """
+        """A0 = (f_i + f_o - 1) D [m] of the groove centres at rest. Equation (roll-groove-distance)."""
         return (self.inner_conformity + self.outer_conformity - 1) * self.ball_diameter
 
     @property
@@ -94,9 +92,7 @@ class BallGeometry:
         return in_series(contacts, 3 / 2)
 
     def _contact(self, side: int, conformity: float, rings: Material, balls: Material) -> float:
-        """One contact, *side* +1 inner (convex track), -1 outer: curvatures along rolling 2/D (1 + gamma/(1 -
-        gamma)), across 2/D - 1/r.
-        """
+        """Contact, *side* +1 inner, -1 outer: 2/D (1 + gamma/(1 - gamma)) along rolling, 2/D - 1/r across."""
         gamma = side * self.ball_diameter * float(np.cos(self.contact_angle)) / self.pitch_diameter
         along = 2 / self.ball_diameter * (1 + gamma / (1 - gamma))
         return point_contact(along, (2 - 1 / conformity) / self.ball_diameter, rings, balls)
@@ -161,9 +157,7 @@ def roller_stiffness_constant(length: float) -> float:
 
 
 def in_series(constants: tuple[float, ...], exponent: float) -> float:
-    """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n).
-    Equation (roll-series).
-    """
+    """K_n = (sum K^(-1/n))^(-n) of contacts that carry the same load. Equation (roll-series)."""
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)
 
 
@@ -239,9 +233,7 @@ class BallGeometrySettings(Settings):
 
 @dataclass(frozen=True)
 class ShaftSettings(Settings):
-    """A rigid shaft whose centre of mass is at the bearing's centre, for natural frequencies and the
-    theoretical transfer matrix.
-    """
+    """A rigid shaft with its centre of mass in the bearing, for natural frequencies and transfer."""
 
     mass: float = quantity("mass of the shaft", "kg")
     inertia_x: float = quantity("moment of inertia about x", "kg.m^2")
@@ -310,10 +302,7 @@ class RollingSettings(Settings, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class BallBearingSettings(RollingSettings):
-    """A ball bearing: its constants, or the geometry they follow from.
-
-    An explicit constant takes precedence.
-    """
+    """A ball bearing by its constants, which come first, or the geometry they follow from."""
 
     stiffness_constant: float | None = quantity("K_n of Q = K_n delta^1.5", "N/m^1.5", None)
     groove_distance: float | None = quantity("unloaded distance A0 of the groove centres", "m", None)
@@ -352,10 +341,7 @@ class BallBearingSettings(RollingSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class RollerBearingSettings(RollingSettings):
-    """A roller bearing.
-
-    Tilts (and z at contact angle 0) are fixed at zero where neither load nor displacement is given.
-    """
+    """A roller bearing; tilts (z at angle 0) are zero without load or displacement."""
 
     stiffness_constant: float | None = quantity("K_n of Q = K_n delta^(10/9)", "N/m^(10/9)", None)
     roller_length: float | None = quantity("effective length of a steel roller", "m", None)

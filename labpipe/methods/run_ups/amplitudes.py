@@ -45,10 +45,7 @@ Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """Limits of a search.
-
-    Meshes are shares of the box's width, *target_share* is a share of the objective at the start.
-    """
+    """Limits of a search: meshes as shares of the box, *target_share* of the objective at the start."""
 
     first_mesh: float = 0.25
     smallest_mesh: float = 1e-4
@@ -68,9 +65,7 @@ class SearchLimits:
 
 @dataclass(frozen=True)
 class SearchHistory:
-    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh
-    [-] (NaN without a mesh).
-    """
+    """By iteration (n_iteration, n_problem): evaluations, lowest objective [its unit], mesh [-] or NaN."""
 
     evaluations: IntArray
     objective: FloatArray
@@ -263,10 +258,7 @@ class SpeedwiseFit:
         return float(np.mean(self.at_bound))
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points.
-
-        Beyond them K and Omega C stay constant.
-        """
+        """K and C over speed, linear between the points; beyond them K and Omega C stay constant."""
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -445,9 +437,7 @@ def _fit_load(
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane)
-    [m], planes of all runs.
-    """
+    """Largest displacements of all *runs* of a load with standard errors, (n_speed, n_plane) [m]."""
 
     runs: tuple[ExcitedRun, ...]
     measured: FloatArray
@@ -463,9 +453,7 @@ class Amplitudes:
         )
 
     def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
-        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
-        s/m] at the *chosen* speeds.
-        """
+        """Displacements (..., n_chosen, n_plane) [m] of coefficients (..., n_chosen, 8)."""
         return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
 
     @staticmethod
@@ -485,18 +473,14 @@ class Amplitudes:
         return squares
 
     def slopes(self, eight: FloatArray) -> FloatArray:
-        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard
-        errors.
-        """
+        """Derivatives (n_speed, n_plane, 8) by coefficients (n_speed, 8) [N/m, N s/m], over errors."""
         matrices = as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]
 
 
 def _error(run: RunUp) -> FloatArray:
-    """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases,
-    to first order.
-    """
+    """Standard error of the largest displacement (n_speed, n_plane) [m], to first order."""
     x, y = run.response[..., 0], run.response[..., 1]
     forward, backward = ((x + turn * y).conj() / np.abs(x + turn * y) for turn in (1j, -1j))
     by = (

@@ -142,9 +142,7 @@ def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Se
 
 
 def best_method(result: RunUpResult) -> RunUpMethod | None:
-    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else
-    (c), (b), (a).
-    """
+    """The method of figures of one method: (d) where chi-square rejects (c), else (c), (b), (a)."""
     joint = result.method("joint")
     order = (
         ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
@@ -198,10 +196,7 @@ def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
 
 
 def orbit_places(run: MeasuredRun) -> list[int]:
-    """Rows of a run at three quarters, one, and beyond its critical speed, and its last.
-
-    Spread evenly without one.
-    """
+    """Rows of a run at three quarters, one, and beyond its critical speed, and its last; else evenly."""
     n, speed = len(run.speed), np.array(run.speed)
     if run.critical_speed is None:
         return [int(place) for place in np.linspace(0, n - 1, ORBITS).round()]
@@ -323,9 +318,7 @@ ITERATION = Axis("iteration")
 
 @dataclass(frozen=True, eq=False)
 class CoefficientSurfaces:
-    """Surfaces of coefficients: *speed* (n_speed,) [rpm], *load* (n_load,) [N], *values* (n, n_load, n_speed)
-    in the units of *titles*.
-    """
+    """*values* (n, n_load, n_speed) of *titles* over *speed* (n_speed,) [rpm] and *load* (n_load,) [N]."""
 
     speed: FloatArray
     load: FloatArray

@@ -289,9 +289,7 @@ def _peaks(
 
 
 def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Critical | None:
-    """The largest amplitude between two numbers with its half-power speeds, by parabola and straight lines of
-    1 / amplitude^2.
-    """
+    """The largest amplitude with its half-power speeds, by parabola and lines of 1 / amplitude^2."""
     top = first + int(np.argmax(amplitude[first : last + 1]))
     if not 0 < top < fine.size - 1:
         return None

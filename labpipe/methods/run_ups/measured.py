@@ -238,9 +238,7 @@ def run_up_of(
 
 
 def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
-    """The uncertainties of the probes of all planes: a probe at theta + d reads what one at theta does and d
-    times what is across it.
-    """
+    """Uncertainties of all probes: one at theta + d reads d times what is across it."""
     for at, plane in enumerate(track.planes):
         to_plane = np.linalg.inv(plane.directions)
         for row, column in enumerate(plane.columns):
@@ -257,9 +255,7 @@ def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
 def _by_speed(
     speed: FloatArray, response: ComplexArray, deviation: FloatArray
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Segments in ascending order of speed, those of equal speed averaged with the inverse of their
-    variances.
-    """
+    """Segments by speed, those of equal speed averaged with the inverse of their variances."""
     order = np.argsort(speed, kind="stable")
     group, first = np.zeros(speed.size, np.intp), speed[order[0]]
     for place, value in enumerate(speed[order]):

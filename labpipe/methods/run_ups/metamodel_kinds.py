@@ -50,18 +50,13 @@ class Queried(Protocol):
     """A fit with coefficients (n_speed, 8) and their errors at any load and speed."""
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)
-        [rad/s].
-        """
+        """Coefficients, errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)."""
         ...
 
 
 @dataclass(frozen=True)
 class Grid:
-    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m].
-
-    DataError for other shapes or impossible values.
-    """
+    """load [N], speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError where impossible."""
 
     load: FloatArray
     speed: FloatArray
@@ -93,9 +88,7 @@ class Grid:
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
-        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,)
-        [rad/s].
-        """
+        """From a fit at any load, such as a JointFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
         parts = [
             (np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0])
             for load in loads
@@ -124,10 +117,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Extent:
-    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid.
-
-    Places are coded to -1 to 1 between them.
-    """
+    """Ends of *loads* [N] and *speeds* [rad/s] of a grid; places are coded to -1 to 1 between them."""
 
     loads: tuple[float, float]
     speeds: tuple[float, float]
@@ -266,9 +256,7 @@ def _terms(coded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and
-    speeds of the fit.
-    """
+    """Logarithms *values* (12,), *covariance* (12, 12), widened, [-] of a *family* within an *extent*."""
 
     extent: Extent
     family: FilmFamily
@@ -300,10 +288,7 @@ class PhysicalFit:
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s].
-
-        FitError outside the film's table.
-        """
+        """Coefficients (n_point, 8) [N/m, N s/m]; FitError outside the film's table."""
         return self.family.coefficients(self.values, load, speed)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:

@@ -64,9 +64,7 @@ def scikit_learn(name: str, what: str) -> Any:
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors:
-    scikit-learn's, one of each.
-    """
+    """A fitted grid; hyper (8, 4) [-]: a, l_w, l_s, n by coefficient; scikit-learn's regressors."""
 
     grid: Grid
     extent: Extent
@@ -82,10 +80,7 @@ class GaussianProcess:
 
     @classmethod
     def of(cls, grid: Grid, hyper: FloatArray, search: Callable[..., Any] | None = None) -> GaussianProcess:
-        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient.
-
-        A *search* starts from them.
-        """
+        """The process of a grid, hyper (8, 4) [-] as given, or where a *search* from there ends."""
         processes = scikit_learn("gaussian_process", "a Gaussian process")
         kernels = processes.kernels
         extent = Extent.of(grid)
@@ -125,9 +120,7 @@ class GaussianProcess:
         return np.stack([regressor.predict(coded) for regressor in self.regressors], axis=-1)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds
-        [rad/s].
-        """
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included."""
         coded = self.extent.coded(load, speed)
         return np.stack(
             [regressor.predict(coded, return_std=True)[1] for regressor in self.regressors], axis=-1
@@ -162,9 +155,7 @@ def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 o
 
 
 def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
-    """(parameters, cost): scikit-learn's parameters (4,), logarithms of a^2, l_w, l_s, n^2, of the largest
-    likelihood times priors.
-    """
+    """(parameters, cost): ln a^2, l_w, l_s, n^2 (4,) of the largest likelihood times priors."""
     powers = np.array([2.0, 1.0, 1.0, 2.0])
     middle, spread = (
         powers * np.log([median for median, _ in HYPER]),
@@ -182,9 +173,7 @@ def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) 
 
 @dataclass(frozen=True)
 class Network:
-    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats
-    whose training converged.
-    """
+    """*repeats*: layers; middle, deviation (8,) [N/m, N s/m] of outputs; n_converged trainings."""
 
     extent: Extent
     repeats: tuple[Layers, ...]
@@ -210,9 +199,7 @@ class Network:
         )
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s]
-        (n_point,). Equation (run-network).
-        """
+        """By every repeat, (n_repeat, n_point, 8) [N/m, N s/m]. Equation (run-network)."""
         coded = self.extent.coded(load, speed)
         scaled = [
             np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
@@ -220,9 +207,7 @@ class Network:
         return np.asarray(self.middle + self.deviation * np.array(scaled))
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the
-        repeats.
-        """
+        """The eight coefficients (n_point, 8) [N/m, N s/m]: the mean of the repeats."""
         return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -346,10 +331,7 @@ class Metamodel(Protocol):
 
 
 def fit_metamodel(kind: str, grid: Grid, seed: int = 0) -> Metamodel:
-    """One of METAMODELS on a grid.
-
-    ConfigError with the nearest name on a miss, or where a package is not installed.
-    """
+    """One of METAMODELS on a grid; ConfigError for an unknown one or a missing package."""
     if kind not in METAMODELS:
         raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
     return METAMODELS[kind](grid, seed)

@@ -86,9 +86,7 @@ def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 def predict(
     rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True
 ) -> RunPrediction:
-    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the
-    run's unbalance.
-    """
+    """Prediction for one run, with the reasons of missing values; *rig*: with the run's unbalance."""
     if isinstance(solution, str):
         return RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
@@ -171,9 +169,7 @@ LEAST_DAMPING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class PointFit(SpeedwiseFit):
-    """std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes, NaN at a bound; n_effective:
-    parameters that the data determine.
-    """
+    """std_error (n_speed, 8) [N/m, N s/m] with probes, NaN at a bound; n_effective parameters."""
 
     std_error: FloatArray
     n_effective: float
@@ -269,9 +265,7 @@ def _step(
     bound: float,
     ridge: float,
 ) -> FloatArray:
-    """A Gauss-Newton step within the box: coefficients beyond a bound are set to it, and the others are
-    solved again.
-    """
+    """A Gauss-Newton step within the box: coefficients beyond a bound are set to it."""
     gradient = (slopes.swapaxes(1, 2) @ residual[..., None])[..., 0] + parts / ridge**2
     fixed_mask = ((parts >= bound) & (gradient < 0)) | ((parts <= -bound) & (gradient > 0))
     normal = _normal(slopes) + np.eye(8) / ridge**2
@@ -434,9 +428,7 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
-    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each uncertainty of
-    the probes, largest first.
-    """
+    """The *combined* error [1] in parts, of noise and priors and of each source, largest first."""
     scale = 1.0 if parameter.name in EXPONENTS else parameter.value
     changes = scale * fit.systematic[:, PARAMETERS.index(parameter.name)]
     systematic = float(np.sqrt(np.sum(changes**2)))
@@ -464,10 +456,7 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
 
 
 def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
-    """Predictions at any load.
-
-    Without errors for a fit that chi-square rejects, whose errors would be wrong.
-    """
+    """Predictions at any load, without errors for a fit that chi-square rejects."""
 
     def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
         run_fit = replace(fit, rig=run_rig)

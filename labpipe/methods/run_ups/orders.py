@@ -239,10 +239,7 @@ def track_run(
     output: OutputFolder,
     clearance: Clearance | None = None,
 ) -> TrackedRun:
-    """The order of a raw file (with its rig) or of a calibrated recording.
-
-    ConfigError for a gap where no plane moves in it.
-    """
+    """The order of a raw file or a calibrated recording; ConfigError for a gap without orbit."""
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", where=str(source), hint="add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
@@ -275,10 +272,7 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
 
 
 def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str, complex]) -> int:
-    """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds.
-
-    ConfigError for another order.
-    """
+    """Order 1 of every plane as a run-up table; number of speeds. ConfigError for another order."""
     if run.track.order != 1:
         raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
     table = run_up_of(run.track, run.name, load, unbalance)
@@ -351,10 +345,7 @@ def _order_columns(track: OrderTrack) -> list[Column]:
 
 
 def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:
-    """Larger half axis of the order's ellipse |f| + |b|.
-
-    Largest distance of the whole motion from its middle, also per gap.
-    """
+    """Half axis |f| + |b| of the order, largest distance of the whole motion, also per gap."""
     (plane,) = circles.planes
     whole = circles.orbit[:, 0]
     columns = [
@@ -449,9 +440,7 @@ def _band(option: str, text: str | None) -> tuple[float, float] | None:
 
 
 def _added(texts: tuple[str, ...], since: bool) -> float:
-    """Size of the stated unbalance [kg m] that the motion answers, 0 where none or several are; ConfigError
-    for that since a baseline.
-    """
+    """Stated unbalance [kg m] that the motion answers, else 0; ConfigError since a baseline."""
     if len(texts) == 1:
         return abs(_unbalances(texts).popitem()[1])
     if since:

@@ -74,10 +74,7 @@ class SquaredExponential:
 
 @dataclass(frozen=True)
 class SmoothField:
-    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data.
-
-    *weights* (n_place, n_mode): U / sqrt(eigenvalue).
-    """
+    """Fields of a *kernel* on data *places* (n_place, 2) [N, rad/s]; weights (n_place, n_mode)."""
 
     kernel: SquaredExponential
     places: FloatArray
@@ -99,18 +96,14 @@ class SmoothField:
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:
-        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places
-        (n_point, 2) [N, rad/s].
-        """
+        """Covariance (n_point, n_point) [-] beyond the basis, at places (n_point, 2) [N, rad/s]."""
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
 
 
 @dataclass(frozen=True)
 class ProcessFamily:
-    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row
-    by row.
-    """
+    """A *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) by row."""
 
     family: FilmFamily
     field: SmoothField
@@ -217,10 +210,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s].
-
-        None when there is none up to twice the highest speed of the search.
-        """
+        """Onset speed of instability [rad/s]; None up to twice the highest speed of the search."""
         onset = self.rig.threshold(self.at_load(load))
         if onset is None:
             return None
@@ -239,9 +229,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         )
 
     def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
-        """Standard error of a prediction with slopes *weights* (n_speed, 8) by the coefficients at *speed*
-        (n_speed,).
-        """
+        """Error of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
         eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         by_parameter = np.einsum("ni,nij->j", weights, slopes)
         by_field = weights * eight
@@ -341,9 +329,7 @@ class LinearData:
 
     @classmethod
     def at(cls, problem: Problem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
-        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s]
-        of the data.
-        """
+        """Linear about *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s] of the data."""
         n = len(PARAMETERS)
         eight, slopes = problem.model.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
@@ -356,9 +342,7 @@ class LinearData:
         return cls(problem.model.field, normal, side, by_family)
 
     def log_likelihood(self, field: SmoothField) -> float:
-        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M
-        = 1 + B^T A^T A B.
-        """
+        """b^T M^-1 b / 2 - ln det M / 2 of another field, M = 1 + B^T A^T A B."""
         basis = field.basis(field.places)
         scaled = self.by_family * PRIOR
         corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)

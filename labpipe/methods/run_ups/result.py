@@ -301,9 +301,7 @@ MEASURED = "run_ups.measured"
 
 
 def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParameter]:
-    """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and
-    predicted.
-    """
+    """Parameters by method, and critical and threshold speeds [rad/s] by run."""
     for run in result.runs:
         yield from _speeds(MEASURED, run.name, run, ())
     predictors: list[RunUpMethod | MetamodelResult] = [*result.methods, *result.metamodels]

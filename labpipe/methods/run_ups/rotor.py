@@ -163,9 +163,7 @@ def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: 
 
 
 def coefficient_errors(estimate: FloatArray, true: FloatArray) -> FloatArray:
-    """rms error of *estimate* over the points, relative to the rms of the true coefficient, (8,) [-], of
-    (n_point, 8) each.
-    """
+    """rms of *estimate* - *true* over rms of *true*, (8,) [-], of (n_point, 8) each."""
     return np.sqrt(np.mean((estimate - true) ** 2, axis=0) / np.mean(true**2, axis=0))
 
 
@@ -192,9 +190,7 @@ class TabulatedCoefficients(Protocol):
 
 @dataclass(frozen=True)
 class SpeedSearch:
-    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to
-    *highest*.
-    """
+    """Critical speeds between *low* and *high* [rad/s], thresholds of instability up to *highest*."""
 
     low: float
     high: float
@@ -304,10 +300,7 @@ class RunUpRotor:
         )
 
     def under_unbalance(self, speed: FloatArray, unbalance: Mapping[str, complex]) -> CondensedRotor:
-        """Condensed to the bearing at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane.
-
-        Outputs x, y of every plane.
-        """
+        """x, y of every plane at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane."""
         forces = unbalance_forces(
             self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed
         )
@@ -316,10 +309,7 @@ class RunUpRotor:
         )
 
     def excited(self, run: RunUp) -> CondensedRotor:
-        """Condensed at the speeds, and under the excitation, of a run.
-
-        DataError when the run has other planes.
-        """
+        """At the speeds and under the excitation of a run; DataError when it has other planes."""
         if run.planes != self.plane_names:
             raise DataError(
                 f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has "
@@ -335,9 +325,7 @@ class RunUpRotor:
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld
-        number), or as *tabulated*.
-        """
+        """K [N/m], C [N s/m], (n_speed, 2, 2), of the rotor file's bearing or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
@@ -402,10 +390,7 @@ class RunUpRotor:
         return resonance_speed(self.stability, coefficients, self.search.critical[::5])
 
     def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
-        """Onset speed of instability [rad/s], up to twice the highest speed of the search.
-
-        None when there is none.
-        """
+        """Onset of instability [rad/s], up to twice the highest speed of the search, or None."""
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 

@@ -283,10 +283,7 @@ def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:
-    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits.
-
-    Constant errors as comment lines.
-    """
+    """As `read_run_up_csv` reads it: rpm, um, degrees, six digits; constant errors as comments."""
     columns = {"speed [rpm]": run.rpm}
     relative, phase = _common_errors(run)
     for n, plane in enumerate(run.planes):

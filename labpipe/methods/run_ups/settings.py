@@ -34,10 +34,7 @@ class ProbeUncertainties:
     keyphasor: Uncertain | None = None
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
-        """The errors of every probe, named by plane and direction.
-
-        Each is its own, unless the uncertainty names a source.
-        """
+        """Errors of every probe by plane and direction, each its own unless a source is named."""
         errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)

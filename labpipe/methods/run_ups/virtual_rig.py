@@ -127,10 +127,7 @@ class VirtualUnbalanceRig(Settings):
 
     @property
     def nominal(self) -> RunUpRotor:
-        """The rotor file's rotor, its range of search that of the run-ups where the file has none.
-
-        ConfigError without a rotor.
-        """
+        """The rotor with the run-ups' range of search, unless it has one; ConfigError without it."""
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
         return (
@@ -158,9 +155,7 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
 
 
 def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
-    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the
-    speeds.
-    """
+    """The family about the rotor file's bearing and the middle of the loads [N] and speeds."""
     return FilmFamily(
         rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads)))))
     )
@@ -198,9 +193,7 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    """Other grooves, and a viscosity that falls with the square of the speed, which no parameter of the
-    family describes.
-    """
+    """Other grooves, and a viscosity that falls with the square of the speed."""
     film = virtual.nominal.place.film("a virtual run-up")
     clearance = film.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]

@@ -152,9 +152,7 @@ NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 @dataclass(frozen=True)
 class _Solved:
-    """All minima, the best first, with its misfit in standard deviations, covariances (n, n) and the least
-    chi-square without wear.
-    """
+    """All minima, the best first, misfit [std. dev.], covariances (n, n), least chi-square unworn."""
 
     misfit: Misfit
     minima: tuple[Minimum, ...]
@@ -361,10 +359,7 @@ def _intervals(solved: _Solved) -> dict[str, Interval]:
 def _parameter(
     solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool
 ) -> Parameter:
-    """One parameter.
-
-    An angle that is not identifiable and a parameter at its bound have no standard error.
-    """
+    """One parameter; no standard error of an unidentifiable angle or at a bound."""
     model = solved.misfit.model
     name, scale = model.names[number], float(model.scale[number])
     value = scale * float(solved.best.parameters[number])

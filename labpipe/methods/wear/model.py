@@ -75,18 +75,14 @@ class WornModel:
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
-        """The model with the films' coefficients and slopes at scaled parameters (n,) [1], on the films' own
-        mesh.
-        """
+        """With the films' coefficients and slopes at scaled parameters (n,) [1], on their own mesh."""
         values, mesh = self.values(parameters), self.film_mesh
         return replace(
             self, bearings=tuple(bearing.refined(values, mesh, with_slopes) for bearing in self.bearings)
         )
 
     def with_mesh_error(self, parameters: FloatArray) -> tuple[WornModel, ...]:
-        """One model for every oil film, refined before, with the error of that film's mesh at scaled
-        parameters (n,) [1] added.
-        """
+        """For every film, refined before, a model with its mesh's error at parameters (n,) [1]."""
         values = self.values(parameters)
         models = []
         for number, bearing in enumerate(self.bearings):
@@ -247,10 +243,7 @@ class WornReceptance:
 
 
 def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornReceptance:
-    """Lines, frame and terms of a fit.
-
-    ConfigError where they do not fit the response, FitError where nothing is left.
-    """
+    """Lines, frame and terms of a fit; ConfigError where unfit, FitError where nothing is left."""
     left, right = _turn(response, wear.response)
     lines = _lines(response, settings.band, wear)
     measured = measured_part(response, [0, 1], [0, 1], lines)
@@ -265,9 +258,7 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
-    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has an
-    uncertainty.
-    """
+    """Changes in the fit's frame by the direction of sensors and forces of uncertain angle."""
     errors = []
     for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
         for number, port in enumerate(ports):
@@ -321,9 +312,7 @@ def _is_directional(ports: tuple[Port, ...]) -> bool:
 
 
 def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
-    """Rows (part along y, part along z): of dofs named y and z, else by angle, from horizontal (x, 0 deg) to
-    up (y, 90 deg).
-    """
+    """Rows (along y, along z) of dofs y and z, else by angle, from horizontal (0) to up (90 deg)."""
     dofs = tuple(port.dof for port in ports)
     if set(dofs) == {"y", "z"}:
         return np.array([[dof == "y", dof == "z"] for dof in dofs], np.complex128)
@@ -456,9 +445,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 
 
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017).
-    Equation (wear-log).
-    """
+    """log10(|H_model| / |H_measured|) of all lines (Mendes et al. 2017). Equation (wear-log)."""
     matrix = measured.chosen.matrix
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:

@@ -176,10 +176,7 @@ LEAST_SHARE = 1e-3
 
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`.
-
-    ConfigError if there is no such fit.
-    """
+    """Settings with the earlier fit that `prior` names, if any; ConfigError if there is none."""
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings
