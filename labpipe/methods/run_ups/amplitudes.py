@@ -29,7 +29,6 @@ from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, displacement_slopes, runs_by_load, scales
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import (
-    COEFFICIENTS,
     RunUpRotor,
     as_eight,
     as_matrices,
@@ -304,63 +303,6 @@ class AmplitudeFit(SpeedwiseFit):
     def misfit(self) -> FloatArray:
         """Computed against measured amplitudes, relative, (n_speed,) [-]."""
         return np.sqrt(self.objective / self.measured)
-
-    def spread(self, point: int) -> StartSpread:
-        speed, measured = float(self.speed[point]), float(self.measured[point])
-        return StartSpread(self.load, speed, self.factors[:, point], self.objectives[:, point], measured)
-
-    @property
-    def statement(self) -> str:
-        if self.objectives.shape[0] < 2:
-            return ""
-        worst = float(np.sqrt(np.max(self.objectives / self.measured)))
-        spread = float(np.median(np.ptp(self.factors, axis=0)))
-        return _statement(
-            self.objectives.shape[0], worst, spread, f"at {self.speed.size} speeds under {self.load:.3g} N "
-        )
-
-
-@dataclass(frozen=True)
-class StartSpread:
-    """Several starts at a *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), sum of
-    squares *measured* [m^2].
-    """
-
-    load: float
-    speed: float
-    factors: FloatArray
-    objective: FloatArray
-    measured: float
-
-    @property
-    def low(self) -> FloatArray:
-        """Lowest factor [-] of every coefficient (8,)."""
-        return np.asarray(self.factors.min(axis=0))
-
-    @property
-    def high(self) -> FloatArray:
-        """Highest factor [-] of every coefficient (8,)."""
-        return np.asarray(self.factors.max(axis=0))
-
-    @property
-    def text(self) -> str:
-        ranges = ", ".join(
-            f"{name} {low:.2f} to {high:.2f}"
-            for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True)
-        )
-        worst = float(np.sqrt(self.objective.max() / self.measured))
-        place = f"under {self.load:.3g} N at {self.speed * 30 / np.pi:.0f} rpm "
-        return (
-            f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), place)}: "
-            f"{ranges}"
-        )
-
-
-def _statement(n_start: int, worst: float, spread: float, place: str) -> str:
-    reached = f"{place}{n_start} starts reach the measured amplitudes within {100 * worst:.2g} %"
-    if spread < 0.02:
-        return f"{reached} with factors that agree within {spread:.2f}"
-    return f"the coefficients are not determined: {reached} with factors spread over {spread:.2f} (median)"
 
 
 def fit_amplitudes(

@@ -21,6 +21,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
+from labpipe.methods.run_ups.amplitudes import SpeedwiseFit
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor
@@ -28,22 +29,6 @@ from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor
 # Relative difference below which two loads are the same.
 SAME_LOAD = 1e-6
 TERMS = ("1", "load", "speed", "load x speed", "load^2", "speed^2")
-
-
-class Fitted(Protocol):
-    """Coefficients (n_speed, 8) [N/m, N s/m] of one load [N] at speeds (n_speed,) [rad/s]."""
-
-    @property
-    def load(self) -> float: ...
-    @property
-    def speed(self) -> FloatArray:
-        """Speeds (n_speed,) [rad/s]."""
-        ...
-
-    @property
-    def coefficients(self) -> FloatArray:
-        """Coefficients (n_speed, 8) [N/m, N s/m]."""
-        ...
 
 
 class Queried(Protocol):
@@ -74,7 +59,7 @@ class Grid:
             raise DataError("loads and speeds of a metamodel are positive and its coefficients finite")
 
     @classmethod
-    def of(cls, fits: Iterable[Fitted]) -> Grid:
+    def of(cls, fits: Iterable[SpeedwiseFit]) -> Grid:
         """From one fit per load, such as a PointFit or an AmplitudeFit."""
         all_fits = list(fits)
         if not all_fits:
@@ -144,8 +129,19 @@ class Extent:
         return cls((float(first), float(last)), (float(low), float(high)))
 
 
+class WithinExtent:
+    """A metamodel that holds for the speeds of its extent."""
+
+    extent: Extent
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
+
 @dataclass(frozen=True, kw_only=True)
-class ResponseSurface:
+class ResponseSurface(WithinExtent):
     """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual
     standard deviation.
 
@@ -163,11 +159,6 @@ class ResponseSurface:
     n_point: int
 
     kind: ClassVar[str] = "surface"
-
-    @property
-    def speeds(self) -> tuple[float, float]:
-        """Range of speeds [rad/s] that it holds for."""
-        return self.extent.speeds
 
     @property
     def r2_adjusted(self) -> FloatArray:

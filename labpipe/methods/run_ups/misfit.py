@@ -264,19 +264,8 @@ def _response(
     shaker: Shaker | None = None,
 ) -> tuple[ComplexArray, ComplexArray]:
     """Under an unbalance or, without one, a force along x at the first plane."""
-    shape = (1, len(rig.planes), 2)
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
-    run = RunUp(
-        "",
-        1.0,
-        speed,
-        rig.plane_names,
-        np.ones(shape, np.complex128),
-        amplitude_error=np.ones(shape),
-        phase_error=np.ones(shape),
-        unbalance=unbalance or {},
-        shaker=force,
-    )
     split = eight.reshape(1, 2, 2, 2)
-    response, slopes = rig.excited(run).response_and_slopes(split[:, 0], split[:, 1])
+    condensed = rig.condensed(speed, unbalance or {}, force)
+    response, slopes = condensed.response_and_slopes(split[:, 0], split[:, 1])
     return response[0], slopes[0]

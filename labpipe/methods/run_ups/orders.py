@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -415,16 +416,13 @@ def track_and_write(
     echo(f"{run.name}: order {order:g}, {run.speeds.size} segments of {revolutions} revolutions, {between}")
     quantity = QUANTITIES.get(run.quantity)
     unit = quantity.display_unit if quantity else "SI"
-    for row in order_lines(run, unit, lambda value: to_display(value, unit) if quantity else value):
+
+    def shown(value: float) -> float:
+        return to_display(value, unit) if quantity else value
+
+    judged = () if verdict is None else judgement_lines(verdict, unit, shown)
+    for row in (*order_lines(run, unit, shown), *(_centreline(run) if centreline else ()), *judged):
         echo(f"  {row}")
-    if centreline:
-        for row in _centreline(run):
-            echo(f"  {row}")
-    if verdict is not None:
-        for row in judgement_lines(
-            verdict, unit, lambda value: to_display(value, unit) if quantity else value
-        ):
-            echo(f"  {row}")
     echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
     return code
 
@@ -432,11 +430,17 @@ def track_and_write(
 def _band(option: str, text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
+    with _option(option):
+        return to_band(text, Setting("band", option, unit="Hz"))
+
+
+@contextmanager
+def _option(option: str) -> Iterator[None]:
+    """A value that cannot be read is a fault of the option."""
     try:
-        low, high = to_band(text, Setting("band", option, unit="Hz"))
+        yield
     except UnitError as error:
         raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
-    return low, high
 
 
 def _added(texts: tuple[str, ...], since: bool) -> float:
@@ -528,10 +532,8 @@ def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
     unbalances = {}
     for text in texts:
         plane, _, size = text.partition("=")
-        try:
+        with _option(f"--unbalance {text}"):
             unbalances[plane.strip()] = parse_phasor(size.strip(), "kg.m")
-        except UnitError as error:
-            raise ConfigError(f"--unbalance {text}: {error.what}", hint=error.hint) from None
     return unbalances
 
 
@@ -547,7 +549,5 @@ def _clearance(gap: str | None, limit: str) -> Clearance | None:
 def _value(option: str, text: str | None, unit: str) -> float | None:
     if text is None:
         return None
-    try:
+    with _option(option):
         return parse_value(text, unit)
-    except UnitError as error:
-        raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None

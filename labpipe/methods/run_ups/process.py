@@ -197,7 +197,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         around = speed + step * np.array([-1.0, 0.0, 1.0])
         number = self.rig.plane_names.index(plane) if plane else -1
         eight = self.model.coefficients(self.values, load, around)
-        response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(
+        response, slopes = self.rig.condensed(around, self.rig.known_unbalance).response_and_slopes(
             *as_matrices(eight)
         )
         size = largest_displacement(response.reshape(3, -1, 2))[:, number]

@@ -246,8 +246,17 @@ class StartSpread:
     objective: Column
 
 
+class Predicts:
+    """What has a prediction for every run."""
+
+    predictions: tuple[RunPrediction, ...]
+
+    def prediction(self, run: str) -> RunPrediction | None:
+        return next((prediction for prediction in self.predictions if prediction.run == run), None)
+
+
 @dataclass(frozen=True)
-class RunUpMethod:
+class RunUpMethod(Predicts):
     """One identification method: uncertainty and predictions. None where a method has no such number.
 
     rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free:
@@ -272,9 +281,6 @@ class RunUpMethod:
     convergence: tuple[Convergence, ...] = ()
     spreads: tuple[StartSpread, ...] = ()
     remarks: tuple[str, ...] = ()
-
-    def prediction(self, run: str) -> RunPrediction | None:
-        return next((prediction for prediction in self.predictions if prediction.run == run), None)
 
 
 @dataclass(frozen=True)
@@ -316,9 +322,14 @@ class LeftOut:
     outside: bool
     failed: str = ""
 
+    @property
+    def rms(self) -> float:
+        """Over the eight coefficients [-]."""
+        return float(np.sqrt(np.mean(np.square(self.errors))))
+
 
 @dataclass(frozen=True)
-class MetamodelResult:
+class MetamodelResult(Predicts):
     """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors,
     predictions, statistics as text.
 
@@ -332,9 +343,6 @@ class MetamodelResult:
     predictions: tuple[RunPrediction, ...]
     remarks: tuple[str, ...] = ()
     model: dict[str, Any] = field(default_factory=dict)
-
-    def prediction(self, run: str) -> RunPrediction | None:
-        return next((prediction for prediction in self.predictions if prediction.run == run), None)
 
 
 @dataclass(frozen=True)
@@ -359,6 +367,10 @@ class RunUpResult:
     measured_rank: RankRow | None = None
     source: str = ""
     findings: tuple[Finding, ...] = ()
+
+    @property
+    def predictors(self) -> tuple[RunUpMethod | MetamodelResult, ...]:
+        return (*self.methods, *self.metamodels)
 
     def method(self, name: str) -> RunUpMethod | None:
         return next((method for method in self.methods if method.name == name), None)

@@ -325,9 +325,10 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
     for model in models:
         for validation in model.left_out:
             errors = [f"{100 * error:.1f}" for error in validation.errors]
-            whole = 100 * float(np.sqrt(np.mean(np.square(validation.errors))))
             position = "outside" if validation.outside else "between"
-            rows.append((model.title, f"{validation.load:.4g}", position, *errors, f"{whole:.1f}"))
+            rows.append(
+                (model.title, f"{validation.load:.4g}", position, *errors, f"{100 * validation.rms:.1f}")
+            )
     caption = (
         f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to "
         "the others"

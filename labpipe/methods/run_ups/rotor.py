@@ -45,7 +45,7 @@ from labpipe.methods.rotor.pinned import (
 )
 from labpipe.methods.rotor.rig import BearingPlace, Unbalance
 from labpipe.methods.rotor.shaft import Rotor
-from labpipe.methods.run_ups.records import DIRECTIONS, RunUp
+from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
 from labpipe.registry import nearest
 
 COEFFICIENTS = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
@@ -299,14 +299,20 @@ class RunUpRotor:
             f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:"
         )
 
-    def under_unbalance(self, speed: FloatArray, unbalance: Mapping[str, complex]) -> CondensedRotor:
-        """x, y of every plane at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane."""
-        forces = unbalance_forces(
-            self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed
-        )
-        return condensed_rotor(
-            self.pinned, self.place.node, speed, forces, tuple(node for _, node in self.planes)
-        )
+    def condensed(
+        self, speed: FloatArray, unbalance: Mapping[str, complex], shaker: Shaker | None = None
+    ) -> CondensedRotor:
+        """x, y of every plane at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] or a *shaker*."""
+        nodes = tuple(node for _, node in self.planes)
+        if shaker is None:
+            forces = unbalance_forces(
+                self.pinned, {self.node(plane): u for plane, u in unbalance.items()}, speed
+            )
+            return condensed_rotor(self.pinned, self.place.node, speed, forces, nodes)
+        forces = np.zeros((np.size(speed), self.pinned.n_dof), np.complex128)
+        forces[:, self.pinned.dofs(self.node(shaker.plane))] = [shaker.x, shaker.y]
+        frequency = speed * shaker.frequency_ratio
+        return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, speed)
 
     def excited(self, run: RunUp) -> CondensedRotor:
         """At the speeds and under the excitation of a run; DataError when it has other planes."""
@@ -316,13 +322,7 @@ class RunUpRotor:
                 f"{', '.join(self.plane_names)}",
                 hint="name the planes alike in the rotor file and the run-up, in one order",
             )
-        if run.shaker is None:
-            return self.under_unbalance(run.speed, run.unbalance)
-        forces = np.zeros((run.n_speed, self.pinned.n_dof), np.complex128)
-        forces[:, self.pinned.dofs(self.node(run.shaker.plane))] = [run.shaker.x, run.shaker.y]
-        frequency = run.speed * run.shaker.frequency_ratio
-        nodes = tuple(node for _, node in self.planes)
-        return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
+        return self.condensed(run.speed, run.unbalance, run.shaker)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """K [N/m], C [N s/m], (n_speed, 2, 2), of the rotor file's bearing or as *tabulated*."""
@@ -348,7 +348,7 @@ class RunUpRotor:
 
     def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:
         """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
-        outputs = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
+        outputs = self.condensed(speed, self.known_unbalance).response(*coefficients(speed))
         return outputs.reshape(np.size(speed), len(self.planes), 2)
 
     def critical_speed(

@@ -226,28 +226,26 @@ def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> R
     if speed.size == 0:
         raise ConfigError(f"the rotor is unstable at every speed of run '{name}'", hint="lower the speeds")
     shape = (speed.size, len(rig.planes), 2)
-    ones = np.ones(shape)
-    unbalance, shaker = _excitation(virtual, name)
-    unit = RunUp(
-        name,
-        load,
-        speed,
-        rig.plane_names,
-        ones + 0j,
-        amplitude_error=ones,
-        phase_error=ones,
-        unbalance=unbalance,
-        shaker=shaker,
-    )
-    exact = rig.excited(unit).response(*coefficients(speed)).reshape(shape)
+    excitation = _excitation(virtual, name)
+    exact = rig.condensed(speed, *excitation).response(*coefficients(speed)).reshape(shape)
     noise = virtual.noise
     noisy = (
         exact
         * (1 + noise.amplitude * rng.standard_normal(shape))
         * np.exp(1j * noise.phase * rng.standard_normal(shape))
     )
-    errors = {"amplitude_error": noise.amplitude * np.abs(noisy), "phase_error": noise.phase * ones}
-    return replace(unit, response=noisy, threshold=_threshold(virtual, name, coefficients, rng), **errors)
+    return RunUp(
+        name,
+        load,
+        speed,
+        rig.plane_names,
+        noisy,
+        amplitude_error=noise.amplitude * np.abs(noisy),
+        phase_error=np.full(shape, noise.phase),
+        unbalance=excitation[0],
+        shaker=excitation[1],
+        threshold=_threshold(virtual, name, coefficients, rng),
+    )
 
 
 def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, complex], Shaker | None]:
