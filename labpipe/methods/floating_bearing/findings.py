@@ -116,9 +116,7 @@ def few_averages(noise: Noise) -> tuple[Finding, ...]:
 
 
 def shaft_motion(stator: Stator) -> tuple[float, float] | None:
-    """Motion of the shaft X_r = -A / w^2 - D over the relative motion, r.m.s. over all lines by their noise,
-    and how many standard errors it is [1].
-    """
+    """Motion of the shaft X_r = -A / w^2 - D over the relative one, r.m.s., and its standard errors."""
     if not stator.accelerated or not np.any(stator.to_axes[2:4]):
         return None
     absolute = stator.omega[:, None, None] ** 2
@@ -286,9 +284,7 @@ class BalanceMisfit:
 
 @dataclass(frozen=True)
 class BalanceError:
-    """Covariance (n, n) [parameter units] of noise and of what the model leaves unexplained, which is named
-    as *error*, else counts as noise.
-    """
+    """Covariance (n, n) [parameter units] of noise and of the unexplained, named as *error* or noise."""
 
     covariance: FloatArray
     error: CoefficientError | None = None

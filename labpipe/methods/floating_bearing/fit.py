@@ -245,10 +245,7 @@ def compare(
     known: Estimate | None = None,
     uncertain: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
-    """Candidates in ascending BIC, and the estimates by form.
-
-    Forms that the lines cannot determine are left out. Equation (ds-bic).
-    """
+    """Candidates by BIC, estimates by form, without those the lines cannot tell. Equation (ds-bic)."""
     estimates: dict[str, Estimate] = {}
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
@@ -322,11 +319,7 @@ class Solved:
 
 
 def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band.
-
-    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
-    coefficients.
-    """
+    """A fit per band; ConfigError where settings do not fit, FitError where lines are too few."""
     _check(settings)
     section: DynamicStiffnessSettings = settings.model_settings
     if section.known is not None and section.known.test == spectra.name:

@@ -193,9 +193,7 @@ SYMMETRIES: dict[str, tuple[tuple[str, FloatArray], ...]] = {
 
 @dataclass(frozen=True)
 class StiffnessModel:
-    """A form with a symmetry. Parameters: the elements of every matrix, matrix by matrix, then the shape
-    parameters as they are fitted.
-    """
+    """A form with a symmetry; parameters: elements matrix by matrix, then the fitted shape."""
 
     form: Form
     symmetry: str

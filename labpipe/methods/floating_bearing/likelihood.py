@@ -83,9 +83,7 @@ def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
 
 
 def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
-    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m].
-    Equation (ds-residual).
-    """
+    """e = G - H m, its covariance, smoothed motion of H (n_line, 2, 2) [N/m]. Equation (ds-residual)."""
     h = stiffness[:, None]
     of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
     s = (
@@ -310,9 +308,7 @@ class Noise:
         return float(np.sqrt(2 * self.shared_power * self._excess_variance / dof))
 
     def p_value(self, squares: float, dof: int) -> float:
-        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the
-        covariance was estimated. Equation (ds-p-value).
-        """
+        """Chance of so large a chi-square; by F where covariance was estimated. Equation (ds-p-value)."""
         effective = dof / self.shared_power
         if not np.isfinite(self.dof):
             return chi2_tail(squares / self.shared_power, effective)
@@ -399,9 +395,7 @@ def _pulls(
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
-    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise;
-    pseudo-inverse of a singular one. Equation (ds-covariance).
-    """
+    """(2 J^T J)^-1 (n, n) [parameter units] of J (n_equation, n), or pseudo-. Equation (ds-covariance)."""
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     columns = jacobian / scale

@@ -111,9 +111,7 @@ def balance_of(stator: Stator, given: Given) -> Balance:
 
 
 def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, state: Whitened) -> ComplexArray:
-    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z
-    B^H S^-1 e. Equation (ds-smoothed).
-    """
+    """z - C_z B^H S^-1 e (n_line, n_run, n_channel) [SI units]. Equation (ds-smoothed)."""
     to_balance = projection(stator, given) @ stator.to_axes
     rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
     pulled = (rows.conj().swapaxes(-1, -2)[:, None] @ state.weighted()[..., None])[..., 0]

@@ -59,9 +59,7 @@ class Whirl:
 
 
 def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
-    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where
-    there is no real solution. Equation (ds-whirl).
-    """
+    """Of K, C, M at values (n_parameter,) [parameter units]; None: not real. Equation (ds-whirl)."""
     polynomial = _polynomial(model, values)[0].real
     square = _root(polynomial)
     if square is None:
@@ -158,9 +156,7 @@ class Course:
 
 
 def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
-    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it.
-    Equation (ds-forward).
-    """
+    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 from x to y, else -1. Equation (ds-forward)."""
     direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
     return np.asarray((direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2)
 
@@ -168,9 +164,7 @@ def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
 def effective(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0
 ) -> Course:
-    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter,
-    n_parameter) [parameter units]. Equation (ds-effective).
-    """
+    """At omega (n_line,) [rad/s] of values (n_parameter,) and covariance. Equation (ds-effective)."""
     h = forward(model.stiffness(values, omega), sense)
     slopes = forward(model.jacobian(values, omega), sense)
     errors = [
@@ -442,9 +436,7 @@ class Bearing:
 def dimensionless(
     coefficients: Sequence[Valued], bearing: Bearing, speed: float | None
 ) -> tuple[Valued, ...]:
-    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
-    Equation (ds-dimensionless).
-    """
+    """k_xx_dimensionless ... at a *speed* [Hz], Sommerfeld, if given. Equation (ds-dimensionless)."""
     if not bearing.clearance or not bearing.load or not speed:
         return ()
     omega = 2 * np.pi * abs(speed)

@@ -238,9 +238,7 @@ def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, Fl
 
 
 def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
-    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator
-    is -H D. Equation (sim-film).
-    """
+    """K + j w C - w^2 M + relaxation + pad at *frequency* [Hz], (n, 2, 2) [N/m]. Equation (sim-film)."""
     omega = 2 * np.pi * np.asarray(frequency, float)
     jw = 1j * omega[:, None, None]
     stiffness, damping, mass = coefficients(rig, condition)
@@ -260,9 +258,7 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
 def motions(
     rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,)
-    [Hz]. Equation (sim-floating).
-    """
+    """X_s, X_r (n, 2) [m] under *forces* (n, 4) [N] at *frequency* (n,) [Hz]. Equation (sim-floating)."""
     omega, h = 2 * np.pi * np.asarray(frequency, float), film(rig, condition, frequency)
     stator = dynamic_stiffness(
         rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega

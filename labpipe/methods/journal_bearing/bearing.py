@@ -176,10 +176,7 @@ def _balance(
 def film_at(
     film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None
 ) -> FilmState:
-    """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega.
-
-    FitError when Newton's method does not converge.
-    """
+    """The film at *displacement*, *velocity* (2,) [-] over c, c Omega; FitError without convergence."""
     room, pressure = band_room(film.mesh), _ambient(film) if near is None else near.pressure
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, velocity, pressure)

@@ -45,16 +45,12 @@ def wear_edges(depth: float, angle: float) -> tuple[float, float]:
 
 
 def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
-    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], same
-    shape as *theta* [rad]. Equation (jour-wear).
-    """
+    """max(0, depth - 1 - cos(theta - pi/2 - angle)) over c [-], (...). Equation (jour-wear)."""
     return np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
-    """`worn_depth` averaged over an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact.
-    Equation (jour-wear-mean).
-    """
+    """`worn_depth` over an arc of *width* [rad] about *theta*, (...) [-]. Equation (jour-wear-mean)."""
     if depth <= 0:
         return np.zeros_like(theta)
     from_deepest = np.mod(theta - np.pi / 2 - angle, 2 * np.pi) - np.pi
@@ -226,9 +222,7 @@ class Film:
         )
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the
-        journal in y and z. Equation (jour-thickness).
-        """
+        """h [-] at centres and faces, (n_theta,), at a *displacement* (2,) [-]. Equation (jour-thickness)."""
         return (
             1 + self.worn_centre + displacement @ self.grid.at_centre,
             1 + self.worn_face + displacement @ self.grid.at_face,
@@ -236,9 +230,7 @@ class Film:
 
     @property
     def force_weights(self) -> FloatArray:
-        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega
-        (R/c)^2 R L. Equation (jour-force).
-        """
+        """(2, n_theta) [-] of axial sums, over 6 mu Omega (R/c)^2 R L. Equation (jour-force)."""
         return self.grid.at_centre * (self.mesh.arc * self.mesh.strip)
 
 
@@ -263,9 +255,7 @@ class FilmEquations:
 def film_equations(
     film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray
 ) -> FilmEquations:
-    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,)
-    over c Omega [-]. Equation (jour-reynolds).
-    """
+    """Linear at pressure (n_theta, n_half), displacement, velocity (2,) [-]. Equation (jour-reynolds)."""
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
     around, across = film.opening * face**3 / arc**2, film.slenderness**2 * centre**3

@@ -124,9 +124,7 @@ def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
 
 
 def magnet_factors(magnet: Magnet) -> MagnetFactors:
-    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the
-    bias flux of a pole. Equation (mag-factors).
-    """
+    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g'); g' = g + l_iron. Equation (mag-factors)."""
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
     return MagnetFactors(
@@ -142,9 +140,7 @@ def static_stiffness(factors: MagnetFactors, current_per_displacement: float) ->
 
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
-    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
-    reluctance [m^2]. Equation (mag-area).
-    """
+    """A = k_i^2 g / (4 N^2 mu_0 k_n) [m^2], iron without reluctance. Equation (mag-area)."""
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
 

@@ -127,9 +127,7 @@ class ClosedLoop:
 
 
 def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
-    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in
-    the unknowns' errors. Equation (comp-closed-loop).
-    """
+    """The fitted closed loop, modes up to *highest_mode* [Hz], first order. Equation (comp-closed-loop)."""
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
     unstable = unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))

@@ -88,9 +88,7 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
 
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
-    """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of
-    F with 2 and 2 nu. Equation (mag-radius).
-    """
+    """sqrt of the F(2, 2 nu) quantile of |e|^2 / var of *count* values together. Equation (mag-radius)."""
     beyond = -np.expm1(np.log(confidence) / count)
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
 
@@ -108,9 +106,7 @@ def state_space(
 
 
 def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, float]:
-    """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere
-    below *weight* (n_line,) [1]. Equation (mag-overbound).
-    """
+    """k [1], zero, pole [Hz] of the least bound above *weight* (n_line,) [1]. Equation (mag-overbound)."""
     low, high = np.log10(frequency[0]) - BEYOND, np.log10(frequency[-1]) + BEYOND
     corners = np.logspace(low, high, int(PER_DECADE * (high - low)) + 1)
     shapes = np.log(np.abs(1 + 1j * frequency / corners[:, None]))
@@ -240,11 +236,7 @@ def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) 
 
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band.
-
-    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
-    parameters.
-    """
+    """A fit per band; ConfigError where settings and channels do not fit, FitError for too few lines."""
     _check(settings)
     return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
 

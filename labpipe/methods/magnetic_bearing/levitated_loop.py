@@ -361,10 +361,7 @@ class LevitatedLoop:
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the closed loop (n_state,) [1/s], s = rate ln z.
-
-        What a delay holds alone (z = 0) is left out. Equation (sim-poles).
-        """
+        """s = rate ln z (n_state,) [1/s], without delays that hold alone (z = 0). Equation (sim-poles)."""
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))
@@ -417,9 +414,7 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
 def _sampled_plant(
     rig: LevitatedRig, of: Mechanics, share: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, q' and currents after a *share* of the controller's interval: step, held outputs, generalised forces
-    at its ends (straight).
-    """
+    """q, q', currents after a *share* of an interval: step, held outputs, straight forces."""
     n_q, n_axis = of.mass.shape[0], len(rig.labels)
     n = 2 * n_q + n_axis
     corner = 2 * np.pi * rig.amplifier_bandwidth

@@ -150,9 +150,7 @@ RATIO, DECREMENT = "zeta", "log_decrement"
 
 
 def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Comparison:
-    """The probability that every mode of the fits has its decrement; ConfigError for fits without damping
-    ratios. Equation (comp-decrement).
-    """
+    """Whether every mode has its decrement; ConfigError without damping. Equation (comp-decrement)."""
     certificate_settings: CertificateSettings = settings.kind_settings
     several = len(fits) > 1
     amounts = [amount for fit in fits for amount in _decrements(fit, several)]

@@ -157,9 +157,7 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
-    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError
-    for an integrator. Equation (mag-static).
-    """
+    """k_n = K G(0) - k_0 [N/m] by *static* k_0; ConfigError for an integrator. Equation (mag-static)."""
     if not np.isfinite(loop.at_rest):
         raise ConfigError(
             "static_stiffness: the controller integrates, so the loop is rigid at rest",
@@ -224,11 +222,7 @@ class Margins:
 
 
 def margins(loop: LoopTransfer, highest: float) -> Margins:
-    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to
-    *highest* [Hz].
-
-    Equation (mag-margins).
-    """
+    """Margins of L(omega), omega (n_line,) [rad/s], stable, up to *highest* [Hz]. Equation (mag-margins)."""
     omega = 2 * np.pi * np.concatenate([[0.0], np.geomspace(LOWEST * highest, highest, LINES)])
     values = loop(omega)
     finite = np.isfinite(values)

@@ -59,9 +59,7 @@ class Course:
     dof: float
 
     def follows(self, starts: IntArray, width: int) -> BoolArray:
-        """Whether a parabola over log omega leaves no more than noise of *width* lines, from each of *starts*
-        (n,) on. Equation (comp-course).
-        """
+        """Whether a parabola leaves noise of *width* lines from *starts* (n,) on. Equation (comp-course)."""
         if width <= PARABOLA:
             return np.ones(starts.size, dtype=bool)
         lines = starts[:, None] + np.arange(width)
@@ -121,9 +119,7 @@ def window(first: int, last: int, width: int, count: int) -> slice:
 
 
 def _through(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatArray:
-    """(..., n_place, n_line) [1]: from values at omega (..., n_line) [rad/s] to those of their polynomial
-    over log omega at other places (..., n_place) [rad/s].
-    """
+    """(..., n_place, n_line) [1]: values at omega (..., n_line) to their polynomial at other places."""
     count = min(coefficients, omega.shape[-1])
     return _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
 
@@ -340,9 +336,7 @@ class Crest:
 
 
 def crest_of(course: Course) -> Crest | None:
-    """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
-    lies at an end of the lines. Equation (comp-peak).
-    """
+    """The maximum of |S| by parabolas; None at an end of the lines. Equation (comp-peak)."""
     count = course.omega.size
     if count < FEWEST:
         return None
@@ -365,9 +359,7 @@ def crest_of(course: Course) -> Crest | None:
 
 
 def _crest_lines(course: Course) -> tuple[slice, bool]:
-    """The most lines that a parabola follows around the highest |S|, each time about the maximum of the last;
-    False where it does not follow the fewest.
-    """
+    """Most lines that a parabola follows around the highest |S|; False where it follows too few."""
     count = course.omega.size
     top = int(np.argmax(np.abs(course.plain)))
     chosen, follows, width = window(top, top, FEWEST, count), False, float(FEWEST)

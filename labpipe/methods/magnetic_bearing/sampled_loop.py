@@ -58,11 +58,7 @@ class SampledLoop:
     rate: float
 
     def run(self, inputs: FloatArray) -> FloatArray:
-        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m,
-        V], from rest.
-
-        ConfigError for an unstable loop.
-        """
+        """z (n_sample, n_direction, 5) [m, V, A] of w (..., 4) [N, m, V], from rest; ConfigError unstable."""
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
             rate = np.log(largest) * self.rate
@@ -286,9 +282,7 @@ def _step(
 
 
 def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear
-    transform; *time*, *interval* [s]. Equation (mag-tustin).
-    """
+    """(b0, b1, a1) [its unit] of (constant + derivative s) / (1 + s time [s]). Equation (mag-tustin)."""
     fast = 2 / interval
     whole = 1 + fast * time
     return (
@@ -324,11 +318,7 @@ def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
 def integrals(
     slope: FloatArray, inputs: FloatArray, time: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time*
-    [s] (Van Loan, 1978).
-
-    *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
-    """
+    """e^{A t} (n, n), responses (n, m) [any unit] to 1 and to a ramp t after *time* [s] (Van Loan 1978)."""
     n, m = inputs.shape
     joint = np.zeros((n + 2 * m, n + 2 * m))
     joint[:n, :n], joint[:n, n : n + m], joint[n : n + m, n + m :] = slope, inputs, np.eye(m)

@@ -191,9 +191,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
-    """The maximum of |S| by a polynomial through the lines around it; at an edge of the band the highest line
-    itself. Equation (comp-peak-change).
-    """
+    """The maximum of |S|; at an edge of the band the highest line. Equation (comp-peak-change)."""
     crest = crest_of(measured.course)
     if crest is None:
         top = int(np.argmax(measured.size))

@@ -139,9 +139,7 @@ def closed_loop_poles(plant: Levitated) -> ComplexArray:
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
-    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty
-    memory, are left out. Equation (mag-sampled).
-    """
+    """s = f_s ln z [rad/s], z != 0 of *matrix* (n_state, n_state) [1]. Equation (mag-sampled)."""
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
     return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
 
@@ -202,9 +200,7 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 
 def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
-    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes
-    the largest |S_ii|. Equation (mag-sensitivity).
-    """
+    """S = (I + L)^-1, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]. Equation (mag-sensitivity)."""
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     return rotor[:, None, None] * np.linalg.inv(
         rotor[:, None, None] * np.eye(2) + loop_stiffness(plant.loop) * controller_matrix(plant.loop, omega)

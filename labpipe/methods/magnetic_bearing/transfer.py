@@ -357,9 +357,7 @@ def block_of(transfer: Transfer) -> ControllerBlock:
 
 
 def blocks_of_matrix(system: Any) -> dict[str, tuple[ControllerBlock, ...]]:
-    """Elements xx, xy, yx and yy of a system of python-control or scipy.signal with two inputs and two
-    outputs; ConfigError for others.
-    """
+    """Elements xx, xy, yx, yy of a two-by-two system of another package; ConfigError else."""
     elements = matrix_of(system)
     if len(elements) != 2 or any(len(row) != 2 for row in elements):
         raise ConfigError("a controller of two directions has two inputs and two outputs")

@@ -76,9 +76,7 @@ def ball_passage(
     fixed_dofs: Sequence[str] = (),
     positions: int = POSITIONS,
 ) -> Passage:
-    """Equilibrium and stiffness at *positions* cage angles of one passage; arguments and errors as in
-    `equilibrium`. Equation (roll-passage).
-    """
+    """`equilibrium` at *positions* cage angles of one passage. Equation (roll-passage)."""
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     n_case = max(len(f), len(q))
     angles = 2 * np.pi / bearing.elements * np.arange(positions) / positions

@@ -443,9 +443,7 @@ class BendingShaft:
         return float(np.pi**4 * self.rigidity / (2 * self.span**3))
 
     def equivalent_mass(self) -> float:
-        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves
-        with mid span. Equation (roll-bending-mass).
-        """
+        """rho A l / 2 [kg] of y = cos(pi x / l): moves with mid span. Equation (roll-bending-mass)."""
         return self.density * np.pi * self.diameter**2 / 4 * self.span / 2
 
     def total_mass(self) -> float:
@@ -486,9 +484,7 @@ def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
 
 
 def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain) -> Uncertain:
-    """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three
-    uncertainties to first order. Equation (roll-series-damping).
-    """
+    """c_total (k_b / k_total)^2 [N s/m], w c << k, to first order. Equation (roll-series-damping)."""
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2
     gap = shaft.value - total.value

@@ -73,18 +73,14 @@ class BallGeometry:
 
     @property
     def groove_centre_radius(self) -> float:
-        """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie.
-        Equation (roll-groove-radius).
-        """
+        """d/2 + (f_i - 1/2) D cos a0 [m] of inner centres. Equation (roll-groove-radius)."""
         return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(
             np.cos(self.contact_angle)
         )
 
     @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
-        """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2).
-        Equation (roll-ball-constant).
-        """
+        """(K_i^(-2/3) + K_o^(-2/3))^(-3/2) [N/m^1.5]. Equation (roll-ball-constant)."""
         contacts = (
             self._contact(1, self.inner_conformity, rings, balls),
             self._contact(-1, self.outer_conformity, rings, balls),
@@ -124,9 +120,7 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
 
 
 def ellipse_ratio(curvature_ratio: float) -> float:
-    """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0,
-    1, k^2) (Carlson). Equation (roll-ellipse).
-    """
+    """k = b/a: A/B = R_D(0, k^2, 1) / R_D(0, 1, k^2) <= 1 (Carlson). Equation (roll-ellipse)."""
     if curvature_ratio >= 1:
         return 1.0
 

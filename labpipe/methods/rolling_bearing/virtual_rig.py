@@ -161,9 +161,7 @@ def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> flo
 
 
 def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> FloatArray:
-    """K of the bearing (5, 5): ratio (1 + hysteresis on the way down) times the theory's at the preload [N].
-    Equation (sim-ball).
-    """
+    """K (5, 5): ratio (1 + hysteresis down) times theory's at the preload [N]. Equation (sim-ball)."""
     loads = replace(test.tested.bearing.loads, z=preload)
     (theory,) = rolling_coefficients([replace(test.tested.bearing, loads=loads)])
     factor = rig.stiffness_ratio * (1 + rig.hysteresis if test.way == "down" else 1.0)

@@ -211,9 +211,7 @@ class ResponseSurface(WithinExtent):
 
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
-    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds.
-    Equation (run-surface).
-    """
+    """Least squares; FitError below three loads or three speeds. Equation (run-surface)."""
     extent = Extent.of(grid)
     terms = _terms(extent.coded(grid.load, grid.speed))
     n, m = terms.shape

@@ -145,9 +145,7 @@ class GaussianProcess(WithinExtent):
 
 
 def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
-    """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
-    priors. Equation (run-process).
-    """
+    """A descent of the hyperparameters from the medians of their priors. Equation (run-process)."""
     return GaussianProcess.of(grid, np.tile([median for median, _ in HYPER], (8, 1)), _likeliest)
 
 

@@ -165,9 +165,7 @@ PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 def fit_points(
     rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE
 ) -> list[PointFit]:
-    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
-    ConfigError unless positive. Equation (run-points).
-    """
+    """By load; *bound*, *ridge* > 0 (else ConfigError) in parts of `scales`. Equation (run-points)."""
     if not (bound > 0 and ridge > 0):
         raise ConfigError(
             "bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %"

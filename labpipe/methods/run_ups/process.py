@@ -65,9 +65,7 @@ class SquaredExponential:
     speed: float
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s].
-        Equation (run-field).
-        """
+        """k (n_first, n_second) [-] of places (n, 2) [N, rad/s]. Equation (run-field)."""
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
@@ -256,11 +254,7 @@ SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 def fit_with_process(
     rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True
 ) -> ProcessFit:
-    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the
-    rotor file's bearing.
-
-    FitError when no minimum is found.
-    """
+    """With smooth factors, from a *joint* fit or the rotor file's bearing; FitError without minimum."""
     runs = list(runs)
     rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))

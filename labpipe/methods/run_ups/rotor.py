@@ -95,9 +95,7 @@ class FilmFamily:
         return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table.
-        Equation (run-family).
-        """
+        """Eight (n_point, 8) [N/m, N s/m]; FitError outside the table. Equation (run-family)."""
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         return self._join(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
@@ -403,9 +401,7 @@ def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 
 
 def largest_displacement(response: ComplexArray) -> FloatArray:
-    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of
-    phasors (..., 2). Equation (rotor-largest).
-    """
+    """Major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...), of (..., 2). Equation (rotor-largest)."""
     return (
         np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])
     ) / 2

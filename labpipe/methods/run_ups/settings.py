@@ -22,11 +22,7 @@ KEYPHASOR = "keyphasor"
 
 @dataclass(frozen=True)
 class ProbeUncertainties:
-    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad]
-    of the keyphasor.
-
-    None for none.
-    """
+    """Of a table's probes: gain [1], phase [rad], delay [s] of each, keyphasor [rad]; or None."""
 
     gain: Uncertain | None = None
     phase: Uncertain | None = None
@@ -165,10 +161,7 @@ class RunSettings(Settings):
 
 @dataclass(frozen=True)
 class ProbeSettings(Settings):
-    """Standard uncertainties of the probes of all runs, each by itself.
-
-    How else they are meant stands in brackets, as in a rig file.
-    """
+    """Standard uncertainties of all probes, each by itself unless brackets say how, as in a rig file."""
 
     gain: str = setting(
         "text",

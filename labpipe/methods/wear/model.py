@@ -67,11 +67,7 @@ class WornModel:
 
     @property
     def film_mesh(self) -> FilmMesh:
-        """The mesh of the films that refine a minimum: four times the tables' cells around the journal, twice
-        those across.
-
-        Around it they follow the film's front and the edges of wear.
-        """
+        """Of films that refine a minimum: 4 times the cells around, along front and edges, twice across."""
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
@@ -134,10 +130,7 @@ def _reduced_rotor(
 
 
 def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
-    """The model of a fit on its lines *frequency* (n_line,) [Hz].
-
-    FitError without a rotor, ConfigError where settings and rotor do not fit together.
-    """
+    """Of a fit on *frequency* (n_line,) [Hz]; FitError without a rotor, ConfigError where unfit."""
     if settings.rig is None:
         raise FitError("no rotor was read for this fit", hint="name it with wear.rotor")
     prior = settings.nuisance_prior
