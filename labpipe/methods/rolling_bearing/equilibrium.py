@@ -9,7 +9,9 @@ clearance and zero contact angle need no special case.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,20 +87,21 @@ def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Seque
 
 def check_carried(bearing: RollingBearing, at: Contacts) -> None:
     """FitError beyond the range of Hertzian contact, or of a contact angle beyond 90 deg."""
-    beyond = at.deflection > bearing.reach
-    if np.any(beyond):
-        case, element = (int(n) for n in np.argwhere(beyond)[0])
+    for wrong, pressed in (
+        (at.deflection > bearing.reach, True),
+        ((at.deflection > 0) & (at.cos < 0), False),
+    ):
+        if not np.any(wrong):
+            continue
+        case, element = (int(n) for n in np.argwhere(wrong)[0])
+        what = f"{_case(case, len(wrong))}element {element + 1}"
+        if pressed:
+            raise FitError(
+                f"{what} is pressed in by {1e6 * at.deflection[case, element]:.4g} um",
+                hint=f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements",
+            )
         raise FitError(
-            f"{_case(case, len(beyond))}element {element + 1} is pressed in by "
-            f"{1e6 * at.deflection[case, element]:.4g} um",
-            hint=f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements",
-        )
-    inside = (at.deflection > 0) & (at.cos < 0)
-    if np.any(inside):
-        case, element = (int(n) for n in np.argwhere(inside)[0])
-        raise FitError(
-            f"{_case(case, len(inside))}element {element + 1} carries at a contact angle beyond 90 deg: the "
-            "rings have come apart",
+            f"{what} carries at a contact angle beyond 90 deg: the rings have come apart",
             hint="the bearing cannot carry this load",
         )
 
@@ -312,12 +315,12 @@ class Equilibrium:
     angles: FloatArray
     free: tuple[str, ...]
 
-    @property
+    @cached_property
     def contact_angle(self) -> FloatArray:
         """Loaded contact angles a_j (n_case, z) [rad]."""
         return np.arctan2(self.contacts.sin, self.contacts.cos)
 
-    @property
+    @cached_property
     def mirrored(self) -> BoolArray:
         """Cases (n_case,) with an element carrying at the opposite contact angle, as equations allow."""
         opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
@@ -325,7 +328,7 @@ class Equilibrium:
             opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1
         )
 
-    @property
+    @cached_property
     def determinate(self) -> BoolArray:
         """Load cases (n_case,) whose position is unique: the stiffness of the free dofs is not singular."""
         index = [DOFS.index(name) for name in self.free]
@@ -401,11 +404,9 @@ def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
         )
     )
     check_carried(parts[0].bearing, at)
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("displacement", "load", "stiffness", "angles")
-    }
-    return Equilibrium(parts[0].bearing, contacts=at, free=parts[0].free, **joined)
+    names = ("displacement", "load", "stiffness", "angles")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], contacts=at, **joined)
 
 
 def load_vector(**loads: float) -> FloatArray:

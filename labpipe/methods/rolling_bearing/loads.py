@@ -301,15 +301,7 @@ def transfer_matrix(
     *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a
     dof without stiffness, or on an undamped resonance. Equation (roll-transfer).
     """
-    w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
-    dynamic: ComplexArray = -(w**2) * np.diag(shaft.inertias) + (1 + 1j * w * beta) * stiffness
-    try:
-        receptance: ComplexArray = np.linalg.inv(dynamic)
-    except np.linalg.LinAlgError:
-        raise FitError(
-            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
-        ) from None
-    return receptance
+    return bent_transfer_matrix(shaft, stiffness, frequency, beta, np.inf)
 
 
 def theoretical_response(
@@ -381,12 +373,11 @@ def bent_transfer_matrix(
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
     try:
-        receptance = np.linalg.inv(dynamic)
+        return np.asarray(np.linalg.inv(dynamic))
     except np.linalg.LinAlgError:
         raise FitError(
             "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
         ) from None
-    return receptance
 
 
 NORMAL_95 = normal_quantile(0.975)

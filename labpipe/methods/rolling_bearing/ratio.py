@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
-from labpipe.uncertainty.amounts import chance, change_in, common_changes, from_log, with_error
+from labpipe.uncertainty.amounts import chance, change_in, common_changes, from_log, matrix_of, with_error
 from labpipe.uncertainty.compare import OF_TESTS, Evidence
 from labpipe.uncertainty.observations import Campaign
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
@@ -300,12 +301,18 @@ def stiffness_ratio(
         amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
         verdict="stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory",
         statement=result + _one_factor(mean),
-        condition=campaign.settings.condition,
-        condition_unit=campaign.condition_unit,
-        second=campaign.settings.second,
-        second_unit=campaign.second_unit,
+        **_conditions(campaign),
         overlays=overlays,
     )
+
+
+def _conditions(campaign: Campaign) -> dict[str, Any]:
+    return {
+        "condition": campaign.settings.condition,
+        "condition_unit": campaign.condition_unit,
+        "second": campaign.settings.second,
+        "second_unit": campaign.second_unit,
+    }
 
 
 def joint_covariance(
@@ -320,11 +327,9 @@ def joint_covariance(
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
     shared = np.array([test.to_bending[number] for test in matched]) * bending_error
-    sources = dict.fromkeys(source for test in matched for source in test.to_sources)
-    common = np.array(
-        [[test.to_sources.get(source, np.zeros(2))[number] for test in matched] for source in sources]
+    common = matrix_of(
+        [{source: float(change[number]) for source, change in test.to_sources.items()} for test in matched]
     )
-    common = common.reshape(len(sources), len(matched))
     return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
 
 
@@ -380,10 +385,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         amounts=(beta, exponent, chance("p_value", mean.p_value)),
         verdict=verdict,
         statement=f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g}).",
-        condition=campaign.settings.condition,
-        condition_unit=campaign.condition_unit,
-        second=campaign.settings.second,
-        second_unit=campaign.second_unit,
+        **_conditions(campaign),
     )
 
 
@@ -412,12 +414,7 @@ def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> 
 CONDITION_STEP = 1e-3
 
 Theory = Callable[[Sequence[tuple[float, str]]], TheoryAt]
-
-
-@dataclass(frozen=True)
-class _Solved:
-    matched: list[Matched]
-    overlays: tuple[Overlay, ...]
+Solved = tuple[list[Matched], tuple[Overlay, ...]]
 
 
 def theory_of(folder: Path, settings: TheorySettings) -> Theory:
@@ -445,7 +442,7 @@ def ratio_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(settings, "k")
     solved = _match(campaign, evidence)
-    return stiffness_ratio(campaign, solved.matched, solved.overlays, _bending_error(settings))
+    return stiffness_ratio(campaign, *solved, _bending_error(settings))
 
 
 def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -453,7 +450,7 @@ def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparis
     campaign = evidence.campaign(settings, "c")
     if settings.theory is None:
         return rayleigh(campaign, None)
-    return rayleigh(campaign, _match(campaign, evidence).matched, _bending_error(settings))
+    return rayleigh(campaign, _match(campaign, evidence)[0], _bending_error(settings))
 
 
 def _bending_error(settings: CompareSettings) -> float:
@@ -461,7 +458,7 @@ def _bending_error(settings: CompareSettings) -> float:
     return shaft.std_error / shaft.value if shaft else 0.0
 
 
-def _match(campaign: Campaign, evidence: Evidence) -> _Solved:
+def _match(campaign: Campaign, evidence: Evidence) -> Solved:
     named = campaign.settings.theory
     assert named is not None
     theory = evidence.theory or theory_of(evidence.folder, named)
@@ -471,7 +468,7 @@ def _match(campaign: Campaign, evidence: Evidence) -> _Solved:
     return evidence.solved[key]
 
 
-def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> _Solved:
+def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> Solved:
     rig = Rig(named.shaft or Uncertain(float("inf")), named.arm)
     theories: dict[str, TheoryAt] = {}
     matched, overlays = [], []
@@ -488,20 +485,14 @@ def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named
             theories[key],
             rig,
         )
-        matched.append(_name(observation.fit.test, *inputs))
+        try:
+            matched.append(match(*inputs))
+        except LabpipeError as error:
+            error.what = f"test {observation.fit.test}: {error.what}"
+            raise
         if number in (0, last):
             overlays.append(overlay(*inputs, matched[-1]))
-    return _Solved(matched, tuple(overlays))
-
-
-def _name(
-    test: str, fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig
-) -> Matched:
-    try:
-        return match(fit, response, settings, theory, rig)
-    except LabpipeError as error:
-        error.what = f"test {test}: {error.what}"
-        raise
+    return matched, tuple(overlays)
 
 
 RATIO = ComparisonKind(

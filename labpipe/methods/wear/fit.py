@@ -59,7 +59,6 @@ from labpipe.records.response import FrequencyResponse
 RIVAL = 9.21
 AT_BOUND = 1e-4
 PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
-DISPLAY = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg"), "Pa": (1e-5, "bar")}
 
 
 def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:

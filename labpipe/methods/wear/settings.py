@@ -225,25 +225,13 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     return (worn_fit(response, settings),)
 
 
-def _earlier(settings: FitSettings) -> str:
-    wear: WearSettings = settings.model_settings
-    return wear.prior
-
-
-def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    if not _earlier(settings):
-        return settings
-
-    return with_prior(settings, fits)
-
-
 WORN_BEARING = ModelKind(
     _fit,
     "wear",
     WearSettings,
     "wear: {rotor: ../configs/rotors/FILE.yaml}",
-    earlier=_earlier,
-    begin=_begin,
+    earlier=lambda settings: settings.model_settings.prior,
+    begin=with_prior,
     keys=(),
     estimators=("ml",),
 )

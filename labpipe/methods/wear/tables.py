@@ -7,7 +7,7 @@ exact, and from the few dofs of the reduced rotor only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -82,34 +82,6 @@ def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
 def forward_backward(matrix: ComplexArray) -> ComplexArray:
     """A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] (Mendes et al. 2017, eq. 18)."""
     return np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
-
-
-@dataclass(frozen=True)
-class WornRig:
-    """A rotor on all its bearings except the worn one; made once per speed and set of lines.
-
-    rotor: reduced to the worn bearing's *node*, *output*, the node of the sensors, and *force*, the node of
-    the exciter; bearing: coefficients of the worn bearing with their derivatives by depth [m] and angle
-    [rad], from a table or the film itself.
-    """
-
-    rotor: ReducedRotor
-    bearing: Callable[[float, float], VaryingSupport]
-    output: int
-    force: int
-
-
-def worn_response(
-    depth: float, angle: float, rig: WornRig, directional: bool = False
-) -> tuple[ComplexArray, ComplexArray]:
-    """Receptance (n_line, 2, 2) [m/N] with a wear of *depth* [m] at *angle* [rad] from the bottom, and its
-    derivatives (2, n_line, 2, 2).
-
-    The derivatives are by depth and by angle [1/N, m/(N rad)]. *directional*: forward and backward instead of
-    y and z.
-    """
-    response, slopes = response_with_slopes(rig.rotor, [rig.bearing(depth, angle)], rig.output, rig.force)
-    return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
 
 
 # Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the
