@@ -374,17 +374,23 @@ def estimate(
 def _pulls(
     problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, noise: Noise
 ) -> Pulls | None:
-    """What the data say of given numbers, each 0 +- 1 standard deviation of its own.
-
-    Chi-square loses what their most likely values explain by noise of the *excess* alone; the numbers that
-    data ask for have the errors of estimates.
-    """
     state = problem.at(values)
     errors = uncertain(problem.model, values, state)
     if not len(errors):
         return None
-    stated = Stated.of(np.sqrt(2) * real_rows(state.whiten(errors).reshape(len(errors), -1)))
-    residual, slopes = np.sqrt(2) * problem.residual(values), np.sqrt(2) * jacobian
+    changes = real_rows(state.whiten(errors).reshape(len(errors), -1))
+    return stated_pulls(changes, problem.residual(values), jacobian, noise)
+
+
+def stated_pulls(changes: FloatArray, residual: FloatArray, jacobian: FloatArray, noise: Noise) -> Pulls:
+    """What a residual (n_equation,) [1] of unit complex noise says of given numbers, each 0 +- 1 standard
+    deviation of its own, by which it has *changes* (n, n_equation) [1]; *jacobian* (n_equation, n_parameter).
+
+    Chi-square loses what their most likely values explain by noise of the *excess* alone; the numbers that
+    data ask for have the errors of estimates.
+    """
+    stated = Stated.of(np.sqrt(2) * changes)
+    residual, slopes = np.sqrt(2) * residual, np.sqrt(2) * jacobian
     inverse = inverse_information(jacobian)
     # The columns are not the whole derivative of e^H S^-1 e, whose minimum leaves a part along them.
     residual = residual - slopes @ (inverse @ (slopes.T @ residual))

@@ -19,7 +19,7 @@ from labpipe.estimation.causes import BY_DELAY, LIKELIEST, delay_finding, delays
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
-from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows
+from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows, stated_pulls
 from labpipe.methods.floating_bearing.settings import given_uncertainties, join, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.finding import Finding
@@ -212,14 +212,15 @@ def magnet_estimate(
         ) from None
     jacobian = problem.jacobian(best.values)
     dof = n_equation - n
-    squares = 2 * problem.chi2(best.values) / noise.excess
+    squares, state = 2 * problem.chi2(best.values), problem.at(best.values)
     errors = errors_by_given(problem, best.values, given)
     uncertainties = given_uncertainties(
-        [(uncertainty, error[None]) for uncertainty, error in errors],
-        response_of(problem.at(best.values).whiten, jacobian),
+        [(uncertainty, error[None]) for uncertainty, error in errors], response_of(state.whiten, jacobian)
     )
     if errors:
-        squares -= _explained_part(problem, best.values, jacobian, uncertainties, errors, noise.excess)
+        changes = real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
+        squares -= stated_pulls(changes, problem.residual(best.values), jacobian, noise).explained
+    squares /= noise.excess
     information = inverse_information(jacobian)
     return MagnetEstimate(
         model=model,
@@ -266,27 +267,6 @@ def errors_by_given(
                 (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error)
             )
     return join(errors)
-
-
-def _explained_part(
-    problem: MagnetLikelihood,
-    values: FloatArray,
-    jacobian: FloatArray,
-    uncertainties: Sequence[GivenUncertainty],
-    errors: Sequence[tuple[Uncertainty, ComplexArray]],
-    excess: float,
-) -> float:
-    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs
-    counting as one.
-    """
-    state = problem.at(values)
-    changes = real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
-    # What the parameters can follow is theirs already.
-    changes = changes + np.concatenate([uncertainty.changes for uncertainty in uncertainties]) @ jacobian.T
-    along = 2 * changes @ problem.residual(values) / excess
-    return float(
-        excess * along @ np.linalg.solve(np.eye(len(changes)) + 2 * changes @ changes.T / excess, along)
-    )
 
 
 class LateLikelihood(MagnetLikelihood):
