@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,6 +215,7 @@ def solve(
 # model.
 GivenErrors = Callable[[StiffnessModel, FloatArray, Whitened], ComplexArray]
 N_EQUATION = 2
+Model = TypeVar("Model")
 # Distance to the minimum in standard errors at which a descent ends: that which counts, and those from
 # several starts before it.
 NEAR, ROUGH = 1e-4, 0.1
@@ -227,16 +228,16 @@ LEAST_SPREAD = 1.25
 
 
 @dataclass(frozen=True)
-class Estimate:
+class BalanceEstimate(Generic[Model]):
     """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter,
     n_parameter) [their units].
 
     squares: 2 V [1] corrected for estimated covariances and uncertain given numbers, chi-square with *dof* if
     the model is right; p_value of it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with
-    columns of length 1. pulls: what the data say of given numbers that are uncertain.
+    columns of length 1.
     """
 
-    model: StiffnessModel
+    model: Model
     values: FloatArray
     covariance: FloatArray
     squares: float
@@ -245,12 +246,18 @@ class Estimate:
     converged: bool
     steps: int
     design: FloatArray
-    pulls: Pulls | None = None
 
     @property
     def reduced(self) -> float:
         """Chi-square per degree of freedom, 1 if the model is right."""
         return self.squares / self.dof
+
+
+@dataclass(frozen=True)
+class Estimate(BalanceEstimate[StiffnessModel]):
+    """Of a dynamic stiffness; pulls: what the data say of given numbers that are uncertain."""
+
+    pulls: Pulls | None = None
 
 
 @dataclass(frozen=True)

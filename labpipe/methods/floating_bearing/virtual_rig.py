@@ -46,8 +46,7 @@ class Relaxation(Settings):
     time: float = quantity("relaxation time tau", "s")
 
     def __post_init__(self) -> None:
-        if not self.time > 0:
-            raise ConfigError("the relaxation time is positive", field="time")
+        require_positive(self, "time")
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,7 @@ class Pad(Settings):
     damping_ratio: float = quantity("damping ratio of the pad", "1")
 
     def __post_init__(self) -> None:
-        if not self.frequency > 0:
-            raise ConfigError("the natural frequency of a pad is positive", field="frequency")
+        require_positive(self, "frequency")
 
 
 @dataclass(frozen=True)

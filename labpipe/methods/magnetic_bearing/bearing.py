@@ -18,16 +18,16 @@ from labpipe.methods.magnetic_bearing.loop import (
     stiffness_matrix,
     stiffness_shares,
 )
+from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
 from labpipe.methods.magnetic_bearing.stability import (
     PADE_ORDER,
-    Levitated,
     SensitivityPeak,
     closed_loop_poles,
     sensitivity_peak,
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import Settings, quantity, require_positive, setting, settings_of
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -62,14 +62,7 @@ class Magnet(Settings):
     iron_permeability: float = quantity("relative permeability of the iron", "1", 4000.0)
 
     def __post_init__(self) -> None:
-        positive = {"turns": self.turns, "gap": self.gap, "pole_area": self.pole_area, "recoil": self.recoil}
-        positive |= {
-            "iron_permeability": self.iron_permeability,
-            "magnet_area": 1.0 if self.magnet_area is None else self.magnet_area,
-        }
-        for name, amount in positive.items():
-            if not amount > 0:
-                raise ConfigError(f"{name}: must be above zero, not {amount:g}")
+        require_positive(self, "turns", "gap", "pole_area", "recoil", "iron_permeability", "magnet_area")
         for name in ("bias_current", "coercivity", "magnet_length", "iron_path"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name}: must not be negative")
@@ -208,7 +201,7 @@ class MagneticFile(Settings):
     def motion_frequency(self) -> float:
         return float(self.speed or 0.0) if self.frequency is None else self.frequency
 
-    def levitated(self) -> Levitated:
+    def levitated(self) -> Suspended:
         """Control loop, negative stiffness and mass, from whichever entries the file has."""
         factor, pull = self.force_per_current, self.negative_stiffness
         if self.magnet is not None:
@@ -219,7 +212,7 @@ class MagneticFile(Settings):
         if self.static_stiffness is not None:
             pull = inferred_negative_stiffness(loop, self.static_stiffness)
         assert pull is not None
-        return Levitated(loop, pull, self.mass)
+        return Suspended(loop, pull, self.mass)
 
     def assumptions(self) -> str:
         single, rate = self.loop.cross is None, self.loop.rate
@@ -250,7 +243,7 @@ class Verdict:
 
 
 @lru_cache(maxsize=32)
-def verdict(plant: Levitated) -> Verdict:
+def verdict(plant: Suspended) -> Verdict:
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
 
 

@@ -38,6 +38,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 )
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
+from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
 from labpipe.methods.magnetic_bearing.sensitivity import (
     MeasuredSensitivity,
     Peak,
@@ -47,7 +48,6 @@ from labpipe.methods.magnetic_bearing.sensitivity import (
 )
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,
-    Levitated,
     closed_loop_poles,
     open_loop,
     sample,
@@ -193,7 +193,7 @@ def bent_findings(loop: ClosedLoop) -> list[Finding]:
     return [Finding("first-order", what)]
 
 
-def loop_poles(plant: Levitated, rate: float | None) -> ComplexArray:
+def loop_poles(plant: Suspended, rate: float | None) -> ComplexArray:
     """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
     return closed_loop_poles(plant) if rate is None else sampled_poles(sample(plant, rate), rate)
 
@@ -208,7 +208,7 @@ def _nearest(poles: ComplexArray, modes: ComplexArray) -> ComplexArray:
     return np.array([poles[np.argmin(np.abs(poles - mode))] for mode in modes], np.complex128)
 
 
-def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
+def _amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
     """Margins of a stable loop, then f_n, log decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
     amounts: dict[str, float] = {}
     if stable:

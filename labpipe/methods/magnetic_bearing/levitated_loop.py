@@ -45,8 +45,7 @@ class BendingMode(Settings):
     at_unbalance: float = quantity("its shape at the unbalance", "1", 0.0)
 
     def __post_init__(self) -> None:
-        if not self.frequency > 0:
-            raise ConfigError("the natural frequency is positive", field="frequency")
+        require_positive(self, "frequency")
         for name in ("at_bearings", "at_sensors"):
             if len(getattr(self, name)) != len(ENDS):
                 raise ConfigError(f"'{name}' needs a number for each of the two ends", field=name)
@@ -63,8 +62,7 @@ class LongRotor(Settings):
     bending: BendingMode | None = setting("section", "a bending mode", section=BendingMode, default=None)
 
     def __post_init__(self) -> None:
-        if not self.inertia > 0:
-            raise ConfigError("the transverse moment of inertia is positive", field="inertia")
+        require_positive(self, "inertia")
         for name in ("bearings", "sensors"):
             places = getattr(self, name)
             if len(places) != len(ENDS) or places[0] == places[1]:
@@ -92,8 +90,7 @@ class SampledPid(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not (self.rate > 0 and self.derivative_time > 0):
-            raise ConfigError("rate and derivative_time are positive")
+        require_positive(self, "rate", "derivative_time")
         if self.delay < 0:
             raise ConfigError("'delay' must not be negative", field="delay")
 
@@ -329,20 +326,6 @@ def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
 
 
 @dataclass(frozen=True)
-class Signals:
-    """What a run of the loop gives: *output* of the controller (n_sample, n_axis) [A] with what is added
-    there, at its rate.
-
-    motion at the sensors [m] and current [A], (n_sample * BETWEEN, n_axis): a held output leaves a current
-    that is not smooth from step to step, and a logger's filter sees it between them.
-    """
-
-    output: FloatArray
-    motion: FloatArray
-    current: FloatArray
-
-
-@dataclass(frozen=True)
 class LevitatedLoop:
     """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz].
 
@@ -366,8 +349,10 @@ class LevitatedLoop:
         values = values[np.abs(values) > ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))
 
-    def run(self, inputs: FloatArray) -> Signals:
-        """The signals of *inputs* (n_sample, n_input) [N, m, m, A], from rest; ConfigError where unstable."""
+    def run(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Output of the controller with what is added (n_sample, n_axis) [A], motion at the sensors [m] and
+        current [A] BETWEEN times as often, of *inputs* (n_sample, n_input), from rest; ConfigError: unstable.
+        """
         growth = float(np.max(self.poles.real))
         if growth > ROUNDING * self.rate:
             message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
@@ -376,7 +361,7 @@ class LevitatedLoop:
             )
         outputs = linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
-        return Signals(outputs[:, : self.n_axis], fine[:, 0], fine[:, 1])
+        return outputs[:, : self.n_axis], fine[:, 0], fine[:, 1]
 
 
 def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:

@@ -39,30 +39,25 @@ FINE_CURRENT = ("uA", 1e6)
 
 
 def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
-    period = round(rig.sample_rate / rig.injection.spacing)
-    n_sample, n_axis = (
-        (
-            rig.injection.periods * period
-            if name.startswith(MULTISINE)
-            else round(rig.injection.duration * rig.sample_rate)
-        ),
-        len(rig.labels),
-    )
+    injection, n_axis = rig.injection, len(rig.labels)
+    if name.startswith(MULTISINE):
+        n_sample = injection.periods * round(rig.sample_rate / injection.spacing)
+    else:
+        n_sample = round(injection.duration * rig.sample_rate)
     length = n_sample * rig.decimation + round((SETTLING + MARGIN) * rig.control.rate)
     angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
-    shape = ((length + 1), len(rig.labels))
-    added, push = (
-        _injection(rig, name, length, rng),
-        (_random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)),
-    )
+    added = _injection(rig, name, length, rng)
+    push: FloatArray = np.zeros((length + 1, n_axis))
+    if name == SHAKER:
+        push = _random(rig, rig.shaker, (length + 1, n_axis), rng, straight_lines=True)
     seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(
         rig, angle[:-1]
     )
-    signals = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
-    fine = _log(rig, np.hstack([signals.current, signals.motion]), BETWEEN, n_sample)
+    output, motion, current = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
+    fine = _log(rig, np.hstack([current, motion]), BETWEEN, n_sample)
     coarse: list[FloatArray] = [seen]
     if rig.output_recorded:
-        coarse.append(signals.output)
+        coarse.append(output)
     if name != REST:
         coarse.append(push[:-1] if name == SHAKER else added)
     plain = _log(rig, np.hstack(coarse), 1, n_sample)

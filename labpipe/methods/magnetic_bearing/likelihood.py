@@ -19,7 +19,13 @@ from labpipe.estimation.causes import BY_DELAY, LIKELIEST, delay_finding, delays
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
-from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows, stated_pulls
+from labpipe.methods.floating_bearing.likelihood import (
+    BalanceEstimate,
+    Noise,
+    inverse_information,
+    real_rows,
+    stated_pulls,
+)
 from labpipe.methods.floating_bearing.settings import given_uncertainties, join, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.finding import Finding
@@ -156,30 +162,11 @@ NOISE_FREE = 1e-20
 
 
 @dataclass(frozen=True)
-class MagnetEstimate:
-    """Values (n_parameter,), covariance by noise (n_parameter, n_parameter) [their units], 2 V corrected for
-    an estimated covariance.
+class MagnetEstimate(BalanceEstimate[MagnetModel]):
+    """Of magnets, what given numbers do, and amplification (n_parameter,) [their units] of errors."""
 
-    design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1; uncertainties:
-    what given numbers do.
-    """
-
-    model: MagnetModel
-    values: FloatArray
-    covariance: FloatArray
-    squares: float
-    dof: int
-    p_value: float
-    converged: bool
-    steps: int
-    design: FloatArray
-    uncertainties: tuple[GivenUncertainty, ...] = ()
-    amplification: FloatArray | None = None
-
-    @property
-    def reduced(self) -> float:
-        """Chi-square per degree of freedom, 1 if the model is right."""
-        return self.squares / self.dof
+    uncertainties: tuple[GivenUncertainty, ...]
+    amplification: FloatArray
 
 
 def noise_of(rotor: Levitation) -> Noise:

@@ -22,7 +22,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.uncertain import MatrixError
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
@@ -65,10 +65,7 @@ class CertificateSettings(Settings):
     def __post_init__(self) -> None:
         if not 0.5 < self.confidence < 1:
             raise ConfigError("'confidence' must lie between 50 and 100 %", field="confidence")
-        if self.log_decrement is not None and not self.log_decrement > 0:
-            raise ConfigError("'log_decrement' must be above zero", field="log_decrement")
-        if self.rate is not None and not self.rate > 0:
-            raise ConfigError("'rate' must be above zero", field="rate")
+        require_positive(self, "log_decrement", "rate")
         if self.before and len(self.before) != len(self.after):
             raise ConfigError(
                 f"{len(self.before)} points ahead of a sum and {len(self.after)} behind",

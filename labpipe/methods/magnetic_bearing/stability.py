@@ -43,15 +43,6 @@ TURNING = (1e-5, 1e7, 400_001)
 
 
 @dataclass(frozen=True)
-class Levitated:
-    """A *mass* [kg] on one loop with the bias field's *negative_stiffness* [N/m]."""
-
-    loop: ControlLoop
-    negative_stiffness: float
-    mass: float
-
-
-@dataclass(frozen=True)
 class SensitivityPeak:
     """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3."""
 
@@ -74,7 +65,7 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
     return Polynomial([(-1) ** k * term for k, term in enumerate(terms)]), Polynomial(terms)
 
 
-def characteristic_polynomial(plant: Levitated, time: float) -> Polynomial:
+def characteristic_polynomial(plant: Suspended, time: float) -> Polynomial:
     """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the
     coefficients are of equal magnitude.
 
@@ -120,13 +111,12 @@ def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Poly
     return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
 
 
-def sample(plant: Levitated, rate: float) -> FloatArray:
+def sample(plant: Suspended, rate: float) -> FloatArray:
     """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of x unless a matrix controls."""
-    suspended = Suspended(plant.loop, plant.negative_stiffness, plant.mass)
-    return sampled_loop(suspended, rate).a if plant.loop.cross is None else sampled_matrix(suspended, rate)
+    return sampled_loop(plant, rate).a if plant.loop.cross is None else sampled_matrix(plant, rate)
 
 
-def closed_loop_poles(plant: Levitated) -> ComplexArray:
+def closed_loop_poles(plant: Suspended) -> ComplexArray:
     """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation.
 
     With discrete blocks s = f_s ln z of the sampled loop, without approximation.
@@ -149,7 +139,7 @@ def ordered_poles(poles: ComplexArray) -> ComplexArray:
     return poles[np.lexsort((np.abs(poles.imag), -poles.real))]
 
 
-def unstable_poles(plant: Levitated) -> int:
+def unstable_poles(plant: Suspended) -> int:
     """Number of poles in the right half-plane with the exact delay, Z = n / 2 - (phase change of D(jw) over w
     = 0 ... inf) / pi.
 
@@ -186,7 +176,7 @@ def _elements(loop: ControlLoop) -> list[tuple[ControllerBlock, ...]]:
     return [blocks for blocks in (loop.blocks(*pair) for pair in pairs) if blocks]
 
 
-def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
+def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:
     """S(jw) = 1 / (1 + L), L = K G / (-m w^2 - k_n), (n_line,) [1], of x; ISO 14839-3."""
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
@@ -199,7 +189,7 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
     return np.where(np.isfinite(controlled), ratio, 0.0)
 
 
-def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
+def sensitivity_matrix(plant: Suspended, omega: FloatArray) -> ComplexArray:
     """S = (I + L)^-1, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]. Equation (mag-sensitivity)."""
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     return rotor[:, None, None] * np.linalg.inv(
@@ -212,7 +202,7 @@ def zone_of(peak: float) -> str:
     return next((zone for zone, end in ZONES if peak < end), "D")
 
 
-def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
+def sensitivity_peak(plant: Suspended) -> SensitivityPeak:
     """The largest |S| from 0 Hz to 2 kHz and its zone; meaningful for a stable loop only."""
     frequency = np.concatenate([[0.0], np.geomspace(*SEARCH)])
     if plant.loop.cross is None:
@@ -276,7 +266,7 @@ class OpenLoop:
 
 
 def open_loop(
-    plant: Levitated, omega: FloatArray, rate: float | None = None, filtered: bool = False
+    plant: Suspended, omega: FloatArray, rate: float | None = None, filtered: bool = False
 ) -> OpenLoop:
     """The loop at *omega* [rad/s] (n_line,), sampled and held at *rate* [Hz]; without one in continuous time,
     the hold as delay.
@@ -291,7 +281,7 @@ def open_loop(
         motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
         law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
         return OpenLoop(loop.sensor, law.astype(np.complex128), motion * chain.get("sensor", 1.0), current)
-    motion, current = _sampled_motion(Suspended(loop, plant.negative_stiffness, plant.mass), omega, rate)
+    motion, current = _sampled_motion(plant, omega, rate)
     law_at = law_response(_own_law(loop, rate), omega, rate)
     if not filtered:
         return OpenLoop(loop.sensor, law_at, motion, current)

@@ -293,8 +293,8 @@ def test_a_certificate_is_recorded_and_reported(rng: np.random.Generator) -> Non
     ("own", "message"),
     [
         ({"confidence": 0.3}, "between 50 and 100 %"),
-        ({"log_decrement": -1}, "above zero"),
-        ({"rate": 0}, "above zero"),
+        ({"log_decrement": -1}, "positive"),
+        ({"rate": 0}, "positive"),
         ({"before": ["a", "b"], "after": ["c"]}, "2 points ahead of a sum and 1 behind"),
     ],
 )
