@@ -238,13 +238,11 @@ def physical_findings(parameters: tuple[Parameter, ...]) -> tuple[Finding, ...]:
 @dataclass(frozen=True)
 class BalanceMisfit:
     """A balance whose residual is not noise, on omega (n_line,) [rad/s]; *larger*: what the covariance of the
-    noise counts more for being estimated [1].
-
-    white (n_line, n_run, n_axis) [1]: the residual over its noise; whiten: forces (..., n_line, n_run,
-    n_axis) [N] over it. added, slopes: from values to the forces that they add to those at the minimum, and
-    to the slopes of these (n, n_line, n_run, n_axis) [N per parameter unit]. motion (n_line, n_run, n_axis)
-    [m]; size (n_axis,) [N]: r.m.s. force of each axis; gains (n_channel, n_line, n_run, n_axis) [N]: what
-    every channel adds to the balance.
+    noise counts more for being estimated [1]. white (n_line, n_run, n_axis) [1]: the residual over its noise;
+    whiten: forces (..., n_line, n_run, n_axis) [N] over it. added, slopes: from values to the forces that
+    they add to those at the minimum, and to the slopes of these (n, n_line, n_run, n_axis) [N per parameter
+    unit]. motion (n_line, n_run, n_axis) [m]; size (n_axis,) [N]: r.m.s. force of each axis; gains
+    (n_channel, n_line, n_run, n_axis) [N]: what every channel adds to the balance.
     """
 
     names: tuple[str, ...]

@@ -108,9 +108,7 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 def baseline_of(fit: Fit) -> Baseline:
     """The fitted stiffness of another fit as a baseline: its noise and its given numbers become uncertainties
-    of this one.
-
-    What its model leaves unexplained counts as its noise.
+    of this one. What its model leaves unexplained counts as its noise.
     """
     shown = fit.detail(DynamicStiffness)
     if shown is None or not fit.converged:

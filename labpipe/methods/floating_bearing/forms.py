@@ -50,9 +50,7 @@ class ShapeParameter:
 @dataclass(frozen=True)
 class Form:
     """One form: *matrices* (letter, unit) of the M_k, *shape* parameters theta, and what is needed of the
-    g_k.
-
-    basis(theta, omega): (n_matrix, n_line) of theta (n_shape,), omega (n_line,) [rad/s]; slopes(theta,
+    g_k. basis(theta, omega): (n_matrix, n_line) of theta (n_shape,), omega (n_line,) [rad/s]; slopes(theta,
     omega): (n_shape, n_matrix, n_line); starts(omega): theta to begin with, (n_start, n_shape). *bands*:
     edges [Hz] of a form that has coefficients of its own in each.
     """

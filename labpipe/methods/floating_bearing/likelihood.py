@@ -188,9 +188,7 @@ def solve(
     balance: Balance, model: StiffnessModel, grid: FloatArray, weights: Whitened
 ) -> tuple[FloatArray, FloatArray]:
     """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what
-    they leave (n_start,) [1].
-
-    grid (n_start, n_shape) of shape parameters.
+    they leave (n_start,) [1]. grid (n_start, n_shape) of shape parameters.
     """
     moved = weights.whiten(times(model.elements[:, None, None], balance.motion))
     side = weights.whiten(balance.right)
@@ -230,11 +228,9 @@ LEAST_SPREAD = 1.25
 @dataclass(frozen=True)
 class BalanceEstimate(Generic[Model]):
     """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter,
-    n_parameter) [their units].
-
-    squares: 2 V [1] corrected for estimated covariances and uncertain given numbers, chi-square with *dof* if
-    the model is right; p_value of it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with
-    columns of length 1.
+    n_parameter) [their units]. squares: 2 V [1] corrected for estimated covariances and uncertain given
+    numbers, chi-square with *dof* if the model is right; p_value of it. design: triangle (n_parameter,
+    n_parameter) [1] of the Jacobian with columns of length 1.
     """
 
     model: Model
@@ -262,10 +258,8 @@ class Estimate(BalanceEstimate[StiffnessModel]):
 
 @dataclass(frozen=True)
 class Noise:
-    """How far the covariance of the noise is known.
-
-    dof: complex degrees of freedom behind it; shared, shared_power: of lines with common noise; *equations* p
-    of a line and run.
+    """How far the covariance of the noise is known. dof: complex degrees of freedom behind it; shared,
+    shared_power: of lines with common noise; *equations* p of a line and run.
     """
 
     dof: float = float("inf")

@@ -122,10 +122,8 @@ def given_errors(
     stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray
 ) -> list[tuple[Uncertainty, ComplexArray]]:
     """By source, the change of e [N] by one standard deviation of the given number, (n, n_line, n_run, 2) for
-    n independent ones.
-
-    stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI units] the channels
-    with as little noise as may be.
+    n independent ones. stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI
+    units] the channels with as little noise as may be.
     """
     axes = clean @ stator.to_axes.T
     omega = stator.omega[:, None, None]
@@ -241,9 +239,7 @@ N_SOUGHT = 20_000
 @dataclass(frozen=True)
 class SmearedBalance:
     """What blocks of random data do to the balance of a *stator* with what is *given*; *leakage* of the lines
-    of the fit.
-
-    ratio (n_line, 2, 2) [1/s^2]: acceleration per motion of the model, at the lines.
+    of the fit. ratio (n_line, 2, 2) [1/s^2]: acceleration per motion of the model, at the lines.
     """
 
     stator: Stator

@@ -199,10 +199,8 @@ def line_stiffness(balance: Balance) -> LineStiffness:
 
 def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStiffness, FloatArray]:
     """H line by line and its variance (n_line, 2, 2) [(N/m)^2], lines left out that do not tell H; of one run
-    by pairs of lines.
-
-    stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the course between the two
-    lines of a pair: H is the model in their middle and what both lines leave.
+    by pairs of lines. stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the
+    course between the two lines of a pair: H is the model in their middle and what both lines leave.
     """
     state = whiten(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)

@@ -46,9 +46,7 @@ FORMS_WITH_WHIRL = ("kc", "kcm")
 @dataclass(frozen=True)
 class Whirl:
     """x = w^2 [(rad/s)^2] of the whirl frequency w, its slopes (n_parameter,) [per parameter unit] and its 95
-    % interval (Fieller).
-
-    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,).
+    % interval (Fieller). stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,).
     """
 
     square: float

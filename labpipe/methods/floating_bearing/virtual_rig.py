@@ -271,9 +271,7 @@ def motions(
 
 def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     """f_x, f_y, d_x, d_y, a_x, a_y [SI], the drives u_x, u_y if the rig has them, and the tacho n, still with
-    the shaft.
-
-    Periodic in the whole run and band-limited, so every line is the exact steady state.
+    the shaft. Periodic in the whole run and band-limited, so every line is the exact steady state.
     """
     condition = rig.condition(name)
     inside, lines = rig.lines_in_band

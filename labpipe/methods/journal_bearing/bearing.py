@@ -45,10 +45,8 @@ CHECK_LOAD = "the load may be too high for the film; check load, viscosity, spee
 @dataclass(frozen=True)
 class FilmState:
     """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the
-    journal (2,), Newton steps.
-
-    stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step. coarse:
-    roughly, the state of the same film on half the cells each way.
+    journal (2,), Newton steps. stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of
+    the last step. coarse: roughly, the state of the same film on half the cells each way.
     """
 
     displacement: FloatArray
@@ -73,11 +71,9 @@ def film_equilibrium(
     film: Film, load: FloatArray, near: FilmState | None = None, tolerance: float = TOLERANCE
 ) -> FilmState:
     """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the
-    same mesh.
-
-    *tolerance*: largest change of the displacement over clearance [-] in the last step. Without *near*, or
-    where Newton's method fails from it, coarser meshes give the start value. FitError when there is no
-    equilibrium. Equation (jour-equilibrium).
+    same mesh. *tolerance*: largest change of the displacement over clearance [-] in the last step. Without
+    *near*, or where Newton's method fails from it, coarser meshes give the start value. FitError when there
+    is no equilibrium. Equation (jour-equilibrium).
     """
     if near is not None:
         try:
@@ -413,11 +409,9 @@ def converged_equilibrium(
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> JournalEquilibrium:
     """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below
-    *tolerance*.
-
-    The error, relative to the largest coefficient, is estimated as a third of the change from half the cells
-    each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a first mesh
-    that cannot be halved. Equation (jour-mesh).
+    *tolerance*. The error, relative to the largest coefficient, is estimated as a third of the change from
+    half the cells each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a
+    first mesh that cannot be halved. Equation (jour-mesh).
     """
     half = mesh.halved()
     if half is None:

@@ -110,9 +110,7 @@ def journal_curve(
     length_over_diameter: float, groove_width: float = 0.0, mesh: FilmMesh = CURVE_MESH, nodes: int = NODES
 ) -> JournalCurve:
     """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; cached, since it takes a
-    second.
-
-    *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
+    second. *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
     """
     half = mesh.halved()
     if half is None:
@@ -217,10 +215,8 @@ class JournalTable:
         self, bearing: JournalBearing, speed: float, size: float | None = None
     ) -> TableCoefficients:
         """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the
-        table's.
-
-        *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s]. FitError
-        outside the table. Equation (jour-table).
+        table's. *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s].
+        FitError outside the table. Equation (jour-table).
         """
         weight = float(np.hypot(*self.load)) if size is None else size
         point, slopes = _place(bearing, weight, speed)
@@ -271,9 +267,7 @@ def journal_table(
     workers: int = 1,
 ) -> JournalTable:
     """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure
-    are not used.
-
-    *workers*: number of processes, without influence on the result.
+    are not used. *workers*: number of processes, without influence on the result.
     """
     ranges = ranges or TableRange()
     weight = float(np.hypot(*load))

@@ -237,11 +237,9 @@ class Film:
 @dataclass(frozen=True)
 class FilmEquations:
     """One Newton step, dimensionless [-]: (A + diagonal) dp = -residual - by_displacement @ de - by_velocity
-    @ dv.
-
-    around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual (n_theta,
-    n_half); by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the cavitation
-    pressure.
+    @ dv. around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual
+    (n_theta, n_half); by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the
+    cavitation pressure.
     """
 
     around: FloatArray
@@ -315,10 +313,8 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, Floa
 
 def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """max(0, x) [-], exact outside +-*width* and twice continuously differentiable; its derivatives by x (>=
-    LEAST_SLOPE) and by width.
-
-    x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2),
-    slope t^2 (3 - 2 t). Equation (jour-rounded).
+    LEAST_SLOPE) and by width. x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2
+    width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t). Equation (jour-rounded).
     """
     t = np.clip((x + width) / (2 * width), 0, 1)
     area, slope = t**3 * (1 - t / 2), t * t * (3 - 2 * t)
@@ -337,9 +333,7 @@ def _out(flow: FloatArray) -> FloatArray:
 @dataclass(frozen=True)
 class FactoredFilm:
     """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded
-    factors (n_band, n_cell).
-
-    diagonal (n_theta, n_half): of all cells.
+    factors (n_band, n_cell). diagonal (n_theta, n_half): of all cells.
     """
 
     columns: IntArray
@@ -367,9 +361,7 @@ def band_room(mesh: FilmMesh) -> FloatArray:
 
 def factorise(equations: FilmEquations, curvature: FloatArray, room: FloatArray) -> FactoredFilm:
     """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not
-    positive definite.
-
-    *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
+    positive definite. *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
     """
     cavitated = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)

@@ -96,10 +96,8 @@ class MagnetFactors:
 
 def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArray:
     """Flux of the four poles of one ring with the rotor at *displacement* [m] in x and the control *current*
-    [A], (4,) [Wb].
-
-    Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A /
-    (g_j + l_iron), and H_c l_m = R_m sum_j phi_j + 2 U. Equation (mag-fluxes).
+    [A], (4,) [Wb]. Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j),
+    P_j = mu_0 A / (g_j + l_iron), and H_c l_m = R_m sum_j phi_j + 2 U. Equation (mag-fluxes).
     """
     permeance = MU_0 * magnet.pole_area / (magnet.gap + magnet.iron_length - ALONG_X * displacement)
     coils = magnet.turns * (magnet.bias_current + ALONG_X * current)
@@ -144,10 +142,8 @@ DOFS = ("x", "y")
 @dataclass(frozen=True, kw_only=True)
 class MagneticFile(Settings):
     """A magnetic-bearing file: the control loop, the magnet by its geometry or its factors, and the frequency
-    of the motion.
-
-    One of static_stiffness (from which the negative stiffness is inferred), negative_stiffness and magnet is
-    required.
+    of the motion. One of static_stiffness (from which the negative stiffness is inferred), negative_stiffness
+    and magnet is required.
     """
 
     kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))

@@ -286,10 +286,8 @@ def certificate(
 @dataclass(frozen=True)
 class FittedModel:
     """A bearing *file* beside what was recorded: its *fit*, the closed *loop*, None where the fit has no
-    intervals.
-
-    rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in continuous
-    time.
+    intervals. rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in
+    continuous time.
     """
 
     file: MagneticFile

@@ -54,9 +54,7 @@ PER_DECADE, BEYOND = 12, 1.5
 
 def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidence: float) -> RobustPlant:
     """The band of radius |G^ - G_nominal| + r, r of the measured scatter, which holds the true plant at all
-    lines with *confidence*.
-
-    *dof* nu: complex ones behind the variance.
+    lines with *confidence*. *dof* nu: complex ones behind the variance.
     """
     assert curve.variance is not None
     radius = np.abs(curve.measured - curve.fitted) + np.sqrt(curve.variance) * scatter_radius(

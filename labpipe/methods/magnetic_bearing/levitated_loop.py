@@ -72,9 +72,7 @@ class LongRotor(Settings):
 @dataclass(frozen=True)
 class SampledPid(Settings):
     """i = -(P + I / s + D s / (1 + s T)) X y by the bilinear transform, sampled and held at *rate*, *delay*
-    intervals late.
-
-    y are the readings of all sensors, X mixes them: the unit matrix unless `mixing` is given.
+    intervals late. y are the readings of all sensors, X mixes them: the unit matrix unless `mixing` is given.
     """
 
     proportional: float = quantity("P, current per displacement", "A/m")
@@ -230,10 +228,8 @@ BETWEEN = 8
 
 @dataclass(frozen=True)
 class Mechanics:
-    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q).
-
-    at_bearings, at_sensors (n_axis, n_q) [1, m]: displacement there per coordinate; at_unbalance
-    (n_direction, n_q).
+    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q). at_bearings, at_sensors (n_axis, n_q)
+    [1, m]: displacement there per coordinate; at_unbalance (n_direction, n_q).
     """
 
     mass: FloatArray

@@ -117,10 +117,8 @@ def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
 
 def start(problem: MagnetLikelihood) -> FloatArray:
     """Values (n_parameter,) [parameter units] to begin with: weighted least squares, repeated with the
-    weights that it gives.
-
-    The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with
-    k_i = 0, since the noise of w^2 x grows with frequency.
+    weights that it gives. The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end
+    in a false minimum with k_i = 0, since the noise of w^2 x grows with frequency.
     """
     rotor = problem.rotor
     smooth, columns, free = _linear(rotor, problem.model)
@@ -300,9 +298,7 @@ class LateLikelihood(MagnetLikelihood):
 
 def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
     """A finding where one channel, or all readings, recorded later or earlier explain a residual that is far
-    from noise.
-
-    Each delay is fitted beside all parameters, from the best of a grid; as `delay_findings`.
+    from noise. Each delay is fitted beside all parameters, from the best of a grid; as `delay_findings`.
     """
     if best.p_value >= MISMATCH_P:
         return []

@@ -22,13 +22,11 @@ PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
 @dataclass(frozen=True, kw_only=True)
 class ControlLoop(Settings):
     """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau}
-    / (1 + s / w_a).
-
-    Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag
-    reduces damping below 21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone
-    is unstable. Delay: one sampling interval of 20 kHz for computation, half of one for the hold. A
-    *controller* of blocks in series takes the place of the PID, any transfer function of s or z; *cross*
-    makes it a matrix of x and y.
+    / (1 + s / w_a). Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the
+    printed +0.25 the lag reduces damping below 21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz)
+    and the rotor alone is unstable. Delay: one sampling interval of 20 kHz for computation, half of one for
+    the hold. A *controller* of blocks in series takes the place of the PID, any transfer function of s or z;
+    *cross* makes it a matrix of x and y.
     """
 
     proportional: float = quantity("proportional gain k_p", "1", 1.0)
@@ -205,11 +203,9 @@ LoopTransfer = Callable[[FloatArray], ComplexArray]
 @dataclass(frozen=True)
 class Margins:
     """Factors of the gain (1) down to and up to the border of stability, phase [rad], delay [s], disk [1],
-    peak of |S| [1], its place [Hz].
-
-    gain_lower 0 and gain_upper, phase, delay infinite where the loop never gets there. disk: the balanced
-    (symmetric) disk margin 1 / max|S - 1/2|: gain and phase may change together within it (Seiler, Packard
-    and Gahinet 2020, IEEE Control Systems 40:78).
+    peak of |S| [1], its place [Hz]. gain_lower 0 and gain_upper, phase, delay infinite where the loop never
+    gets there. disk: the balanced (symmetric) disk margin 1 / max|S - 1/2|: gain and phase may change
+    together within it (Seiler, Packard and Gahinet 2020, IEEE Control Systems 40:78).
     """
 
     gain_lower: float

@@ -99,10 +99,8 @@ CLOSE, MOST_STEPS, MOST_HALVINGS, STAGES = 1e-2, 30, 12, 3
 
 @dataclass(frozen=True)
 class LoopMinimum:
-    """The problem at the end *u* (n_parameter,) [1] of its descent.
-
-    residual (n_equation,) [1], jacobian (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1]
-    of J^T J.
+    """The problem at the end *u* (n_parameter,) [1] of its descent. residual (n_equation,) [1], jacobian
+    (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1] of J^T J.
     """
 
     problem: LoopProblem
@@ -156,9 +154,7 @@ class LoopMinimum:
 
     def end(self, column: int, distance: float, inflation: float) -> float | None:
         """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance*
-        combined standard errors away.
-
-        None where none is found. Equation (comp-end).
+        combined standard errors away. None where none is found. Equation (comp-end).
         """
         here: LoopMinimum = self
         for stage in range(1, STAGES + 1):
@@ -263,10 +259,8 @@ class LoopFit:
 
 def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
     """Output-error fit of all responses weighted by their noise; every number with an uncertainty, the
-    support's among them, is fitted within it.
-
-    Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for
-    responses without noise estimate. Equation (comp-loop).
+    support's among them, is fitted within it. Without *names* only the goodness of fit of the loop as it is.
+    ConfigError for unknown names, FitError for responses without noise estimate. Equation (comp-loop).
     """
     if not all(has_noise(observation.measured) for observation in observations):
         raise FitError(
@@ -294,10 +288,8 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
 
 
 def _settle(problem: LoopProblem, minimum: Minimum) -> Minimum:
-    """Converged as well where the descent ended within SETTLED standard errors.
-
-    The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square
-    further.
+    """Converged as well where the descent ended within SETTLED standard errors. The current sampled when a
+    held command arrives has a kink over the delay, where no step lowers chi-square further.
     """
     if minimum.converged:
         return minimum
@@ -373,9 +365,7 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
 
 def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, curved: bool) -> LoopFit:
     """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by
-    both.
-
-    *curved*: ends of intervals follow the response where it bends.
+    both. *curved*: ends of intervals follow the response where it bends.
     """
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])

@@ -126,10 +126,8 @@ def response_errors(
     response: FrequencyResponse, rows: Sequence[int], columns: Sequence[int]
 ) -> tuple[MatrixError, ...]:
     """Changes (n_line, n_output, n_input) [unit of the response] of the chosen part by one standard
-    uncertainty of every source.
-
-    Gain, delay and phase of the channels, and sums of channels; a direction, which another channel of the
-    same quantity would have to tell, is left out.
+    uncertainty of every source. Gain, delay and phase of the channels, and sums of channels; a direction,
+    which another channel of the same quantity would have to tell, is left out.
     """
     part = np.ix_(range(response.n_frequency), rows, columns)
     return matrix_errors(
@@ -178,10 +176,8 @@ Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
 @dataclass(frozen=True)
 class LoopObservation:
     """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside
-    the bearings.
-
-    *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of channels, and of
-    numbers that the prediction rests on.
+    the bearings. *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of
+    channels, and of numbers that the prediction rests on.
     """
 
     measured: Measured
@@ -195,10 +191,8 @@ class LoopObservation:
 @dataclass(frozen=True)
 class LoopProblem:
     """Whitened residual of all responses over u: unknowns as shares of their start, then deviations in
-    standard uncertainties, of the support's numbers and of all other sources.
-
-    *support*: 0 for stiffness or 1 for damping, with its standard error, of every number of the support that
-    has one.
+    standard uncertainties, of the support's numbers and of all other sources. *support*: 0 for stiffness or 1
+    for damping, with its standard error, of every number of the support that has one.
     """
 
     observations: tuple[LoopObservation, ...]
@@ -413,10 +407,8 @@ def view_errors(
     view: View, measured: Measured, file: MagneticFile, support: tuple[float, float]
 ) -> tuple[MatrixError, ...]:
     """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard
-    uncertainty of every source.
-
-    A given mass changes the prediction, and so does a direction, unless other sensors tell the motion across
-    it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
+    uncertainty of every source. A given mass changes the prediction, and so does a direction, unless other
+    sensors tell the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
     # Of the prediction: in proportion to the measurement a gain would shrink its noise with it.

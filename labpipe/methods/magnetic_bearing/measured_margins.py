@@ -47,9 +47,7 @@ ROUNDING = 1e-12
 @dataclass(frozen=True)
 class Course:
     """A response at omega (n_line,) [rad/s]: *plain* as measured with its *variance* and its changes by every
-    source (n_source, n_line), all [1].
-
-    dof: complex degrees of freedom behind the variance.
+    source (n_source, n_line), all [1]. dof: complex degrees of freedom behind the variance.
     """
 
     omega: FloatArray
@@ -374,10 +372,8 @@ def _crest_lines(course: Course) -> tuple[slice, bool]:
 
 def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
     """|S| of *near* where that of *of_place* is highest, the place number *top*, and its place, a step of
-    Newton from there.
-
-    What noise does on average is taken off: beside its maximum |S| is lower; where one polynomial tells both,
-    the maximum seeks the noise; a modulus has the noise across it.
+    Newton from there. What noise does on average is taken off: beside its maximum |S| is lower; where one
+    polynomial tells both, the maximum seeks the noise; a modulus has the noise across it.
     """
     part = slice(top - 1, top + 2)
     at = np.log(near.omega[part])

@@ -45,10 +45,8 @@ class Suspended:
 @dataclass(frozen=True)
 class SampledLoop:
     """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m,
-    V, V, V, A].
-
-    a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between samples,
-    *injection* is added between the probe ("before") and the controller ("after").
+    V, V, V, A]. a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between
+    samples, *injection* is added between the probe ("before") and the controller ("after").
     """
 
     a: FloatArray
@@ -84,10 +82,8 @@ class SampledLoop:
 
 def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
     """s[k] of s[k+1] = A s[k] + *driven*[k] (n_sample, n_state) [units of the states] from rest, with A =
-    *step* (n_state, n_state).
-
-    All pieces at once from rest, then what each inherits from the one before: as many products as a piece has
-    steps and there are pieces.
+    *step* (n_state, n_state). All pieces at once from rest, then what each inherits from the one before: as
+    many products as a piece has steps and there are pieces.
     """
     n_sample, n = driven.shape
     n_piece = -(-n_sample // PIECE)

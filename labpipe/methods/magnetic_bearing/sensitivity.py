@@ -48,10 +48,8 @@ MOST_SCALED = 2.0
 @dataclass(frozen=True)
 class MeasuredSensitivity:
     """S over *frequency* [Hz], complex (n_line,), with the standard error of |S| by noise; *quantile*: errors
-    to either side of 95 %.
-
-    *response*: the FRF it is computed from. errors: changes (n_line, 1, 1) [1] of S by one standard
-    uncertainty of every source.
+    to either side of 95 %. *response*: the FRF it is computed from. errors: changes (n_line, 1, 1) [1] of S
+    by one standard uncertainty of every source.
     """
 
     frequency: FloatArray
@@ -134,10 +132,8 @@ class MeasuredSensitivity:
 @dataclass(frozen=True)
 class Peak:
     """The largest |S| with its standard error by noise and its frequency [Hz]; *at_edge*: at the edge of the
-    measured band.
-
-    frequency_error [Hz] by noise, None for that of a line. changes, frequency_changes (n_source,) [1] and
-    [Hz]: by one standard uncertainty of every source.
+    measured band. frequency_error [Hz] by noise, None for that of a line. changes, frequency_changes
+    (n_source,) [1] and [Hz]: by one standard uncertainty of every source.
     """
 
     value: float
@@ -482,10 +478,8 @@ def sensitivity_matrix(
     response: FrequencyResponse, before: Sequence[str], after: Sequence[str]
 ) -> SensitivityMatrix:
     """S = H_after (H_after - H_before)^-1; without *before* the responses behind the sums are per excitation
-    themselves, S = H_after.
-
-    ConfigError where there is not one excitation per loop, FitError without a covariance or where both sides
-    are one signal. Equation (mag-sensitivity-matrix).
+    themselves, S = H_after. ConfigError where there is not one excitation per loop, FitError without a
+    covariance or where both sides are one signal. Equation (mag-sensitivity-matrix).
     """
     rows = [chosen_ports(response.outputs, (name,), "response")[0] for name in after]
     ahead = [chosen_ports(response.outputs, (name,), "response")[0] for name in before]

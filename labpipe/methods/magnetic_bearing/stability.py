@@ -141,11 +141,9 @@ def ordered_poles(poles: ComplexArray) -> ComplexArray:
 
 def unstable_poles(plant: Suspended) -> int:
     """Number of poles in the right half-plane with the exact delay, Z = n / 2 - (phase change of D(jw) over w
-    = 0 ... inf) / pi.
-
-    Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of degree d of the
-    controller, n = 2 + d per direction (the lags of amplifier and probe are stable and cancel). Of discrete
-    blocks the eigenvalues z beyond the unit circle. Equation (mag-unstable).
+    = 0 ... inf) / pi. Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of
+    degree d of the controller, n = 2 + d per direction (the lags of amplifier and probe are stable and
+    cancel). Of discrete blocks the eigenvalues z beyond the unit circle. Equation (mag-unstable).
     """
     loop = plant.loop
     if loop.rate is not None:
@@ -224,10 +222,8 @@ AT_A_POLE = 1e-12
 @dataclass(frozen=True)
 class OpenLoop:
     """Controller C [1] with the probe's sensitivity k [V/m], motion X [m/V] and current I [A/V] per command,
-    (n_line,) each.
-
-    L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a minus sign.
-    recorded_motion: what a logger with a filter sees of X, None where it is X.
+    (n_line,) each. L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a
+    minus sign. recorded_motion: what a logger with a filter sees of X, None where it is X.
     """
 
     sensor: float
@@ -249,9 +245,7 @@ class OpenLoop:
 
     def signals(self, place: str) -> dict[str, ComplexArray]:
         """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it
-        (output).
-
-        before and after are the two sides of the sum where it is added.
+        (output). before and after are the two sides of the sum where it is added.
         """
         s = self.sensitivity
         command = self.controller * s if place == INPUT else s
@@ -269,10 +263,8 @@ def open_loop(
     plant: Suspended, omega: FloatArray, rate: float | None = None, filtered: bool = False
 ) -> OpenLoop:
     """The loop at *omega* [rad/s] (n_line,), sampled and held at *rate* [Hz]; without one in continuous time,
-    the hold as delay.
-
-    *filtered*: current and motion are recorded through a filter against aliasing, not as the controller
-    samples them. ConfigError for what cannot be sampled.
+    the hold as delay. *filtered*: current and motion are recorded through a filter against aliasing, not as
+    the controller samples them. ConfigError for what cannot be sampled.
     """
     loop = plant.loop
     if rate is None:

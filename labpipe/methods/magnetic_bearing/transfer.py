@@ -159,10 +159,8 @@ def _rate_of(interval: Any) -> float | None:
 
 def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> Transfer:
     """Zeros by the pencil [[A - z I, B], [C, D]], poles of A, and the gain by the first Markov parameter D, C
-    B, C A B, ... that is none.
-
-    As many zeros are infinite as parameters vanish before it; ConfigError where rounding does not let the
-    others be told.
+    B, C A B, ... that is none. As many zeros are infinite as parameters vanish before it; ConfigError where
+    rounding does not let the others be told.
     """
     n = len(a)
     if not n:

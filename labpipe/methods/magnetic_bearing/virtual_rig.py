@@ -279,13 +279,11 @@ ONE_DOF: dict[str, Callable[[VirtualMagneticRig], OneDofRun]] = {"pedestal": ped
 
 def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, float]) -> dict[str, float]:
     """Cramer-Rao standard errors of k [N/m] and c [N.s/m] from the lines of run *name* within *band* [Hz],
-    mass known.
-
-    With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2, where s^2 =
-    4 sigma^2 / n over n averaged samples is the variance of a complex amplitude. Information: 2 sum Re(dH^*
-    dH^T) |F|^2 / variance, with dH/dk = -H^2, dH/dc = -j w H^2. Holds while the noise of a line's force is
-    small beside the force. ConfigError for a run that is not of one degree of freedom, a band without lines,
-    or a rig without noise. Equation (sim-bound).
+    mass known. With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2,
+    where s^2 = 4 sigma^2 / n over n averaged samples is the variance of a complex amplitude. Information: 2
+    sum Re(dH^* dH^T) |F|^2 / variance, with dH/dk = -H^2, dH/dc = -j w H^2. Holds while the noise of a line's
+    force is small beside the force. ConfigError for a run that is not of one degree of freedom, a band
+    without lines, or a rig without noise. Equation (sim-bound).
     """
     if name not in ONE_DOF:
         raise ConfigError(f"run '{name}' has no single k and c", hint=nearest(name, ONE_DOF))

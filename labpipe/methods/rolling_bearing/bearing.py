@@ -43,10 +43,8 @@ POSITIONS = 24
 @dataclass(frozen=True)
 class Passage:
     """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] and displacement (n_position, n_case, 5) [m,
-    rad] over one passage.
-
-    cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so that the mean over
-    positions is the mean over time.
+    rad] over one passage. cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so
+    that the mean over positions is the mean over time.
     """
 
     cage_angle: FloatArray

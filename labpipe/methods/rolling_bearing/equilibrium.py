@@ -229,9 +229,7 @@ def newton_step(problem: Problem, trial: Trial) -> FloatArray:
 
 def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     """Next position u + t p, (n_case, 5) [m], from t = 1, reduced until the potential decreases or its slope
-    along p is not positive.
-
-    A reduction goes to the zero of the secant of the slope.
+    along p is not positive. A reduction goes to the zero of the secant of the slope.
     """
     descent = np.einsum("nf,nf->n", trial.residual, step[:, problem.free])
     length = np.ones(len(step))
@@ -258,9 +256,7 @@ def _mask(indices: IntArray, size: int) -> BoolArray:
 
 def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
     """A position in which all elements carry, (n_case, 5) [m]: the axial equilibrium under the sum of the
-    loads; rollers at 0 deg: radial.
-
-    *fixed* (n_case, 5): fixed displacements.
+    loads; rollers at 0 deg: radial. *fixed* (n_case, 5): fixed displacements.
     """
     bearing, u = problem.bearing, fixed.copy()
     size = np.linalg.norm(problem.load, axis=1)

@@ -102,10 +102,8 @@ class RollingBearing:
 @dataclass(frozen=True)
 class ElementFrame:
     """Directions of the elements: dr_j = e_r . q, dz_j = e_z . q, e_r = (cos, sin, 0, 0, 0), e_z = (0, 0, 1,
-    l sin, -l cos) of psi_j.
-
-    radial, axial: (z, 5) [-] for all load cases, or (n_case, z, 5). l is the pitch radius, or 1 where tilts
-    are multiplied by it. Equation (roll-kinematics).
+    l sin, -l cos) of psi_j. radial, axial: (z, 5) [-] for all load cases, or (n_case, z, 5). l is the pitch
+    radius, or 1 where tilts are multiplied by it. Equation (roll-kinematics).
     """
 
     radial: FloatArray
@@ -166,11 +164,9 @@ class Contacts:
 
 def contacts(bearing: RollingBearing, q: FloatArray, frame: ElementFrame) -> Contacts:
     """Deflections and loads of the elements at displacements *q* (n_case, 5) [m, rad] or, with tilts times
-    the pitch radius, [m].
-
-    Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written without the difference
-    of nearly equal lengths: A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A + A0). Rollers: delta
-    = dr cos a0 + dz sin a0. Equation (roll-deflection).
+    the pitch radius, [m]. Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written
+    without the difference of nearly equal lengths: A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A
+    + A0). Rollers: delta = dr cos a0 + dz sin a0. Equation (roll-deflection).
     """
     dz, dr = _along(frame.axial, q), _along(frame.radial, q) - bearing.clearance
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
@@ -280,10 +276,8 @@ class Modes:
 
 def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a dof without stiffness
-    gives 0 Hz.
-
-    Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an equilibrium
-    is unstable. Equation (roll-modes).
+    gives 0 Hz. Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an
+    equilibrium is unstable. Equation (roll-modes).
     """
     scale = 1 / np.sqrt(shaft.inertias)
     squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
@@ -344,10 +338,8 @@ RADIAL = (0, 1)
 
 def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and
-    y, (..., 5, 5).
-
-    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. ConfigError for k_s
-    not above zero. Equation (roll-series-matrix).
+    y, (..., 5, 5). By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular.
+    ConfigError for k_s not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
         raise ConfigError(
@@ -386,9 +378,7 @@ NORMAL_95 = normal_quantile(0.975)
 @dataclass(frozen=True)
 class BendingShaft:
     """A round shaft that bends between two supports, loaded by a bearing: E [Pa], diameter, span [m], density
-    [kg/m^3].
-
-    ends: length that overhangs both supports together [m].
+    [kg/m^3]. ends: length that overhangs both supports together [m].
     """
 
     youngs_modulus: float
@@ -417,10 +407,8 @@ class BendingShaft:
 
     def static_stiffness(self, load_point: float | None = None) -> float:
         """k = 48 E I / (3 l^2 s - 4 s^3) [N/m], the load s from a support, the deflection at mid span; 48 E I
-        / l^3 for mid span.
-
-        *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing moves the load off the
-        middle. Equation (roll-bending).
+        / l^3 for mid span. *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing
+        moves the load off the middle. Equation (roll-bending).
         """
         s = self.span / 2 if load_point is None else load_point
         if not 0 < s <= self.span / 2 * (1 + 1e-12):
@@ -453,11 +441,9 @@ class SeriesCorrection:
 
 def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
     """k_b = 1 / (1/k_total - 1/k_shaft); s_b/k_b = (k_b/k_total) s_total/k_total combined with (k_b/k_shaft)
-    s_shaft/k_shaft.
-
-    The interval is formed on the compliance, which is nearly linear in the measured stiffness, and inverted:
-    it is wider upwards, and open (infinite) where the measurement is compatible with a rigid bearing. Raises
-    FitError for k_total >= k_shaft. Equation (roll-series-shaft).
+    s_shaft/k_shaft. The interval is formed on the compliance, which is nearly linear in the measured
+    stiffness, and inverted: it is wider upwards, and open (infinite) where the measurement is compatible with
+    a rigid bearing. Raises FitError for k_total >= k_shaft. Equation (roll-series-shaft).
     """
     if not (total.value > 0 and shaft.value > 0):
         raise FitError("a stiffness in series must be above zero", hint="check the fit and the shaft")

@@ -352,11 +352,9 @@ def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) 
 
 def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_error: float = 0.0) -> Comparison:
     """Test of Rayleigh damping c = beta k: chi-square of the tests' beta = c / k about one value, and
-    exponent of c over k.
-
-    With a theory (*matched*), beta is the factor by which the theory's curve has the measured damping,
-    without the influence of neighbouring modes and of the bending shaft; without, the fit's c / k.
-    Equation (comp-rayleigh).
+    exponent of c over k. With a theory (*matched*), beta is the factor by which the theory's curve has the
+    measured damping, without the influence of neighbouring modes and of the bending shaft; without, the fit's
+    c / k. Equation (comp-rayleigh).
     """
     if matched is None:
         logs, covariance = _log_betas([observation.fit for observation in campaign.observations])

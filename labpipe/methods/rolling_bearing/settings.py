@@ -96,11 +96,9 @@ class BallGeometry:
 
 def point_contact(along: float, across: float, first: Material = STEEL, second: Material = STEEL) -> float:
     """K of Q = K delta^1.5 [N/m^1.5] for two bodies whose summed principal curvatures are *along* and
-    *across* [1/m].
-
-    With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus sqrt(1 - k^2), rho
-    their summed curvatures: delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3), 1/E* = sum (1 -
-    nu^2)/E. Raises ConfigError for other bodies. Equation (roll-point-contact).
+    *across* [1/m]. With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus
+    sqrt(1 - k^2), rho their summed curvatures: delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3),
+    1/E* = sum (1 - nu^2)/E. Raises ConfigError for other bodies. Equation (roll-point-contact).
     """
     if not (along > 0 and across > 0):
         raise ConfigError(

@@ -227,9 +227,7 @@ def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedR
 
 def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> Truth:
     """k and k_row_column of the dofs that are shaken [N/m], as measured at the arm, at the preload that was
-    to be set; k of a single run.
-
-    ConfigError for runs of several bearings or preloads, and for calibrations.
+    to be set; k of a single run. ConfigError for runs of several bearings or preloads, and for calibrations.
     """
     tests = [test for name, test in shaker_tests(rig).items() if name in runs]
     if len({(test.tested.name, test.preload, test.way) for test in tests}) != 1 or len(tests) != len(runs):

@@ -82,10 +82,8 @@ class SearchHistory:
 @dataclass(frozen=True)
 class SearchResult:
     """The lowest points (n_problem, n_parameter) [parameter units]; objective, mesh, evaluations
-    (n_problem,).
-
-    capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the target of the
-    objective.
+    (n_problem,). capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the
+    target of the objective.
     """
 
     values: FloatArray
@@ -104,9 +102,7 @@ def compass_search(
     limits: SearchLimits | None = None,
 ) -> SearchResult:
     """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same
-    shape; deterministic.
-
-    ConfigError where a start lies outside its box.
+    shape; deterministic. ConfigError where a start lies outside its box.
     """
     limits = limits or SearchLimits()
     values, width = _check(start, lower, upper)
@@ -143,10 +139,8 @@ def cobyqa_search(
     limits: SearchLimits | None = None,
 ) -> SearchResult:
     """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region
-    has no mesh (NaN).
-
-    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError without COBYQA in the
-    installed scipy.
+    has no mesh (NaN). *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError
+    without COBYQA in the installed scipy.
     """
     limits = limits or SearchLimits()
     values, width = _check(start, lower, upper)
@@ -268,10 +262,8 @@ class SpeedwiseFit:
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeFit(SpeedwiseFit):
     """A fit to amplitudes alone: objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared
-    amplitudes [m^2].
-
-    Of the search: evaluations, mesh, capped (n_speed,), its history; every start's factors (n_start, n_speed,
-    8) and objectives (n_start, n_speed), the rotor file's coefficients first.
+    amplitudes [m^2]. Of the search: evaluations, mesh, capped (n_speed,), its history; every start's factors
+    (n_start, n_speed, 8) and objectives (n_start, n_speed), the rotor file's coefficients first.
     """
 
     objective: FloatArray
@@ -315,10 +307,8 @@ def fit_amplitudes(
     limits: SearchLimits | None = None,
 ) -> list[AmplitudeFit]:
     """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn
-    evenly from the box.
-
-    The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1, no start, or an
-    unknown method. Equation (run-amplitudes).
+    evenly from the box. The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1,
+    no start, or an unknown method. Equation (run-amplitudes).
     """
     if not (0 < bound < 1 and starts >= 1):
         raise ConfigError(

@@ -202,11 +202,9 @@ def run_up_of(
     track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()
 ) -> RunUp:
     """The run-up of a tracked order; standard errors sqrt(variance / 2) of the amplitude, divided by |X| for
-    the phase.
-
-    x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of the track's
-    planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped run).
-    DataError without a plane, or where the speed does not change.
+    the phase. x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of
+    the track's planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped
+    run). DataError without a plane, or where the speed does not change.
     """
     if not track.planes:
         hint = "name dofs in the rig file, for example disc1.x and disc1.y"
@@ -281,10 +279,8 @@ def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
 
 def difference(run: RunUp, residual: RunUp) -> RunUp:
     """Vector difference *run* - *residual* at common speeds: the response to the difference of their known
-    unbalances.
-
-    Variances are added, each resolved along and across the difference phasor. DataError where planes or loads
-    differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
+    unbalances. Variances are added, each resolved along and across the difference phasor. DataError where
+    planes or loads differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
     """
     if run.planes != residual.planes:
         raise DataError(

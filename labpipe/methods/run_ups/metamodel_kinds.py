@@ -143,10 +143,8 @@ class WithinExtent:
 @dataclass(frozen=True, kw_only=True)
 class ResponseSurface(WithinExtent):
     """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual
-    standard deviation.
-
-    r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the mean; n_point: fitted
-    points.
+    standard deviation. r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the
+    mean; n_point: fitted points.
     """
 
     extent: Extent

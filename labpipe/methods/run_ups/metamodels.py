@@ -352,10 +352,8 @@ def leave_one_load_out(
     physical: Callable[[float], Metamodel] | None = None,
     seed: int = 0,
 ) -> dict[str, list[LeftOut]]:
-    """Leave-one-load-out validation by kind, against the grid's coefficients at that load.
-
-    *physical*: the physical fit without a load, see `physical_without`. Where a fit fails, the row states the
-    reason.
+    """Leave-one-load-out validation by kind, against the grid's coefficients at that load. *physical*: the
+    physical fit without a load, see `physical_without`. Where a fit fails, the row states the reason.
     """
     kinds = tuple(kinds)
     rows: dict[str, list[LeftOut]] = {

@@ -160,10 +160,8 @@ def scales(start: FloatArray) -> FloatArray:
 
 def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
     """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m]
-    and their slopes.
-
-    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for
-    both circles f = X +- jY of the orbit.
+    and their slopes. slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| =
+    Re(f* df) / |f| for both circles f = X +- jY of the orbit.
     """
     planes = response.reshape(*response.shape[:-1], -1, 2)
     by = slopes.reshape(*planes.shape, slopes.shape[-1])

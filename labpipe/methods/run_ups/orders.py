@@ -213,10 +213,8 @@ class Clearance:
 @dataclass(frozen=True)
 class TrackedRun:
     """An order over a run, and in forward and backward circles for every plane with two responses in known
-    directions.
-
-    *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are compared
-    with, if any.
+    directions. *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are
+    compared with, if any.
     """
 
     name: str

@@ -310,10 +310,8 @@ def _carry(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray
 @dataclass(frozen=True)
 class LinearData:
     """Responses and thresholds, linear in the logarithms q (n_place, 8) [-] of the coefficients about a
-    minimum: r = A q - y.
-
-    normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place, 8, 12): q by the
-    family's parameters.
+    minimum: r = A q - y. normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place,
+    8, 12): q by the family's parameters.
     """
 
     field: SmoothField

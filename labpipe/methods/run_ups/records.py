@@ -31,10 +31,8 @@ class Shaker:
 @dataclass(frozen=True)
 class ProbeError:
     """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X =
-    (x, y).
-
-    uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the
-    number], w the frequency of the response.
+    (x, y). uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of
+    the number], w the frequency of the response.
     """
 
     uncertainty: Uncertainty
@@ -183,10 +181,8 @@ class Cascade:
 @dataclass(frozen=True)
 class MeasuredRun:
     """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and
-    *subtracted* as text.
-
-    critical_speed, threshold [rad/s]: measured. printed_...: what a source prints (measured, original,
-    enhanced) [Hz].
+    *subtracted* as text. critical_speed, threshold [rad/s]: measured. printed_...: what a source prints
+    (measured, original, enhanced) [Hz].
     """
 
     name: str
@@ -286,10 +282,8 @@ class RunUpMethod(Predicts):
 @dataclass(frozen=True)
 class RankRow:
     """Rank [1] of the eight coefficients from a set of *data* at one load and speed, *condition* [1] within
-    the rank.
-
-    *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes; *advice*
-    on the experiment, if any.
+    the rank. *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes;
+    *advice* on the experiment, if any.
     """
 
     data: str
@@ -312,9 +306,7 @@ class Surface:
 @dataclass(frozen=True)
 class LeftOut:
     """Errors of a metamodel at a load outside its fit: rms over its speeds of every coefficient, relative [-]
-    (8,).
-
-    outside: the load lies beyond the others; *failed*: reason of a failed fit.
+    (8,). outside: the load lies beyond the others; *failed*: reason of a failed fit.
     """
 
     load: float
@@ -331,9 +323,7 @@ class LeftOut:
 @dataclass(frozen=True)
 class MetamodelResult(Predicts):
     """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors,
-    predictions, statistics as text.
-
-    *model*: entries from which it is read back.
+    predictions, statistics as text. *model*: entries from which it is read back.
     """
 
     name: str

@@ -146,9 +146,7 @@ def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
 
 def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
     """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] that are given from *low* to *high*
-    [rad/s].
-
-    Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number.
+    [rad/s]. Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number.
     """
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -353,10 +351,8 @@ class RunUpRotor:
         self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = ""
     ) -> float:
         """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known
-        unbalance.
-
-        Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without a peak
-        within the search.
+        unbalance. Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without
+        a peak within the search.
         """
         number = [node for _, node in self.planes].index(self.node(plane)) if plane else -1
         search = self.search.critical

@@ -53,10 +53,8 @@ UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error"
 
 
 def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
-    """The run-up of a table; DataError names the file, the line or column, and the remedy.
-
-    *unbalance* [kg m] by plane, for a table without unbalance lines; empty for a run with its residual
-    unbalance only.
+    """The run-up of a table; DataError names the file, the line or column, and the remedy. *unbalance* [kg m]
+    by plane, for a table without unbalance lines; empty for a run with its residual unbalance only.
     """
     if not path.exists():
         raise DataError("no such file", where=str(path))

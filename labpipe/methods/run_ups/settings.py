@@ -65,9 +65,7 @@ SEARCHES = ("pattern", "cobyqa")
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
     """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place
-    of the table's.
-
-    path, subtracted: the files with their folder; recorded_by: contents of `rig`.
+    of the table's. path, subtracted: the files with their folder; recorded_by: contents of `rig`.
     """
 
     file: str = setting(

@@ -165,10 +165,8 @@ def smooth_factors(
     load: float, speed: FloatArray, loads: tuple[float, float], speeds: tuple[float, float]
 ) -> FloatArray:
     """Factors of the eight coefficients (n_speed, 8) [-] within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over
-    load and speed.
-
-    Half a wave to one wave over each range, the phases fixed by the golden ratio so that all coefficients
-    differ. Equation (sim-factors).
+    load and speed. Half a wave to one wave over each range, the phases fixed by the golden ratio so that all
+    coefficients differ. Equation (sim-factors).
     """
     u = (np.asarray(speed) - speeds[0]) / (speeds[1] - speeds[0])
     v = (load - loads[0]) / (loads[1] - loads[0])

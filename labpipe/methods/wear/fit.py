@@ -176,10 +176,8 @@ class _Solved:
 
 def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     """Depth and angle of wear (or, of a healthy rig, its viscosity, clearance, ...) that explain a response,
-    as one Fit.
-
-    ConfigError where settings, rotor and response do not fit together, FitError where the response cannot
-    support the fit.
+    as one Fit. ConfigError where settings, rotor and response do not fit together, FitError where the
+    response cannot support the fit.
     """
     wear: WearSettings = settings.model_settings
     measured = worn_receptance(response, settings, wear)
@@ -208,9 +206,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
 def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
     """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from
-    its minimum, C J^T r.
-
-    Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
+    its minimum, C J^T r. Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
     """
     misfit, best, objective = solved.misfit, solved.best.parameters, wear.objective
     uncertainties = misfit.model.rig.sources

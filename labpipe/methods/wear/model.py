@@ -48,10 +48,8 @@ SCALES = {DEPTH: 1e-6, ANGLE: float(np.deg2rad(1.0))}
 @dataclass(frozen=True, kw_only=True)
 class WornModel:
     """A rig's response on *frequency* [Hz]; *names* in the order of the parameters, all scaled: value [SI] =
-    scale * parameter.
-
-    low, high (n,): bounds of the scaled parameters; prior: of the nuisance parameters among them, in SI
-    units.
+    scale * parameter. low, high (n,): bounds of the scaled parameters; prior: of the nuisance parameters
+    among them, in SI units.
     """
 
     rig: RotorRig
@@ -207,9 +205,7 @@ SMALL_ANGLE = 1e-5
 @dataclass(frozen=True)
 class WornReceptance:
     """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of
-    the terms used.
-
-    *errors*: what sources of systematic error do to it, in the same frame.
+    the terms used. *errors*: what sources of systematic error do to it, in the same frame.
     """
 
     measured: Measured
@@ -349,10 +345,8 @@ Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 @dataclass
 class Misfit:
     """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once
-    *size* is known.
-
-    size: standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known.
-    The prior's rows stand last.
+    *size* is known. size: standard deviation of the residual as `compared` gives it; 1 where the noise of the
+    FRF is known. The prior's rows stand last.
     """
 
     model: WornModel
@@ -412,10 +406,8 @@ def _prior_rows(model: WornModel) -> tuple[FloatArray, FloatArray]:
 
 def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance; equal weights
-    where no noise is known.
-
-    A covariance estimated from few averages inflates the residual: it is scaled back so that its weight
-    beside the prior is right. Equation (wear-complex).
+    where no noise is known. A covariance estimated from few averages inflates the residual: it is scaled back
+    so that its weight beside the prior is right. Equation (wear-complex).
     """
     chosen = measured.chosen
     weighted = has_noise(chosen)

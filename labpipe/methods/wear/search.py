@@ -280,10 +280,8 @@ def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
 
 def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> float:
     """P(no wear | response), even odds before, and wear evenly likely over the whole range of depth and
-    angle.
-
-    1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other parameters
-    estimated again at every point (their spread is the same with and without wear, so it cancels).
+    angle. 1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other
+    parameters estimated again at every point (their spread is the same with and without wear, so it cancels).
     Equation (wear-healthy).
     """
     gain = healthy_chi2 - best.chi2
@@ -328,10 +326,8 @@ def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> Flo
 
 def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:
     """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films;
-    zero where there is no film.
-
-    Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the residual by the film's
-    error; *covariance* (n, n) [1]: that of the noise. Equation (wear-film).
+    zero where there is no film. Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the
+    residual by the film's error; *covariance* (n, n) [1]: that of the noise. Equation (wear-film).
     """
     residual, jacobian = misfit.residual(parameters), misfit.jacobian(parameters)
     total = np.zeros_like(covariance)

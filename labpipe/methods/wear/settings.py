@@ -191,10 +191,8 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
     """Mean and covariance of the tuned parameters of a fit, [SI units]; of depth and angle as well where it
-    was of the *same_wear*.
-
-    Standard errors are taken as inflated where the residual exceeds the noise; ConfigError where the fit
-    tuned nothing.
+    was of the *same_wear*. Standard errors are taken as inflated where the residual exceeds the noise;
+    ConfigError where the fit tuned nothing.
     """
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
     carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)

@@ -47,10 +47,8 @@ def response_with_slopes(
     rotor: ReducedRotor, bearings: Iterable[VaryingSupport], output: int, force: int
 ) -> tuple[ComplexArray, ComplexArray]:
     """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n,
-    n_line, 2, 2).
-
-    *bearings* are added to *rotor* and share their parameters; bearings, output and force are nodes of the
-    reduced rotor. Equation (rotor-slopes).
+    n_line, 2, 2). *bearings* are added to *rotor* and share their parameters; bearings, output and force are
+    nodes of the reduced rotor. Equation (rotor-slopes).
     """
     bearings = list(bearings)
     response, to_output, from_force = rotor.paths([bearing.support for bearing in bearings], output, force)
@@ -197,10 +195,8 @@ def cached_table(
 @dataclass(frozen=True)
 class Correction:
     """Film minus table near one point: *offset* (2, 2, 2) of stiffness [N/m] and damping [N s/m], and its
-    *slopes*.
-
-    point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and damping, by
-    each of them.
+    *slopes*. point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and
+    damping, by each of them.
     """
 
     point: FloatArray
@@ -215,9 +211,7 @@ class Correction:
 @dataclass(frozen=True)
 class TabledBearing:
     """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in
-    *fixed*.
-
-    film: the last film that corrected it, from which the next one starts.
+    *fixed*. film: the last film that corrected it, from which the next one starts.
     """
 
     place: BearingPlace
@@ -247,9 +241,7 @@ class TabledBearing:
 
     def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
         """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around
-        them.
-
-        *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
+        them. *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
         """
         if not self.place.is_film:
             return self
