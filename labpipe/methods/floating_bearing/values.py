@@ -255,20 +255,29 @@ class Valued:
 def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
     """The estimated parameters with their vifs (n_parameter,) [1], then those tied by symmetry."""
     model = found.model
-    plain = [
-        _estimate(found, number, name, unit, float(vif))
-        for number, (name, unit, vif) in enumerate(
-            zip(model.names[: model.n_linear], model.units, vifs, strict=False)
-        )
-    ]
+    names, covariances = model.names[: model.n_linear], (found.noise, found.whole)
+    plain = plain_values(names, model.units, found.values, covariances, found.dof, vifs)
     shaped = [_shape(found, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
     return (*plain, *shaped, *(_tie(valued) for valued in plain if model.symmetry == "seal"))
 
 
-def _estimate(found: FittedStiffness, number: int, name: str, unit: str, vif: float) -> Valued:
-    noise, whole = (float(np.sqrt(matrix[number, number])) for matrix in (found.noise, found.whole))
-    shown = _wide(estimated(name, unit, float(found.values[number]), noise, found.dof, vif), noise, whole)
-    return Valued(shown, np.eye(found.values.size)[number])
+def plain_values(
+    names: Sequence[str],
+    units: Sequence[str],
+    values: FloatArray,
+    covariances: tuple[FloatArray, FloatArray],
+    dof: int,
+    vifs: FloatArray,
+) -> list[Valued]:
+    """Estimated *values* (n_parameter,) by name, with covariances by noise and in all (n_parameter,
+    n_parameter) [their units] and variance inflation factors (n_parameter,) [1].
+    """
+    rows = zip(names, units, values, vifs, *(np.sqrt(np.diag(c)) for c in covariances), strict=False)
+    parameters = [
+        _wide(estimated(name, unit, float(value), float(noise), dof, float(vif)), float(noise), float(whole))
+        for name, unit, value, vif, noise, whole in rows
+    ]
+    return [Valued(shown, row) for shown, row in zip(parameters, np.eye(values.size), strict=False)]
 
 
 def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:

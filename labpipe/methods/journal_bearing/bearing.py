@@ -264,7 +264,7 @@ class JournalBearing:
         return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
-        return Film.of(
+        return Film(
             mesh,
             self.diameter / self.length,
             self.wear_depth / self.clearance,

@@ -23,8 +23,8 @@ of two columns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -162,70 +162,47 @@ GROOVE_DIAGONAL = 1e12
 LEAST_DISTANCE = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Film:
-    """A film: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom, cavitation
-    pressure (<= 0).
-
-    worn_centre, worn_face (n_theta,) [-]: added thickness at cell centres and faces; groove [rad]: width of
-    each of two axial grooves at the horizontal split, zero for none; grooved (n_theta,): cells in a groove;
-    opening (n_theta,): conductance factor of the face after each cell for the distance to the groove's edge.
+    """A film over a bore: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom,
+    cavitation pressure (<= 0), *groove* [rad]: width of each of two axial grooves at the split, or zero.
     """
 
     mesh: FilmMesh
-    grid: FilmGrid
     slenderness: float
-    depth: float
-    angle: float
-    cavitation: float
-    worn_centre: FloatArray
-    worn_face: FloatArray
-    groove: float
-    grooved: BoolArray
-    opening: FloatArray
+    depth: float = 0.0
+    angle: float = 0.0
+    cavitation: float = 0.0
+    groove: float = 0.0
 
-    @classmethod
-    def of(
-        cls,
-        mesh: FilmMesh,
-        slenderness: float,
-        depth: float = 0.0,
-        angle: float = 0.0,
-        cavitation: float = 0.0,
-        groove: float = 0.0,
-    ) -> Film:
-        """The film over a bore with wear *depth* (over clearance) at *angle* [rad] from the bottom."""
-        grid = film_grid(mesh)
-        centre, face = (mean_worn_depth(theta, depth, angle, mesh.arc) for theta in (grid.centre, grid.face))
-        grooved, opening = _grooves(grid, mesh.arc, groove)
-        return cls(
-            mesh=mesh,
-            grid=grid,
-            slenderness=slenderness,
-            depth=depth,
-            angle=angle,
-            cavitation=cavitation,
-            worn_centre=centre,
-            worn_face=face,
-            groove=groove,
-            grooved=grooved,
-            opening=opening,
+    @property
+    def grid(self) -> FilmGrid:
+        return film_grid(self.mesh)
+
+    @cached_property
+    def worn(self) -> tuple[FloatArray, FloatArray]:
+        """Added thickness at cell centres and faces, (n_theta,) each [-]."""
+        centre, face = (
+            mean_worn_depth(theta, self.depth, self.angle, self.mesh.arc)
+            for theta in (self.grid.centre, self.grid.face)
         )
+        return centre, face
+
+    @cached_property
+    def grooves(self) -> tuple[BoolArray, FloatArray]:
+        """Cells in a groove, conductance of the face after each by the distance to an edge, (n_theta,) [-]."""
+        return _grooves(self.grid, self.mesh.arc, self.groove)
 
     def coarser(self) -> Film | None:
         """The same film with half the cells each way, None where that is too coarse."""
         mesh = self.mesh.halved()
-        return (
-            None
-            if mesh is None
-            else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
-        )
+        return None if mesh is None else replace(self, mesh=mesh)
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
         """h [-] at centres and faces, (n_theta,), at a *displacement* (2,) [-]. Equation (jour-thickness)."""
         return (
-            1 + self.worn_centre + displacement @ self.grid.at_centre,
-            1 + self.worn_face + displacement @ self.grid.at_face,
+            1 + self.worn[0] + displacement @ self.grid.at_centre,
+            1 + self.worn[1] + displacement @ self.grid.at_face,
         )
 
     @property
@@ -256,7 +233,7 @@ def film_equations(
     """Linear at pressure (n_theta, n_half), displacement, velocity (2,) [-]. Equation (jour-reynolds)."""
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
-    around, across = film.opening * face**3 / arc**2, film.slenderness**2 * centre**3
+    around, across = film.grooves[1] * face**3 / arc**2, film.slenderness**2 * centre**3
     flow = around[:, None] * (pressure - np.concatenate([pressure[1:], pressure[:1]]))
     leak = across[:, None] * (pressure @ grid.curvature)
     wedge = _out(face) / arc
@@ -281,7 +258,7 @@ def film_equations(
         by_displacement[axis] += grid.wedge[axis, :, None] - wider[axis, :, None] * by_width
     diagonal, residual, cavitated = (1 - slope) * in_flow, (gap - largest) * in_flow, slope <= LEAST_SLOPE
     if film.groove > 0:
-        _hold_ambient(film.grooved, pressure, diagonal, residual, by_displacement, cavitated)
+        _hold_ambient(film.grooves[0], pressure, diagonal, residual, by_displacement, cavitated)
     return FilmEquations(around, across, diagonal, residual, by_displacement, cavitated)
 
 

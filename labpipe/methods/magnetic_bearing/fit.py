@@ -21,7 +21,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widen
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.floating_bearing.findings import BalanceError, BalanceMisfit, balance_error, few_averages
-from labpipe.methods.floating_bearing.values import SAME, Valued, as_estimate, budgeted, unconverged
+from labpipe.methods.floating_bearing.values import as_estimate, budgeted, plain_values, unconverged
 from labpipe.methods.magnetic_bearing.balance import (
     Between,
     Levitation,
@@ -267,7 +267,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
     error = magnet_error(rotor, best)
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
-    parameters, budget = budgeted(_values(best, whole), best.uncertainties, best.dof)
+    vifs, covariances = inflation_factors(best.design), (best.covariance, whole)
+    valued = plain_values(model.names, model.units, best.values, covariances, best.dof, vifs)
+    parameters, budget = budgeted(valued, best.uncertainties, best.dof)
     if not best.converged:
         parameters = unconverged(parameters)
     gof = _goodness(rotor, model, best)
@@ -330,17 +332,6 @@ def _given(
 
 def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -> FloatArray:
     return mass_matrix(rotor.currents, rotor.planes, mass, own)
-
-
-def _values(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
-    vifs = inflation_factors(best.design)
-    parameters = []
-    for place, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):
-        noise, full = (float(np.sqrt(matrix[place, place])) for matrix in (best.covariance, whole))
-        plain = estimated(name, unit, float(best.values[place]), noise, best.dof, float(vifs[place]))
-        shown: Parameter = widen(plain, full / noise) if noise > 0 and full > SAME * noise else plain
-        parameters.append(Valued(shown, np.eye(best.values.size)[place]))
-    return parameters
 
 
 def _goodness(rotor: Levitation, model: MagnetModel, best: MagnetEstimate) -> Goodness:

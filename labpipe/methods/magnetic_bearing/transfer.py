@@ -226,45 +226,33 @@ CONJUGATE = 1e-6
 
 @dataclass(frozen=True)
 class Form:
-    """Entries that a block of the form *needs* and *takes* beside them, and its transfer function."""
+    """Entries that a block *needs* and *takes* beside them, and its transfer function of all, in order."""
 
     needs: tuple[str, ...]
     takes: tuple[str, ...]
-    transfer: Callable[[Any], Transfer]
+    transfer: Callable[..., Transfer]
 
 
-def _checked_roots(block: ControllerBlock) -> Transfer:
-    for name in ("zeros", "poles"):
-        roots = np.array(getattr(block, name), np.complex128)
+def _checked_roots(
+    zeros: tuple[complex, ...], poles: tuple[complex, ...], gain: float, rate: float | None
+) -> Transfer:
+    for name, given in (("zeros", zeros), ("poles", poles)):
+        roots = np.array(given, np.complex128)
         for root in roots:
             if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300):
                 hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
                 raise ConfigError(f"{name}: {root:g} stands without its conjugate", hint=hint, field=name)
-    return Transfer(block.zeros, block.poles, block.gain, block.rate)
+    return Transfer(zeros, poles, gain, rate)
 
 
 FORMS: dict[str, Form] = {
     "roots": Form((), ("zeros", "poles", "gain", "rate"), _checked_roots),
-    "polynomial": Form(
-        ("numerator", "denominator"),
-        ("rate",),
-        lambda block: of_polynomials(block.numerator, block.denominator, block.rate),
-    ),
-    "pid": Form(
-        (),
-        ("proportional", "integral", "derivative", "derivative_time"),
-        lambda block: pid(block.proportional, block.integral, block.derivative, block.derivative_time),
-    ),
-    "lead-lag": Form(("zero", "pole"), (), lambda block: lead_lag(block.zero, block.pole)),
-    "low-pass": Form(
-        ("frequency",),
-        ("order", "damping"),
-        lambda block: low_pass(block.frequency, block.order, block.damping),
-    ),
-    "notch": Form(
-        ("frequency",), ("depth", "width"), lambda block: notch(block.frequency, block.depth, block.width)
-    ),
-    "gain": Form((), ("gain",), lambda block: Transfer(gain=block.gain)),
+    "polynomial": Form(("numerator", "denominator"), ("rate",), of_polynomials),
+    "pid": Form((), ("proportional", "integral", "derivative", "derivative_time"), pid),
+    "lead-lag": Form(("zero", "pole"), (), lead_lag),
+    "low-pass": Form(("frequency",), ("order", "damping"), low_pass),
+    "notch": Form(("frequency",), ("depth", "width"), notch),
+    "gain": Form((), ("gain",), lambda gain: Transfer(gain=gain)),
 }
 
 
@@ -330,7 +318,8 @@ class ControllerBlock(Settings):
     @property
     def transfer(self) -> Transfer:
         """G(s), or G(z) with a rate."""
-        return FORMS[self.form].transfer(self)
+        form = FORMS[self.form]
+        return form.transfer(*(getattr(self, name) for name in (*form.needs, *form.takes)))
 
     @classmethod
     def entries_from(cls, value: Any) -> Any:
