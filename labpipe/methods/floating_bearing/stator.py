@@ -70,8 +70,9 @@ def stator_of(
 
     ConfigError for channels that give no motion in x and y, FitError for too few lines.
     """
-    _check_names(spectra, inputs, [FORCE], "input")
-    _check_names(spectra, outputs, [DISPLACEMENT, ACCELERATION], "output")
+    motions = [*_measured(spectra, DISPLACEMENT), *_measured(spectra, ACCELERATION)]
+    check_names(spectra, _measured(spectra, FORCE), inputs, FORCE, "input")
+    check_names(spectra, motions, outputs, f"{DISPLACEMENT} or {ACCELERATION}", "output")
     to_axes = np.zeros((6, len(spectra.channels)))
     for number, quantity in enumerate(QUANTITIES):
         columns = _chosen(spectra, quantity, inputs if quantity == FORCE else outputs)
@@ -96,18 +97,23 @@ def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> lis
     """Columns of a quantity by name, else all that do not act through a chosen sum."""
     columns = _measured(spectra, quantity)
     if names:
-        return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+        return named_columns(spectra, columns, names)
     summed = {term.channel for n in columns for term in spectra.channels[n].terms}
     return [n for n in columns if spectra.channels[n].name not in summed]
 
 
-def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:
-    columns = [n for quantity in quantities for n in _measured(spectra, quantity)]
+def check_names(
+    spectra: ChannelSpectra, columns: Sequence[int], names: Sequence[str], what: str, key: str
+) -> None:
+    """ConfigError for a name that is neither that of a channel among *columns* nor its dof."""
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
         if name not in places:
-            what = " or ".join(quantities)
             raise ConfigError(f"no {what} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
+
+
+def named_columns(spectra: ChannelSpectra, columns: Sequence[int], names: Sequence[str]) -> list[int]:
+    return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
 
 
 def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> FloatArray:

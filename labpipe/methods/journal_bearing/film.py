@@ -190,7 +190,7 @@ class Film:
 
     @cached_property
     def grooves(self) -> tuple[BoolArray, FloatArray]:
-        """Cells in a groove, conductance of the face after each by the distance to an edge, (n_theta,) [-]."""
+        """Cells in a groove, conductance of the faces by their distance to an edge, (n_theta,) [-]."""
         return _grooves(self.grid, self.mesh.arc, self.groove)
 
     def coarser(self) -> Film | None:

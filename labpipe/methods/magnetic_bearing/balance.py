@@ -16,12 +16,11 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.floating_bearing.stator import shared_noise
+from labpipe.methods.floating_bearing.stator import check_names, named_columns, shared_noise
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
 
 CURRENT, DISPLACEMENT = "current", "displacement"
@@ -113,14 +112,8 @@ def _choose(
     spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str
 ) -> list[int]:
     columns = [n for role in roles for n in spectra.columns(quantity, role)]
-    places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
-    for name in names:
-        if name not in places:
-            raise ConfigError(
-                f"no {quantity} channel '{name}'", hint=nearest(name, sorted(places)), field=key
-            )
-    if names:
-        columns = [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+    check_names(spectra, columns, names, quantity, key)
+    columns = named_columns(spectra, columns, names) if names else columns
     if not columns:
         hint = f"quantity: {quantity}, role: {roles[0]}, dof: x in the rig file"
         raise ConfigError(f"there is no {quantity} channel", hint=hint, field=key)

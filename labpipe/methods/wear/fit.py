@@ -21,14 +21,7 @@ from labpipe.estimation.diagnostics import (
 from labpipe.estimation.measured import changes_by
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import (
-    Estimate,
-    derive,
-    determination,
-    estimated,
-    inflation_factors,
-    student_limit,
-)
+from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, student_limit
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.wear.model import MISFITS, Misfit, WornModel, WornReceptance, worn_model, worn_receptance
@@ -330,8 +323,7 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
     if solved.healthy_chi2 is None:
         return tuple(plain), findings
     probability = healthy_probability(misfit, best, solved.healthy_chi2)
-    plain.append(derive("healthy_probability", "1", probability, 0.0, solved.dof))
-    plain[-1] = replace(plain[-1], std_error=None, ci95=None)
+    plain.append(Parameter("healthy_probability", probability, "1", derived=True))
     mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < MISMATCH_P
     return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
 
@@ -364,12 +356,8 @@ def _parameter(
     if interval is not None:
         parameter = replace(parameter, ci95=(scale * interval.low, scale * interval.high))
     if at_bound or (name == ANGLE and not identifiable):
-        ends = (
-            None if name == ANGLE and not identifiable else parameter.ci95 if interval is not None else None
-        )
-        parameter = replace(
-            parameter, std_error=None, t_ratio=None, significant=None, ci95=ends, at_bound=at_bound
-        )
+        ends = None if interval is None or (name == ANGLE and not identifiable) else parameter.ci95
+        parameter = Parameter(name, value, UNITS[name], vif=vif, ci95=ends, at_bound=at_bound)
     return parameter
 
 
