@@ -135,7 +135,9 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
 
     def at(changed: Mapping[str, float]) -> dict[str, float]:
         other = with_unknowns(file, changed).levitated()
-        return _amounts(other, rate, _nearest(loop_poles(other, rate), poles), unstable == 0)
+        others = loop_poles(other, rate)
+        near = np.array([others[np.argmin(np.abs(others - pole))] for pole in poles], np.complex128)
+        return _amounts(other, rate, near, unstable == 0)
 
     here = at(values)
     slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters]).reshape(
@@ -204,10 +206,6 @@ def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
     return chosen[np.argsort(np.abs(chosen))]
 
 
-def _nearest(poles: ComplexArray, modes: ComplexArray) -> ComplexArray:
-    return np.array([poles[np.argmin(np.abs(poles - mode))] for mode in modes], np.complex128)
-
-
 def _amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
     """Margins of a stable loop, then f_n, log decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
     amounts: dict[str, float] = {}
@@ -260,6 +258,8 @@ def certificate(
             [*amounts, *goodness(model.fit), *model.fit.parameters],
             [*budgets, model.fit.budget],
         )
+    rejected = "" if model is None else model.rejected
+    unfounded = (*OF_LOOP, *settings.estimate) if rejected else ()
     verdict = verdict_of(limits, certificate_settings.confidence)
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
@@ -279,7 +279,7 @@ def certificate(
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
         budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
-        undecided=(*undecided(limits), *_unfounded(settings, model)),
+        undecided=(*undecided(limits), *((name, rejected) for name in unfounded)),
     )
 
 
@@ -313,12 +313,6 @@ OF_LOOP = (
     "log_decrement_*",
     "pole_*",
 )
-
-
-def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tuple[str, str]]:
-    if model is None or not model.rejected:
-        return []
-    return [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
 
 
 def resolve(settings: CompareSettings) -> CertificateSettings:

@@ -4,6 +4,7 @@ and block (an amplifier, a sensor or a whole chain as gain, delay and low-pass).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -311,6 +312,7 @@ def _given(
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
     magnet_settings: MagnetSettings = settings.model_settings
+    mass_of = functools.partial(mass_matrix, rotor.currents, rotor.planes)
     given: list[tuple[Uncertainty, FloatArray]] = []
     of_mass = dict(settings.uncertainties).get("mass")
     if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
@@ -318,20 +320,16 @@ def _given(
         given.append(
             (
                 uncertainty_of(of_mass, source, "kg"),
-                _mass_of(rotor, magnet_settings, mass + of_mass.std_error) - rotor.mass,
+                mass_of(mass + of_mass.std_error, magnet_settings) - rotor.mass,
             )
         )
     inertia = magnet_settings.inertia
     if inertia is not None and inertia.std_error > 0:
         larger = replace(magnet_settings, inertia=Uncertain(inertia.value + inertia.std_error))
-        change = _mass_of(rotor, larger, mass) - rotor.mass
+        change = mass_of(mass, larger) - rotor.mass
         source = f"moment of inertia, {inertia.value:g} kg.m^2 +- {inertia.std_error:g} kg.m^2"
         given.append((uncertainty_of(inertia, source, "kg.m^2"), change))
     return given
-
-
-def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -> FloatArray:
-    return mass_matrix(rotor.currents, rotor.planes, mass, own)
 
 
 def _goodness(rotor: Levitation, model: MagnetModel, best: MagnetEstimate) -> Goodness:

@@ -59,20 +59,14 @@ class ControlLoop(Settings):
         self._check_blocks()
 
     def _check_blocks(self) -> None:
-        if self.controller:
-            for name in PID:
-                if getattr(self, name) != self.__dataclass_fields__[name].default:
-                    raise ConfigError(
-                        f"{name}: belongs to the PID, and there is a controller of blocks",
-                        hint="leave it out, or put {form: pid, ...} among the blocks",
-                        field=name,
-                    )
-        elif self.cross is not None:
-            raise ConfigError(
-                "cross: needs the element x by x as controller",
-                hint="controller: [{form: ...}]",
-                field="cross",
-            )
+        written = [name for name in PID if name in self.written]
+        if self.controller and written:
+            what = f"{written[0]}: belongs to the PID, and there is a controller of blocks"
+            hint = "leave it out, or put {form: pid, ...} among the blocks"
+            raise ConfigError(what, hint=hint, field=written[0])
+        if not self.controller and self.cross is not None:
+            what, hint = "cross: needs the element x by x as controller", "controller: [{form: ...}]"
+            raise ConfigError(what, hint=hint, field="cross")
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:

@@ -183,7 +183,7 @@ def measured_margins(
             candidates.setdefault(name, []).append(near.of(margin, n))
     units = {"phase_margin": "rad", "delay_margin": "s"}
     chosen = {
-        name: (max if name == "gain_margin_lower" else min)(margins, key=_value)
+        name: (max if name == "gain_margin_lower" else min)(margins, key=lambda found: found[0])
         for name, margins in candidates.items()
     }
     return [
@@ -195,10 +195,6 @@ def measured_margins(
         )
         for name, (value, error, moved) in chosen.items()
     ]
-
-
-def _value(found: Found) -> float:
-    return found[0]
 
 
 def factor(name: str, value: float, error: float, quantile: float) -> Parameter:

@@ -165,11 +165,6 @@ class Peak:
         return [with_error(f"peak{suffix}", "1", self.value, self.error, quantile), place]
 
 
-def _quantile(dof: float) -> float:
-    """Standard errors to either side of a 95 % interval by complex degrees of freedom."""
-    return student_quantile(0.975, COMPLEX_PARTS * dof) if np.isfinite(dof) else normal_quantile(0.975)
-
-
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
     """S = H_after / (H_after - H_before), both against the excitation that is added between them.
 
@@ -438,7 +433,9 @@ class SensitivityMatrix:
 
     @property
     def quantile(self) -> float:
-        return _quantile(self.response.covariance_dof)
+        """Standard errors to either side of a 95 % interval by complex degrees of freedom."""
+        dof = self.response.covariance_dof
+        return student_quantile(0.975, COMPLEX_PARTS * dof) if np.isfinite(dof) else normal_quantile(0.975)
 
     def loop(self, number: int) -> MeasuredSensitivity:
         """S_ii of a loop."""

@@ -153,9 +153,8 @@ def unstable_poles(plant: Suspended) -> int:
         :, None, None
     ] ** 2 * np.eye(2)
     curve = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
-    poles = np.array(
-        [pole for blocks in _elements(loop) for pole in in_series(blocks)[0].poles], np.complex128
-    )
+    elements = [loop.blocks(*pair) for pair in (["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"])]
+    poles = np.array([pole for blocks in elements for pole in in_series(blocks)[0].poles], np.complex128)
     # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones
     # of a damped loop.
     turned = curve
@@ -167,11 +166,6 @@ def unstable_poles(plant: Suspended) -> int:
     change = float(angle[-1] - angle[0] + np.angle(np.exp(1j * first)))
     degree = 2 * (1 if loop.cross is None else 2) + poles.size
     return round((degree - 2 * change / np.pi) / 2)
-
-
-def _elements(loop: ControlLoop) -> list[tuple[ControllerBlock, ...]]:
-    pairs = ["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"]
-    return [blocks for blocks in (loop.blocks(*pair) for pair in pairs) if blocks]
 
 
 def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:

@@ -479,10 +479,6 @@ def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
     return {name: float(number) for name, number in first.truth.items() if isinstance(number, (int, float))}
 
 
-def _std_errors(rig: VirtualMagneticRig, runs: Sequence[str], band: tuple[float, float]) -> Truth:
-    return expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {}
-
-
 MAGNETIC_RIG = kind_of_tests(
     VirtualMagneticRig,
     runs=run_names,
@@ -490,5 +486,5 @@ MAGNETIC_RIG = kind_of_tests(
     tests=simulate,
     logged=log_table,
     parameters=_parameters,
-    std_errors=_std_errors,
+    std_errors=lambda rig, runs, band: expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {},
 )

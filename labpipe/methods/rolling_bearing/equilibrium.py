@@ -235,7 +235,8 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     length = np.ones(len(step))
     open_cases = np.arange(len(step))
     for _ in range(MAX_CUTS):
-        part = problem if open_cases.size == len(step) else problem.of_cases(_mask(open_cases, len(step)))
+        is_open = np.isin(np.arange(len(step)), open_cases)
+        part = problem if is_open.all() else problem.of_cases(is_open)
         t, p, fall = length[open_cases], step[open_cases], descent[open_cases]
         there = part.at(trial.u[open_cases] + t[:, None] * p)
         rise = -np.einsum("nf,nf->n", there.residual, p[:, problem.free])
@@ -246,12 +247,6 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
         length[open_cases[short]] = (t * np.clip(fall / np.maximum(fall + rise, fall), 0.1, 0.7))[short]
         open_cases = open_cases[short]
     return trial.u + length[:, None] * step
-
-
-def _mask(indices: IntArray, size: int) -> BoolArray:
-    mask = np.zeros(size, dtype=bool)
-    mask[indices] = True
-    return mask
 
 
 def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:

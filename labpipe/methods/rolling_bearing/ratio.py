@@ -373,13 +373,17 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     result = (
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
-    rows = zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True)
+    points = []
+    for point, log, error in zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True):
+        ratio = from_log("ratio", "1", float(log - np.log(beta.value)), float(error), NORMAL)
+        theory = point.value / ratio.value
+        points.append(replace(point, theory=theory, ratio=ratio.value, ratio_ci95=ratio.ci95))
     return Comparison(
         name=campaign.settings.name,
         kind="rayleigh",
         subject=campaign.subject,
         unit=campaign.unit,
-        points=tuple(_beta_point(*row, beta.value) for row in rows),
+        points=tuple(points),
         amounts=(beta, exponent, chance("p_value", mean.p_value)),
         verdict=verdict,
         statement=f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g}).",
@@ -401,11 +405,6 @@ def _log_beta_change(fit: Fit, source: str) -> float:
         change_in(fit, source, "c") / fit.parameter("c").value
         - change_in(fit, source, "k") / fit.parameter("k").value
     )
-
-
-def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> ComparedPoint:
-    ratio = from_log("ratio", "1", float(log - np.log(beta)), float(error), NORMAL)
-    return replace(point, theory=point.value / ratio.value, ratio=ratio.value, ratio_ci95=ratio.ci95)
 
 
 # The condition is raised by this share for the slope of the theory.

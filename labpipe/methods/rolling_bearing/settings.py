@@ -214,13 +214,8 @@ class BallGeometrySettings(Settings):
 
     def at(self, contact_angle: float) -> BallGeometry:
         """The geometry at a contact angle [rad]; ConfigError where it is impossible."""
-        return BallGeometry(
-            self.ball_diameter,
-            self.pitch_diameter,
-            self.inner_conformity,
-            self.outer_conformity,
-            contact_angle,
-        )
+        conformities = self.inner_conformity, self.outer_conformity
+        return BallGeometry(self.ball_diameter, self.pitch_diameter, *conformities, contact_angle)
 
 
 @dataclass(frozen=True)

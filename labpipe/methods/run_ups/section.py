@@ -104,13 +104,11 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
         residual = _open(settings.subtracted, settings, output, folder)
         # Nothing was added before the residual run, where the run has its weights.
         still = dict.fromkeys(dict(settings.unbalance), 0j)
-        run = _without_residual(run, _track(residual, lines, settings, still))
+        subtracted = _track(residual, lines, settings, still)
+        ends = subtracted.speed[[0, -1]]
+        inside = run.speed[(run.speed >= ends[0]) & (run.speed <= ends[1])]
+        run = difference(run, at_speeds(subtracted, inside))
     return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
-
-
-def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
-    inside = run.speed[(run.speed >= residual.speed[0]) & (run.speed <= residual.speed[-1])]
-    return difference(run, at_speeds(residual, inside))
 
 
 def _open(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:

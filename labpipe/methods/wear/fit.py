@@ -24,7 +24,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, student_limit
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.wear.model import MISFITS, Misfit, WornModel, WornReceptance, worn_model, worn_receptance
+from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.search import (
     LEAST_INFORMATION,
     Interval,
@@ -408,7 +408,10 @@ def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
         variance = np.einsum("lii->li", receptance.covariance).real.reshape(receptance.matrix.shape)
     model, parameters = solved.misfit.model, solved.best.parameters
     fitted = model.response(parameters)[0]
-    before = None if DEPTH in model.names else _untuned(model)
+    before = None
+    if DEPTH not in model.names:
+        mean = np.array(model.prior.mean) / model.scale
+        before = model.refined(mean, with_slopes=False).response(mean)[0]
 
     def at(frequency: FloatArray) -> ComplexArray:
         return replace(model, frequency=tuple(frequency.tolist())).response(parameters)[0]
@@ -426,8 +429,3 @@ def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
         dense_frequency=dense_frequency,
         dense=dense,
     )
-
-
-def _untuned(model: WornModel) -> ComplexArray:
-    mean = np.array(model.prior.mean) / model.scale
-    return model.refined(mean, with_slopes=False).response(mean)[0]
