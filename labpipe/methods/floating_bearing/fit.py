@@ -52,7 +52,6 @@ from labpipe.methods.floating_bearing.settings import (
     smoothed_channels,
 )
 from labpipe.methods.floating_bearing.stator import (
-    LineStiffness,
     Stator,
     line_stiffness,
     motion_note,
@@ -196,7 +195,12 @@ def least_squares(
     columns = model.jacobian(values, lines.omega).reshape(values.size, -1)
     design = triangle_of(np.concatenate([columns.real, columns.imag], axis=1).T)
     estimate = Estimate(model, values, covariance, float("nan"), dof, float("nan"), True, 0, design)
-    return estimate, _response(model, lines, designs)
+
+    def respond(errors: ComplexArray) -> FloatArray:
+        moved = errors.swapaxes(-1, -2) @ lines.inverse
+        return np.stack([_solve(model, change, designs)[0] for change in moved])
+
+    return estimate, respond
 
 
 def _rows_of(model: StiffnessModel, part: int) -> list[int]:
@@ -217,17 +221,6 @@ def _solve(
             design.shape[0] - design.shape[1]
         )
     return solution.reshape(-1), variance
-
-
-def _response(
-    model: StiffnessModel, lines: LineStiffness, designs: tuple[FloatArray, FloatArray]
-) -> Callable[[ComplexArray], FloatArray]:
-    def respond(errors: ComplexArray) -> FloatArray:
-        return np.stack(
-            [_solve(model, error.swapaxes(-1, -2) @ lines.inverse, designs)[0] for error in errors]
-        )
-
-    return respond
 
 
 # Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc.

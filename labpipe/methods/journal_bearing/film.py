@@ -258,23 +258,11 @@ def film_equations(
         by_displacement[axis] += grid.wedge[axis, :, None] - wider[axis, :, None] * by_width
     diagonal, residual, cavitated = (1 - slope) * in_flow, (gap - largest) * in_flow, slope <= LEAST_SLOPE
     if film.groove > 0:
-        _hold_ambient(film.grooves[0], pressure, diagonal, residual, by_displacement, cavitated)
+        # The equations of cells in grooves are p = 0.
+        grooved = film.grooves[0]
+        diagonal[grooved], residual[grooved] = GROOVE_DIAGONAL, GROOVE_DIAGONAL * pressure[grooved]
+        by_displacement[:, grooved], cavitated[grooved] = 0, True
     return FilmEquations(around, across, diagonal, residual, by_displacement, cavitated)
-
-
-def _hold_ambient(
-    grooved: BoolArray,
-    pressure: FloatArray,
-    diagonal: FloatArray,
-    residual: FloatArray,
-    by_displacement: FloatArray,
-    cavitated: BoolArray,
-) -> None:
-    """Replace the equations of cells in grooves by p = 0, in place."""
-    diagonal[grooved] = GROOVE_DIAGONAL
-    residual[grooved] = GROOVE_DIAGONAL * pressure[grooved]
-    by_displacement[:, grooved] = 0
-    cavitated[grooved] = True
 
 
 def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:

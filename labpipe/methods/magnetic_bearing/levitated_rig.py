@@ -134,8 +134,6 @@ def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
 
 def _log(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -> FloatArray:
     """Signals known *per_step* times in a step, stored by one filter without delay."""
-    # Loading scipy.signal takes longer than most runs.
-
     before = round(MARGIN * rig.sample_rate)
     steps = rig.decimation * per_step
     steady = signals[round(SETTLING * rig.control.rate) * per_step - before * steps :]

@@ -203,8 +203,6 @@ def sampled_law(
         raise ConfigError(
             "controller: more zeros than poles cannot be sampled", hint=hint, field="controller"
         )
-    # A second of imports that few runs need.
-
     zeros, poles, gain = scipy.signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
     zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
     sections = scipy.signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)

@@ -305,14 +305,8 @@ def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
     )
 
 
-# Half width of the group of starts of a search.
-BESIDE = 0.28
-
-
-# Largest spread of factors that counts as agreement.
-ALIKE = 0.02
-
-
+# Half width of the group of starts of a search; largest spread of factors that counts as agreement.
+BESIDE, ALIKE = 0.28, 0.02
 ITERATION = Axis("iteration")
 
 
@@ -455,9 +449,6 @@ def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
         caption,
         f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}",
     )
-
-
-# Coefficients as surfaces over load and speed.
 
 
 def surface_canvas(surfaces: CoefficientSurfaces, size: tuple[float, float]) -> Canvas:
