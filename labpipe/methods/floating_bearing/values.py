@@ -357,13 +357,7 @@ def _onset(
     whole = float(np.hypot(found.error(slopes, whole=True), value * of_mass))
     reach = LIMIT * whole / value
     interval = _finite(float(value * np.exp(-reach)), float(value * np.exp(reach)))
-    noise = found.error(slopes, whole=False)
-    plain = derive("onset_speed", "Hz", float(value), noise, found.dof)
-    return Valued(replace(plain, ci95=interval, std_error_inflated=_inflate(noise, whole)), slopes)
-
-
-def _inflate(noise: float, whole: float) -> float | None:
-    return whole if whole > SAME * noise else None
+    return _derive(found, "onset_speed", "Hz", float(value), slopes, interval, whole)
 
 
 def _derive(
@@ -373,12 +367,14 @@ def _derive(
     value: float,
     slopes: FloatArray,
     interval: tuple[float, float] | None,
+    whole: float | None = None,
 ) -> Valued:
-    noise, whole = found.error(slopes, whole=False), found.error(slopes, whole=True)
-    shown = replace(
-        derive(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflate(noise, whole)
-    )
-    return Valued(shown, slopes)
+    """With its error in all, by the fitted values unless *whole* is given."""
+    noise = found.error(slopes, whole=False)
+    whole = found.error(slopes, whole=True) if whole is None else whole
+    inflated = whole if whole > SAME * noise else None
+    plain = derive(name, unit, value, noise, found.dof)
+    return Valued(replace(plain, ci95=interval, std_error_inflated=inflated), slopes)
 
 
 def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:

@@ -179,13 +179,8 @@ def _statement(
     word: str,
     views: Sequence[View],
 ) -> str:
-    counts = [
-        (sum(b.holds for b in bands if b.parameter == name), sum(b.parameter == name for b in bands))
-        for name in names
-    ]
-    shares = " and ".join(
-        f"{name} in {holding} of {whole}" for name, (holding, whole) in zip(names, counts, strict=True)
-    )
+    held = {name: [band.holds for band in bands if band.parameter == name] for name in names}
+    shares = " and ".join(f"{name} in {sum(holds)} of {len(holds)}" for name, holds in held.items())
     sentences = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
     if word == "unstable":
         tests = ", ".join(
