@@ -195,7 +195,7 @@ def zone_of(peak: float) -> str:
 
 
 def sensitivity_peak(plant: Suspended) -> SensitivityPeak:
-    """The largest |S| from 0 Hz to 2 kHz and its zone; meaningful for a stable loop only."""
+    """The largest |S_ii| from 0 Hz to 2 kHz (ISO 14839-3) and its zone, of a stable loop only."""
     frequency = np.concatenate([[0.0], np.geomspace(*SEARCH)])
     if plant.loop.cross is None:
         size = np.abs(sensitivity(plant, 2 * np.pi * frequency))

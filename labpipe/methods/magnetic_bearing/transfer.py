@@ -96,7 +96,7 @@ def low_pass(frequency: float, order: int, damping: float) -> Transfer:
 
 
 def notch(frequency: float, depth: float, width: float) -> Transfer:
-    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D, at *frequency* [Hz]; *width* is 2 D."""
+    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D, *frequency* [Hz], *width* 2 D at -3 dB."""
     omega = 2 * np.pi * frequency
     return Transfer(_pair(omega, depth * width / 2), _pair(omega, width / 2), 1.0)
 
