@@ -20,9 +20,9 @@ from labpipe.methods.journal_bearing.curve import JournalTable, journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.shaft import Rotor, ShaftElement, Sleeve, Support
-from labpipe.methods.wear.tables import VaryingSupport, WornRig, worn_response
+from labpipe.methods.wear.tables import VaryingSupport
 from labpipe.records.uncertain import Uncertain
-from tests.methods.wear.worn_cases import fit_settings, measured, worn_rig
+from tests.methods.wear.worn_cases import WornRig, fit_settings, measured, worn_response, worn_rig
 
 SPEED = 2 * np.pi * 50
 LOAD = (0.0, -58.85)

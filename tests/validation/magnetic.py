@@ -19,7 +19,7 @@ from labpipe.methods.magnetic_bearing.bearing import MU_0, Magnet, magnet_factor
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, margins
 from labpipe.methods.magnetic_bearing.stability import (
     PADE_ORDER,
-    Levitated,
+    Suspended,
     closed_loop_poles,
     open_loop,
     sensitivity_peak,
@@ -41,7 +41,7 @@ def closed_forms() -> list[Claim]:
     crossing = np.sqrt((K_D**2 + np.sqrt(K_D**4 + 4 * K_P**2)) / 2)
     unstable = margins(lambda w: (K_P + 1j * K_D * w) / (-(w**2) - PULL), 1e4)
     third = margins(lambda w: 10 / ((1j * w + 1e-300) * (1j * w + 1) * (1j * w + 5)), 1e3)
-    at_rest = sensitivity_peak(Levitated(ControlLoop(), 33106.0, 0.065))
+    at_rest = sensitivity_peak(Suspended(ControlLoop(), 33106.0, 0.065))
     phase, kind = float(np.degrees(np.arctan(K_D * crossing / K_P))), "closed form"
     return [
         within(
@@ -100,7 +100,7 @@ def electromagnet() -> list[Claim]:
 
 
 @cache
-def peer_loop(name: str) -> tuple[Any, Levitated]:
+def peer_loop(name: str) -> tuple[Any, Suspended]:
     """L(s) = K C(s) e^{-s tau} / (1 + s / w_a) / (m s^2 - k_n) as python-control has it, the delay by its own
     Pade approximation.
     """
@@ -161,7 +161,7 @@ def of_python_control() -> list[Claim]:
     return found
 
 
-def poles(title: str, plant: Levitated, peer: Any) -> Claim:
+def poles(title: str, plant: Suspended, peer: Any) -> Claim:
     """Closed-loop poles below 1 kHz, real and imaginary parts in per cent of their distance from the
     origin.
     """

@@ -15,9 +15,7 @@ TRUE_FACTOR, LOAD = 1.2, 40.0
 rig = labpipe.rotor(Path(__file__).parent / "pinned-rotor.yaml")
 speed = np.linspace(600, 2200, 41) * np.pi / 30
 stiffness, damping = rig.start_coefficients(LOAD, speed)
-exact = rig.under_unbalance(speed, rig.known_unbalance).response(
-    TRUE_FACTOR * stiffness, TRUE_FACTOR * damping
-)
+exact = rig.condensed(speed, rig.known_unbalance).response(TRUE_FACTOR * stiffness, TRUE_FACTOR * damping)
 exact = exact.reshape(speed.size, len(rig.planes), 2)
 rng = np.random.default_rng(1)
 relative, phase = 0.01, np.radians(1)

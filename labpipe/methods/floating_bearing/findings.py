@@ -75,9 +75,7 @@ LOSS = 1.1
 
 
 def remedy(group: Sequence[str]) -> str:
-    """What separates the parameters of a collinear group: forces of another pattern, where both directions of
-    the motion are in it.
-    """
+    """What separates a collinear group: other forces where it has both directions of the motion."""
     ends = [name.partition("_")[2][:2] for name in group]
     motions = {end[1] for end in ends if end in AXES}
     if len(motions) > 1:
@@ -93,9 +91,7 @@ def remedy(group: Sequence[str]) -> str:
 
 
 def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
-    """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few
-    periods.
-    """
+    """Notes on intervals wider than need be: scatter that is not noise, few periods."""
     findings = few_averages(noise)
     if found.reduced < 1 - SURE * noise.spread(found.dof):
         message = (
@@ -120,9 +116,7 @@ def few_averages(noise: Noise) -> tuple[Finding, ...]:
 
 
 def shaft_motion(stator: Stator) -> tuple[float, float] | None:
-    """Motion of the shaft X_r = -A / w^2 - D over the relative motion, r.m.s. over all lines by their noise,
-    and how many standard errors it is [1].
-    """
+    """Motion of the shaft X_r = -A / w^2 - D over the relative one, r.m.s., and its standard errors."""
     if not stator.accelerated or not np.any(stator.to_axes[2:4]):
         return None
     absolute = stator.omega[:, None, None] ** 2
@@ -148,9 +142,7 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
 
 
 def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
-    """How far the shaft moves: a note where the accelerations take care of it, a warning where nothing
-    does.
-    """
+    """A note where accelerations take care of a moving shaft, a warning where nothing does."""
     moved = shaft_motion(stator)
     if moved is None or moved[1] < SEEN or moved[0] < MOVES:
         return ()
@@ -246,13 +238,11 @@ def physical_findings(parameters: tuple[Parameter, ...]) -> tuple[Finding, ...]:
 @dataclass(frozen=True)
 class BalanceMisfit:
     """A balance whose residual is not noise, on omega (n_line,) [rad/s]; *larger*: what the covariance of the
-    noise counts more for being estimated [1].
-
-    white (n_line, n_run, n_axis) [1]: the residual over its noise; whiten: forces (..., n_line, n_run,
-    n_axis) [N] over it. added, slopes: from values to the forces that they add to those at the minimum, and
-    to the slopes of these (n, n_line, n_run, n_axis) [N per parameter unit]. motion (n_line, n_run, n_axis)
-    [m]; size (n_axis,) [N]: r.m.s. force of each axis; gains (n_channel, n_line, n_run, n_axis) [N]: what
-    every channel adds to the balance.
+    noise counts more for being estimated [1]. white (n_line, n_run, n_axis) [1]: the residual over its noise;
+    whiten: forces (..., n_line, n_run, n_axis) [N] over it. added, slopes: from values to the forces that
+    they add to those at the minimum, and to the slopes of these (n, n_line, n_run, n_axis) [N per parameter
+    unit]. motion (n_line, n_run, n_axis) [m]; size (n_axis,) [N]: r.m.s. force of each axis; gains
+    (n_channel, n_line, n_run, n_axis) [N]: what every channel adds to the balance.
     """
 
     names: tuple[str, ...]
@@ -292,9 +282,7 @@ class BalanceMisfit:
 
 @dataclass(frozen=True)
 class BalanceError:
-    """Covariance (n, n) [parameter units] of noise and of what the model leaves unexplained, which is named
-    as *error*, else counts as noise.
-    """
+    """Covariance (n, n) [parameter units] of noise and of the unexplained, named as *error* or noise."""
 
     covariance: FloatArray
     error: CoefficientError | None = None

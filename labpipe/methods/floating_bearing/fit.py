@@ -52,7 +52,6 @@ from labpipe.methods.floating_bearing.settings import (
     smoothed_channels,
 )
 from labpipe.methods.floating_bearing.stator import (
-    LineStiffness,
     Stator,
     line_stiffness,
     motion_note,
@@ -83,10 +82,7 @@ NONE = Uncertain(0.0)
 
 
 def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names.
-
-    ConfigError if there is none.
-    """
+    """Settings with the earlier fit that `baseline` names; ConfigError if there is none."""
     stiffness_settings: DynamicStiffnessSettings = settings.model_settings
     if not stiffness_settings.baseline:
         return settings
@@ -111,9 +107,7 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 def baseline_of(fit: Fit) -> Baseline:
     """The fitted stiffness of another fit as a baseline: its noise and its given numbers become uncertainties
-    of this one.
-
-    What its model leaves unexplained counts as its noise.
+    of this one. What its model leaves unexplained counts as its noise.
     """
     shown = fit.detail(DynamicStiffness)
     if shown is None or not fit.converged:
@@ -201,7 +195,12 @@ def least_squares(
     columns = model.jacobian(values, lines.omega).reshape(values.size, -1)
     design = triangle_of(np.concatenate([columns.real, columns.imag], axis=1).T)
     estimate = Estimate(model, values, covariance, float("nan"), dof, float("nan"), True, 0, design)
-    return estimate, _response(model, lines, designs)
+
+    def respond(errors: ComplexArray) -> FloatArray:
+        moved = errors.swapaxes(-1, -2) @ lines.inverse
+        return np.stack([_solve(model, change, designs)[0] for change in moved])
+
+    return estimate, respond
 
 
 def _rows_of(model: StiffnessModel, part: int) -> list[int]:
@@ -224,17 +223,6 @@ def _solve(
     return solution.reshape(-1), variance
 
 
-def _response(
-    model: StiffnessModel, lines: LineStiffness, designs: tuple[FloatArray, FloatArray]
-) -> Callable[[ComplexArray], FloatArray]:
-    def respond(errors: ComplexArray) -> FloatArray:
-        return np.stack(
-            [_solve(model, error.swapaxes(-1, -2) @ lines.inverse, designs)[0] for error in errors]
-        )
-
-    return respond
-
-
 # Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc.
 # 90:773).
 STRONG = 10.0
@@ -248,10 +236,7 @@ def compare(
     known: Estimate | None = None,
     uncertain: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
-    """Candidates in ascending BIC, and the estimates by form.
-
-    Forms that the lines cannot determine are left out. Equation (ds-bic).
-    """
+    """Candidates by BIC, estimates by form, without those the lines cannot tell. Equation (ds-bic)."""
     estimates: dict[str, Estimate] = {}
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
@@ -325,11 +310,7 @@ class Solved:
 
 
 def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band.
-
-    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
-    coefficients.
-    """
+    """A fit per band; ConfigError where settings do not fit, FitError where lines are too few."""
     _check(settings)
     section: DynamicStiffnessSettings = settings.model_settings
     if section.known is not None and section.known.test == spectra.name:

@@ -27,9 +27,7 @@ Course = Callable[[FloatArray, FloatArray], ComplexArray]
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """A parameter of the course over frequency; *logarithmic*: fitted as ln(factor * value), value in
-    *unit*.
-    """
+    """A parameter of the course; *logarithmic*: fitted as ln(factor * value), value in *unit*."""
 
     name: str
     unit: str
@@ -52,9 +50,7 @@ class ShapeParameter:
 @dataclass(frozen=True)
 class Form:
     """One form: *matrices* (letter, unit) of the M_k, *shape* parameters theta, and what is needed of the
-    g_k.
-
-    basis(theta, omega): (n_matrix, n_line) of theta (n_shape,), omega (n_line,) [rad/s]; slopes(theta,
+    g_k. basis(theta, omega): (n_matrix, n_line) of theta (n_shape,), omega (n_line,) [rad/s]; slopes(theta,
     omega): (n_shape, n_matrix, n_line); starts(omega): theta to begin with, (n_start, n_shape). *bands*:
     edges [Hz] of a form that has coefficients of its own in each.
     """
@@ -88,10 +84,7 @@ def _relaxation_slopes(theta: FloatArray, omega: FloatArray) -> ComplexArray:
 
 
 def _oscillator(theta: FloatArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """1 / (1 + 2 zeta s / w_0 + s^2 / w_0^2), and its derivatives over ln w_0 and ln zeta.
-
-    Theta = (ln w_0, ln zeta).
-    """
+    """1 / (1 + 2 zeta s / w_0 + s^2 / w_0^2), its slopes by theta = (ln w_0, ln zeta)."""
     s, damping = 1j * omega / np.exp(theta[0]), 2 * np.exp(theta[1])
     reduced = 1 / (1 + damping * s + s**2)
     return reduced, reduced**2 * (damping * s + 2 * s**2), -(reduced**2) * damping * s
@@ -198,9 +191,7 @@ SYMMETRIES: dict[str, tuple[tuple[str, FloatArray], ...]] = {
 
 @dataclass(frozen=True)
 class StiffnessModel:
-    """A form with a symmetry. Parameters: the elements of every matrix, matrix by matrix, then the shape
-    parameters as they are fitted.
-    """
+    """A form with a symmetry; parameters: elements matrix by matrix, then the fitted shape."""
 
     form: Form
     symmetry: str
@@ -237,10 +228,7 @@ class StiffnessModel:
         return np.tensordot(values[: self.n_linear].reshape(len(self.form.matrices), -1), self.elements, 1)
 
     def stiffness(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s].
-
-        Equation (ds-form).
-        """
+        """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,). Equation (ds-form)."""
         basis = self.form.basis(values[self.n_linear :], omega)
         return np.tensordot(basis.T, self.matrices(values), 1)
 

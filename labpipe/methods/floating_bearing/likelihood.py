@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,10 +83,7 @@ def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
 
 
 def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
-    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m].
-
-    Equation (ds-residual).
-    """
+    """e = G - H m, its covariance, smoothed motion of H (n_line, 2, 2) [N/m]. Equation (ds-residual)."""
     h = stiffness[:, None]
     of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
     s = (
@@ -103,10 +100,7 @@ def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
 
 
 class ErrorsInVariables:
-    """V of a model as a sum of squares.
-
-    Its Jacobian is L^-1 dB/dp u^, which gives the gradient of V exactly, 2 Re sum (dB u^)^H S^-1 e.
-    """
+    """V of a model; the Jacobian L^-1 dB/dp u^ gives its gradient 2 Re sum (dB u^)^H S^-1 e exactly."""
 
     def __init__(self, balance: Balance, model: StiffnessModel) -> None:
         self.balance, self.model = balance, model
@@ -138,11 +132,7 @@ class ErrorsInVariables:
         return self.columns(parameters)
 
     def columns(self, parameters: FloatArray) -> FloatArray:
-        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element
-        of the matrices.
-
-        Equation (ds-jacobian).
-        """
+        """-L^-1 (dH/dp) m^ as columns (n_equation, n_parameter) [1/unit]. Equation (ds-jacobian)."""
         state, model, omega = self.at(parameters), self.model, self.balance.omega
         theta = parameters[model.n_linear :]
         moved = state.whiten(times(model.elements[:, None, None], state.smoothed))
@@ -184,9 +174,7 @@ def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
 
 
 def _weights(balance: Balance, symmetry: str) -> Whitened:
-    """Weights by the noise of the balance: first all lines alike, then twice with the K, C and M that come
-    out.
-    """
+    """Weights by the balance's noise: all lines alike, then twice with the K, C and M that result."""
     model = StiffnessModel(FORMS["kcm"], symmetry)
     ones = np.ones(balance.right.shape[:2])
     weights = Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
@@ -200,9 +188,7 @@ def solve(
     balance: Balance, model: StiffnessModel, grid: FloatArray, weights: Whitened
 ) -> tuple[FloatArray, FloatArray]:
     """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what
-    they leave (n_start,) [1].
-
-    grid (n_start, n_shape) of shape parameters.
+    they leave (n_start,) [1]. grid (n_start, n_shape) of shape parameters.
     """
     moved = weights.whiten(times(model.elements[:, None, None], balance.motion))
     side = weights.whiten(balance.right)
@@ -227,6 +213,7 @@ def solve(
 # model.
 GivenErrors = Callable[[StiffnessModel, FloatArray, Whitened], ComplexArray]
 N_EQUATION = 2
+Model = TypeVar("Model")
 # Distance to the minimum in standard errors at which a descent ends: that which counts, and those from
 # several starts before it.
 NEAR, ROUGH = 1e-4, 0.1
@@ -239,16 +226,14 @@ LEAST_SPREAD = 1.25
 
 
 @dataclass(frozen=True)
-class Estimate:
+class BalanceEstimate(Generic[Model]):
     """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter,
-    n_parameter) [their units].
-
-    squares: 2 V [1] corrected for estimated covariances and uncertain given numbers, chi-square with *dof* if
-    the model is right; p_value of it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with
-    columns of length 1. pulls: what the data say of given numbers that are uncertain.
+    n_parameter) [their units]. squares: 2 V [1] corrected for estimated covariances and uncertain given
+    numbers, chi-square with *dof* if the model is right; p_value of it. design: triangle (n_parameter,
+    n_parameter) [1] of the Jacobian with columns of length 1.
     """
 
-    model: StiffnessModel
+    model: Model
     values: FloatArray
     covariance: FloatArray
     squares: float
@@ -257,7 +242,6 @@ class Estimate:
     converged: bool
     steps: int
     design: FloatArray
-    pulls: Pulls | None = None
 
     @property
     def reduced(self) -> float:
@@ -266,11 +250,16 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Noise:
-    """How far the covariance of the noise is known.
+class Estimate(BalanceEstimate[StiffnessModel]):
+    """Of a dynamic stiffness; pulls: what the data say of given numbers that are uncertain."""
 
-    dof: complex degrees of freedom behind it; shared, shared_power: of lines with common noise; *equations* p
-    of a line and run.
+    pulls: Pulls | None = None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How far the covariance of the noise is known. dof: complex degrees of freedom behind it; shared,
+    shared_power: of lines with common noise; *equations* p of a line and run.
     """
 
     dof: float = float("inf")
@@ -305,9 +294,7 @@ class Noise:
 
     @property
     def _excess_variance(self) -> float:
-        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 2 p and 2 (nu -
-        p + 1) degrees of freedom.
-        """
+        """Of the squares over chi-square's: each is F with 2 p and 2 (nu - p + 1) degrees."""
         return max(self.dof / (self.dof - self.least_dof), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
 
     @property
@@ -322,11 +309,7 @@ class Noise:
         return float(np.sqrt(2 * self.shared_power * self._excess_variance / dof))
 
     def p_value(self, squares: float, dof: int) -> float:
-        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the
-        covariance was estimated.
-
-        Equation (ds-p-value).
-        """
+        """Chance of so large a chi-square; by F where covariance was estimated. Equation (ds-p-value)."""
         effective = dof / self.shared_power
         if not np.isfinite(self.dof):
             return chi2_tail(squares / self.shared_power, effective)
@@ -392,17 +375,23 @@ def estimate(
 def _pulls(
     problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, noise: Noise
 ) -> Pulls | None:
-    """What the data say of given numbers, each 0 +- 1 standard deviation of its own.
-
-    Chi-square loses what their most likely values explain by noise of the *excess* alone; the numbers that
-    data ask for have the errors of estimates.
-    """
     state = problem.at(values)
     errors = uncertain(problem.model, values, state)
     if not len(errors):
         return None
-    stated = Stated.of(np.sqrt(2) * real_rows(state.whiten(errors).reshape(len(errors), -1)))
-    residual, slopes = np.sqrt(2) * problem.residual(values), np.sqrt(2) * jacobian
+    changes = real_rows(state.whiten(errors).reshape(len(errors), -1))
+    return stated_pulls(changes, problem.residual(values), jacobian, noise)
+
+
+def stated_pulls(changes: FloatArray, residual: FloatArray, jacobian: FloatArray, noise: Noise) -> Pulls:
+    """What a residual (n_equation,) [1] of unit complex noise says of given numbers, each 0 +- 1 standard
+    deviation of its own, by which it has *changes* (n, n_equation) [1]; *jacobian* (n_equation, n_parameter).
+
+    Chi-square loses what their most likely values explain by noise of the *excess* alone; the numbers that
+    data ask for have the errors of estimates.
+    """
+    stated = Stated.of(np.sqrt(2) * changes)
+    residual, slopes = np.sqrt(2) * residual, np.sqrt(2) * jacobian
     inverse = inverse_information(jacobian)
     # The columns are not the whole derivative of e^H S^-1 e, whose minimum leaves a part along them.
     residual = residual - slopes @ (inverse @ (slopes.T @ residual))
@@ -413,11 +402,7 @@ def _pulls(
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
-    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise;
-    pseudo-inverse of a singular one.
-
-    Equation (ds-covariance).
-    """
+    """(2 J^T J)^-1 (n, n) [parameter units] of J (n_equation, n), or pseudo-. Equation (ds-covariance)."""
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     columns = jacobian / scale

@@ -41,9 +41,7 @@ Respond = Callable[[ComplexArray], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Baseline:
-    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a
-    *model*, with *uncertainties*.
-    """
+    """What holds the stator beside the bearing: a *model*, values (n,) [its units], *uncertainties*."""
 
     model: StiffnessModel
     values: FloatArray
@@ -58,9 +56,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Given:
-    """The given part of the balance. *absolute*: the model moves with the stator's absolute motion, as a
-    baseline does.
-    """
+    """What is given; *absolute*: the model moves with the stator's absolute motion, as a baseline."""
 
     mass: Uncertain | None = None
     baseline: Baseline | None = None
@@ -71,10 +67,7 @@ class Given:
         return self.mass is not None or self.baseline is not None
 
     def side(self, omega: FloatArray) -> ComplexArray:
-        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg].
-
-        Equation (ds-balance).
-        """
+        """Before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg]. Equation (ds-balance)."""
         mass = 0.0 if self.mass is None else self.mass.value
         side = np.broadcast_to(-mass * np.eye(2, dtype=np.complex128), (omega.size, 2, 2))
         return (
@@ -118,11 +111,7 @@ def balance_of(stator: Stator, given: Given) -> Balance:
 
 
 def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, state: Whitened) -> ComplexArray:
-    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z
-    B^H S^-1 e.
-
-    Equation (ds-smoothed).
-    """
+    """z - C_z B^H S^-1 e (n_line, n_run, n_channel) [SI units]. Equation (ds-smoothed)."""
     to_balance = projection(stator, given) @ stator.to_axes
     rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
     pulled = (rows.conj().swapaxes(-1, -2)[:, None] @ state.weighted()[..., None])[..., 0]
@@ -133,10 +122,8 @@ def given_errors(
     stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray
 ) -> list[tuple[Uncertainty, ComplexArray]]:
     """By source, the change of e [N] by one standard deviation of the given number, (n, n_line, n_run, 2) for
-    n independent ones.
-
-    stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI units] the channels
-    with as little noise as may be.
+    n independent ones. stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI
+    units] the channels with as little noise as may be.
     """
     axes = clean @ stator.to_axes.T
     omega = stator.omega[:, None, None]
@@ -182,9 +169,7 @@ def join(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncer
 def errors_by_given(
     stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened
 ) -> ComplexArray:
-    """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values
-    (n_parameter,) of a model.
-    """
+    """All changes of e [N] by given numbers (n, n_line, n_run, 2) at values (n_parameter,)."""
     stiffness = model.stiffness(values, stator.omega)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     return np.concatenate(
@@ -195,9 +180,7 @@ def errors_by_given(
 def given_uncertainties(
     errors: Sequence[tuple[Uncertainty, ComplexArray]], respond: Respond
 ) -> tuple[GivenUncertainty, ...]:
-    """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n,
-    n_line, n_run, 2) [N].
-    """
+    """By source, *respond*: (n, n_parameter) by changes of e (n, n_line, n_run, 2) [N]."""
     return tuple(
         GivenUncertainty(
             uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit
@@ -256,9 +239,7 @@ N_SOUGHT = 20_000
 @dataclass(frozen=True)
 class SmearedBalance:
     """What blocks of random data do to the balance of a *stator* with what is *given*; *leakage* of the lines
-    of the fit.
-
-    ratio (n_line, 2, 2) [1/s^2]: acceleration per motion of the model, at the lines.
+    of the fit. ratio (n_line, 2, 2) [1/s^2]: acceleration per motion of the model, at the lines.
     """
 
     stator: Stator
@@ -276,10 +257,7 @@ class SmearedBalance:
         return np.asarray(np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio))
 
     def shown(self, stiffness: Stiffness) -> ComplexArray:
-        """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H.
-
-        Equation (ds-smeared).
-        """
+        """H (n_line, 2, 2) [N/m] as averages over blocks show it. Equation (ds-smeared)."""
         omega, place = self.leakage.grid
         lines = self.stator.omega
         at = omega[place]
@@ -301,9 +279,7 @@ class SmearedBalance:
         return replace(balance, right=balance.right - times(leaked[:, None], balance.motion))
 
     def finding(self, stiffness: Stiffness, modelled: bool) -> tuple[Finding, ...]:
-        """A warning where the blocks are too short for the resonance of the stator in the band; *modelled*:
-        what leaks is part of the fit.
-        """
+        """A warning where blocks are short for the stator's resonance; *modelled*: leakage is fitted."""
         lines = self.stator.omega
         omega = np.linspace(lines[0], lines[-1], N_SOUGHT)
         every = np.arange(lines.size)

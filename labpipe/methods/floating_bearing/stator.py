@@ -70,8 +70,9 @@ def stator_of(
 
     ConfigError for channels that give no motion in x and y, FitError for too few lines.
     """
-    _check_names(spectra, inputs, [FORCE], "input")
-    _check_names(spectra, outputs, [DISPLACEMENT, ACCELERATION], "output")
+    motions = [*_measured(spectra, DISPLACEMENT), *_measured(spectra, ACCELERATION)]
+    check_names(spectra, _measured(spectra, FORCE), inputs, FORCE, "input")
+    check_names(spectra, motions, outputs, f"{DISPLACEMENT} or {ACCELERATION}", "output")
     to_axes = np.zeros((6, len(spectra.channels)))
     for number, quantity in enumerate(QUANTITIES):
         columns = _chosen(spectra, quantity, inputs if quantity == FORCE else outputs)
@@ -87,33 +88,32 @@ def stator_of(
 
 
 def _measured(spectra: ChannelSpectra, quantity: str) -> list[int]:
-    """Columns of a quantity in its role.
-
-    Accelerations that stand in sums only, as references, where no others are there.
-    """
+    """Columns of a quantity in its role; of accelerations else those of sums, as references."""
     columns = spectra.columns(quantity, ROLES[quantity])
     return columns or (spectra.columns(quantity, "reference") if quantity == ACCELERATION else [])
 
 
 def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
-    """Columns of a quantity that are named, or all.
-
-    A channel that stands in a chosen sum only acts through that, unless it is named.
-    """
+    """Columns of a quantity by name, else all that do not act through a chosen sum."""
     columns = _measured(spectra, quantity)
     if names:
-        return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+        return named_columns(spectra, columns, names)
     summed = {term.channel for n in columns for term in spectra.channels[n].terms}
     return [n for n in columns if spectra.channels[n].name not in summed]
 
 
-def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:
-    columns = [n for quantity in quantities for n in _measured(spectra, quantity)]
+def check_names(
+    spectra: ChannelSpectra, columns: Sequence[int], names: Sequence[str], what: str, key: str
+) -> None:
+    """ConfigError for a name that is neither that of a channel among *columns* nor its dof."""
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
         if name not in places:
-            what = " or ".join(quantities)
             raise ConfigError(f"no {what} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
+
+
+def named_columns(spectra: ChannelSpectra, columns: Sequence[int], names: Sequence[str]) -> list[int]:
+    return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
 
 
 def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> FloatArray:
@@ -153,9 +153,7 @@ def direction(channel: Channel) -> float:
 
 
 def _check_once(channels: Sequence[Channel], quantity: str) -> None:
-    """ConfigError for two channels of one direction: a raw force and the same force with the inertia taken
-    out must not be added.
-    """
+    """ConfigError for two channels of one direction, as a force with and without its inertia."""
     seen: dict[str, str] = {}
     for channel in channels:
         if channel.dof in seen:
@@ -183,11 +181,7 @@ ONE_DIRECTION = 1e3
 
 @dataclass(frozen=True)
 class LineStiffness:
-    """H = G m^-1 (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s]; inverse (n_line, n_run, 2) [1/m]: rows of
-    m^-1, by run.
-
-    *paired*: the vectors of two neighbouring lines taken together, each line having one only.
-    """
+    """G m^-1 (n_line, 2, 2) [N/m], m^-1 (n_line, n_run, 2) [1/m]; *paired*: of two neighbouring lines."""
 
     omega: FloatArray
     stiffness: ComplexArray
@@ -196,10 +190,7 @@ class LineStiffness:
 
 
 def line_stiffness(balance: Balance) -> LineStiffness:
-    """H of every line from two or more runs; FitError where the runs of a line move in one direction.
-
-    Equation (ds-line).
-    """
+    """H by line from two runs or more; FitError where they move alike. Equation (ds-line)."""
     n_run = balance.motion.shape[1]
     if n_run < 2:
         what = "least squares needs two runs with independent forces at every line, there is one"
@@ -214,10 +205,8 @@ def line_stiffness(balance: Balance) -> LineStiffness:
 
 def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStiffness, FloatArray]:
     """H line by line and its variance (n_line, 2, 2) [(N/m)^2], lines left out that do not tell H; of one run
-    by pairs of lines.
-
-    stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the course between the two
-    lines of a pair: H is the model in their middle and what both lines leave.
+    by pairs of lines. stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the
+    course between the two lines of a pair: H is the model in their middle and what both lines leave.
     """
     state = whiten(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
@@ -249,11 +238,7 @@ LETTERS = ("k", "c", "m")
 
 
 def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
-    """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter)
-    [1/parameter unit] of the Jacobian.
-
-    Equation (ds-excitation).
-    """
+    """Ratios of standard errors by J *columns* (n_equation, n_parameter) [1]. Equation (ds-excitation)."""
     n_line, n_run = stator.channels.shape[:2]
     rows = columns.reshape(2, n_line, 2 * n_run, -1).transpose(1, 0, 2, 3).reshape(n_line, 4 * n_run, -1)
     scale = np.linalg.norm(columns, axis=0)

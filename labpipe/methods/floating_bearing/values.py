@@ -46,9 +46,7 @@ FORMS_WITH_WHIRL = ("kc", "kcm")
 @dataclass(frozen=True)
 class Whirl:
     """x = w^2 [(rad/s)^2] of the whirl frequency w, its slopes (n_parameter,) [per parameter unit] and its 95
-    % interval (Fieller).
-
-    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,).
+    % interval (Fieller). stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,).
     """
 
     square: float
@@ -59,11 +57,7 @@ class Whirl:
 
 
 def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
-    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where
-    there is no real solution.
-
-    Equation (ds-whirl).
-    """
+    """Of K, C, M at values (n_parameter,) [parameter units]; None: not real. Equation (ds-whirl)."""
     polynomial = _polynomial(model, values)[0].real
     square = _root(polynomial)
     if square is None:
@@ -123,9 +117,7 @@ def _root(polynomial: FloatArray) -> float | None:
 def _fieller(
     polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float
 ) -> tuple[float, float]:
-    """All x around the root at which the quadratic is not significantly different from zero: phi(x)^2 <
-    1.96^2 var phi(x).
-    """
+    """All x around the root where phi(x)^2 < 1.96^2 var phi(x) of the quadratic phi."""
     slope = 2 * polynomial[0] * square + polynomial[1]
     powers = slopes @ np.array([square**2, square, 1.0])
     unit = max(
@@ -152,9 +144,7 @@ N_FREQUENCY = 4000
 
 @dataclass(frozen=True)
 class Course:
-    """K_eff [N/m] and C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with standard errors of the same
-    shape and unit.
-    """
+    """K_eff [N/m], C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with their standard errors."""
 
     omega: FloatArray
     stiffness: FloatArray
@@ -164,10 +154,7 @@ class Course:
 
 
 def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
-    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it.
-
-    Equation (ds-forward).
-    """
+    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 from x to y, else -1. Equation (ds-forward)."""
     direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
     return np.asarray((direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2)
 
@@ -175,11 +162,7 @@ def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
 def effective(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0
 ) -> Course:
-    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter,
-    n_parameter) [parameter units].
-
-    Equation (ds-effective).
-    """
+    """At omega (n_line,) [rad/s] of values (n_parameter,) and covariance. Equation (ds-effective)."""
     h = forward(model.stiffness(values, omega), sense)
     slopes = forward(model.jacobian(values, omega), sense)
     errors = [
@@ -191,9 +174,7 @@ def effective(
 
 @dataclass(frozen=True)
 class Crossover:
-    """Frequency w [rad/s] above which damping is positive, its slopes (n_parameter,) [per parameter unit] and
-    95 % interval (Fieller).
-    """
+    """w [rad/s] above which damping is positive, slopes (n_parameter,), 95 % interval (Fieller)."""
 
     omega: float
     slopes: FloatArray
@@ -203,10 +184,7 @@ class Crossover:
 def crossover(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, band: FloatArray, sense: float = 1.0
 ) -> Crossover | None:
-    """The highest frequency at which C_eff turns from negative to positive; None where it does not.
-
-    *band* omega (n_line,) [rad/s].
-    """
+    """Highest w at which C_eff turns from negative to positive, or None; *band* (n_line,) [rad/s]."""
     omega = np.geomspace(SHARES[0] * band[0], SHARES[1] * band[-1], N_FREQUENCY)
     course = effective(model, values, covariance, omega, sense)
     signs = np.sign(course.damping)
@@ -239,9 +217,7 @@ SAME = 1 + 1e-9
 
 @dataclass(frozen=True)
 class FittedStiffness:
-    """Estimated values (n_parameter,) as they are fitted, covariance by noise and in all (n_parameter,
-    n_parameter) [their units].
-    """
+    """Values (n_parameter,), covariance by noise and in all (n_parameter, n_parameter) [their units]."""
 
     model: StiffnessModel
     values: FloatArray
@@ -257,10 +233,7 @@ class FittedStiffness:
 
 @dataclass(frozen=True)
 class Shaft:
-    """The shaft: *speed* [Hz], negative where it turns from y to x.
-
-    Mass [kg] and stiffness [N/m] of a rotor whose onset is asked for.
-    """
+    """*speed* [Hz], negative from y to x; mass [kg], stiffness [N/m] of a rotor whose onset is asked."""
 
     speed: float | None = None
     rotor_mass: Uncertain | None = None
@@ -273,33 +246,38 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Valued:
-    """A reported parameter and its *slopes* (n_parameter,) [its unit per parameter unit] over the fitted
-    values.
-    """
+    """A reported parameter, its *slopes* (n_parameter,) [its unit per unit] over the fitted values."""
 
     parameter: Parameter
     slopes: FloatArray
 
 
 def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
-    """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry
-    ties to them.
-    """
+    """The estimated parameters with their vifs (n_parameter,) [1], then those tied by symmetry."""
     model = found.model
-    plain = [
-        _estimate(found, number, name, unit, float(vif))
-        for number, (name, unit, vif) in enumerate(
-            zip(model.names[: model.n_linear], model.units, vifs, strict=False)
-        )
-    ]
+    names, covariances = model.names[: model.n_linear], (found.noise, found.whole)
+    plain = plain_values(names, model.units, found.values, covariances, found.dof, vifs)
     shaped = [_shape(found, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
     return (*plain, *shaped, *(_tie(valued) for valued in plain if model.symmetry == "seal"))
 
 
-def _estimate(found: FittedStiffness, number: int, name: str, unit: str, vif: float) -> Valued:
-    noise, whole = (float(np.sqrt(matrix[number, number])) for matrix in (found.noise, found.whole))
-    shown = _wide(estimated(name, unit, float(found.values[number]), noise, found.dof, vif), noise, whole)
-    return Valued(shown, np.eye(found.values.size)[number])
+def plain_values(
+    names: Sequence[str],
+    units: Sequence[str],
+    values: FloatArray,
+    covariances: tuple[FloatArray, FloatArray],
+    dof: int,
+    vifs: FloatArray,
+) -> list[Valued]:
+    """Estimated *values* (n_parameter,) by name, with covariances by noise and in all (n_parameter,
+    n_parameter) [their units] and variance inflation factors (n_parameter,) [1].
+    """
+    rows = zip(names, units, values, vifs, *(np.sqrt(np.diag(c)) for c in covariances), strict=False)
+    parameters = [
+        _wide(estimated(name, unit, float(value), float(noise), dof, float(vif)), float(noise), float(whole))
+        for name, unit, value, vif, noise, whole in rows
+    ]
+    return [Valued(shown, row) for shown, row in zip(parameters, np.eye(values.size), strict=False)]
 
 
 def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
@@ -342,10 +320,7 @@ def _tie(valued: Valued) -> Valued:
 def derived_values(
     found: FittedStiffness, omega: FloatArray, shaft: Shaft
 ) -> tuple[tuple[Valued, ...], Whirl | None]:
-    """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself.
-
-    Omega (n_line,) [rad/s] of the fit.
-    """
+    """Whirl, crossover, values at the speed, as far as they exist; omega (n_line,) [rad/s]."""
     full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
     turning = whirl(found.model, found.values, found.whole) if full else None
     parts = [
@@ -372,10 +347,7 @@ def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -
 def _onset(
     found: FittedStiffness, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray
 ) -> Valued:
-    """Speed [Hz] W = sqrt(k / m) / WFR at which a rotor on these coefficients begins to whirl.
-
-    K in series with the shaft's stiffness.
-    """
+    """Speed [Hz] W = sqrt(k / m) / WFR of whirl of a rotor, k in series with its shaft."""
     mass = shaft.rotor_mass
     assert mass is not None
     softer = 1 + turning.stiffness / shaft.rotor_stiffness if shaft.rotor_stiffness else 1.0
@@ -385,13 +357,7 @@ def _onset(
     whole = float(np.hypot(found.error(slopes, whole=True), value * of_mass))
     reach = LIMIT * whole / value
     interval = _finite(float(value * np.exp(-reach)), float(value * np.exp(reach)))
-    noise = found.error(slopes, whole=False)
-    plain = derive("onset_speed", "Hz", float(value), noise, found.dof)
-    return Valued(replace(plain, ci95=interval, std_error_inflated=_inflate(noise, whole)), slopes)
-
-
-def _inflate(noise: float, whole: float) -> float | None:
-    return whole if whole > SAME * noise else None
+    return _derive(found, "onset_speed", "Hz", float(value), slopes, interval, whole)
 
 
 def _derive(
@@ -401,12 +367,14 @@ def _derive(
     value: float,
     slopes: FloatArray,
     interval: tuple[float, float] | None,
+    whole: float | None = None,
 ) -> Valued:
-    noise, whole = found.error(slopes, whole=False), found.error(slopes, whole=True)
-    shown = replace(
-        derive(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflate(noise, whole)
-    )
-    return Valued(shown, slopes)
+    """With its error in all, by the fitted values unless *whole* is given."""
+    noise = found.error(slopes, whole=False)
+    whole = found.error(slopes, whole=True) if whole is None else whole
+    inflated = whole if whole > SAME * noise else None
+    plain = derive(name, unit, value, noise, found.dof)
+    return Valued(replace(plain, ci95=interval, std_error_inflated=inflated), slopes)
 
 
 def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
@@ -424,9 +392,7 @@ def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[
 
 
 def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
-    """Re H and Im H / W at the speed W of the shaft, where it lies in the band and the form is more than K
-    and C.
-    """
+    """Re H and Im H / W at the shaft's speed W, where it lies in the band and H is not K and C."""
     if not shaft.speed or found.model.form.name == "kc":
         return []
     speed = 2 * np.pi * abs(shaft.speed)
@@ -473,10 +439,7 @@ class Bearing:
 def dimensionless(
     coefficients: Sequence[Valued], bearing: Bearing, speed: float | None
 ) -> tuple[Valued, ...]:
-    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
-
-    Equation (ds-dimensionless).
-    """
+    """k_xx_dimensionless ... at a *speed* [Hz], Sommerfeld, if given. Equation (ds-dimensionless)."""
     if not bearing.clearance or not bearing.load or not speed:
         return ()
     omega = 2 * np.pi * abs(speed)
@@ -527,9 +490,7 @@ UNSEEN = 1e-3
 def budgeted(
     valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The parameters with their systematic part, which may be zero, and the budget; none without
-    uncertainties.
-    """
+    """The parameters with their systematic part, and the budget; none without uncertainties."""
     parameters = tuple(quantity.parameter for quantity in valued)
     slopes = np.stack([quantity.slopes for quantity in valued])
     whole = np.array([parameter.full_error or np.nan for parameter in parameters])

@@ -46,15 +46,12 @@ class Relaxation(Settings):
     time: float = quantity("relaxation time tau", "s")
 
     def __post_init__(self) -> None:
-        if not self.time > 0:
-            raise ConfigError("the relaxation time is positive", field="time")
+        require_positive(self, "time")
 
 
 @dataclass(frozen=True)
 class Pad(Settings):
-    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in either direction: a pad with inertia, as of a
-    tilting-pad bearing.
-    """
+    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in x and in y: a pad with inertia."""
 
     stiffness: float = quantity("R_0", "N/m")
     damping: float = quantity("R_1", "N.s/m")
@@ -62,15 +59,12 @@ class Pad(Settings):
     damping_ratio: float = quantity("damping ratio of the pad", "1")
 
     def __post_init__(self) -> None:
-        if not self.frequency > 0:
-            raise ConfigError("the natural frequency of a pad is positive", field="frequency")
+        require_positive(self, "frequency")
 
 
 @dataclass(frozen=True)
 class Condition(Settings):
-    """A condition of the test: the film between stator and shaft, H = K + j w C - w^2 M and what is added to
-    it.
-    """
+    """Film of a test between stator and shaft, H = K + j w C - w^2 M and what is added to it."""
 
     speed: float = quantity("shaft speed", "Hz", 0.0)
     load: float = quantity("static load on the bearing, downwards (-y)", "N", 0.0)
@@ -116,10 +110,7 @@ class FloatingNoise(Settings):
 
 @dataclass(frozen=True)
 class FloatingRig(Settings):
-    """A stator on soft supports around a shaft on its own supports, pushed by two shakers.
-
-    Runs CONDITION-x, -y, -plus, -minus, ...
-    """
+    """A stator on soft supports around a shaft, under two shakers; runs CONDITION-x, -y, -plus, ..."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     stator_mass: float = quantity("mass of the stator with its housing", "kg")
@@ -245,11 +236,7 @@ def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, Fl
 
 
 def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
-    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator
-    is -H D.
-
-    Equation (sim-film).
-    """
+    """K + j w C - w^2 M + relaxation + pad at *frequency* [Hz], (n, 2, 2) [N/m]. Equation (sim-film)."""
     omega = 2 * np.pi * np.asarray(frequency, float)
     jw = 1j * omega[:, None, None]
     stiffness, damping, mass = coefficients(rig, condition)
@@ -269,9 +256,7 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
 def motions(
     rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,)
-    [Hz]. Equation (sim-floating).
-    """
+    """X_s, X_r (n, 2) [m] under *forces* (n, 4) [N] at *frequency* (n,) [Hz]. Equation (sim-floating)."""
     omega, h = 2 * np.pi * np.asarray(frequency, float), film(rig, condition, frequency)
     stator = dynamic_stiffness(
         rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega
@@ -286,9 +271,7 @@ def motions(
 
 def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     """f_x, f_y, d_x, d_y, a_x, a_y [SI], the drives u_x, u_y if the rig has them, and the tacho n, still with
-    the shaft.
-
-    Periodic in the whole run and band-limited, so every line is the exact steady state.
+    the shaft. Periodic in the whole run and band-limited, so every line is the exact steady state.
     """
     condition = rig.condition(name)
     inside, lines = rig.lines_in_band
@@ -357,9 +340,7 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
 
 
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
-    """Amplitudes (n_sample // 2 + 1, 2) [N]: the multisine times *shares* in x and y, or its lines to x and y
-    in turn.
-    """
+    """Amplitudes (n_sample // 2 + 1, 2) [N]: a multisine times *shares*, or its lines in turn."""
     design = design_multisine(rig.band, rig.spacing, rig.force)
     size = (design.lines * design.spacing) ** rig.slope
     amplitude = size * np.exp(1j * design.phases)

@@ -45,10 +45,8 @@ CHECK_LOAD = "the load may be too high for the film; check load, viscosity, spee
 @dataclass(frozen=True)
 class FilmState:
     """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the
-    journal (2,), Newton steps.
-
-    stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step. coarse:
-    roughly, the state of the same film on half the cells each way.
+    journal (2,), Newton steps. stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of
+    the last step. coarse: roughly, the state of the same film on half the cells each way.
     """
 
     displacement: FloatArray
@@ -60,9 +58,7 @@ class FilmState:
     coarse: FilmState | None = None
 
     def moved(self, first: FilmState, second: FilmState) -> FilmState:
-        """This state with displacement and pressure changed as from *first* to *second*: a start value, no
-        equilibrium.
-        """
+        """Displacement and pressure changed as from *first* to *second*: a start value."""
         return replace(
             self,
             displacement=self.displacement + second.displacement - first.displacement,
@@ -75,11 +71,9 @@ def film_equilibrium(
     film: Film, load: FloatArray, near: FilmState | None = None, tolerance: float = TOLERANCE
 ) -> FilmState:
     """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the
-    same mesh.
-
-    *tolerance*: largest change of the displacement over clearance [-] in the last step. Without *near*, or
-    where Newton's method fails from it, coarser meshes give the start value. FitError when there is no
-    equilibrium. Equation (jour-equilibrium).
+    same mesh. *tolerance*: largest change of the displacement over clearance [-] in the last step. Without
+    *near*, or where Newton's method fails from it, coarser meshes give the start value. FitError when there
+    is no equilibrium. Equation (jour-equilibrium).
     """
     if near is not None:
         try:
@@ -178,10 +172,7 @@ def _balance(
 def film_at(
     film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None
 ) -> FilmState:
-    """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega.
-
-    FitError when Newton's method does not converge.
-    """
+    """The film at *displacement*, *velocity* (2,) [-] over c, c Omega; FitError without convergence."""
     room, pressure = band_room(film.mesh), _ambient(film) if near is None else near.pressure
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, velocity, pressure)
@@ -202,9 +193,7 @@ def film_at(
 
 
 def _squeeze(film: Film) -> FloatArray:
-    """Derivative of the squeeze term 2 dh/d(Omega t) by the velocity of the journal, (2, n_theta, n_half)
-    [-].
-    """
+    """Derivative of 2 dh/d(Omega t) by the journal's velocity, (2, n_theta, n_half) [-]."""
     return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
 
 
@@ -275,7 +264,7 @@ class JournalBearing:
         return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
-        return Film.of(
+        return Film(
             mesh,
             self.diameter / self.length,
             self.wear_depth / self.clearance,
@@ -313,10 +302,7 @@ class JournalEquilibrium:
 
     @property
     def attitude(self) -> float:
-        """Angle from the load to the displacement of the journal, positive with the spin [rad].
-
-        Equation (jour-attitude).
-        """
+        """From the load to the displacement, positive with the spin [rad]. Equation (jour-attitude)."""
         turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
         return float(np.angle(turned))
 
@@ -338,17 +324,12 @@ class JournalEquilibrium:
         )
 
     def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
-        """A start value beside this equilibrium: its state moved as that of *second* differs from that of
-        *first*, on the same mesh.
-        """
+        """A start value: its state moved as that of *second* from *first*, on the same mesh."""
         return replace(self, state=self.state.moved(first.state, second.state))
 
     @property
     def coarser(self) -> JournalEquilibrium | None:
-        """Roughly the same equilibrium on half the cells each way, a start value.
-
-        None where it was not needed.
-        """
+        """A start value on half the cells each way; None where it was not needed."""
         mesh = self.mesh.halved()
         return (
             None
@@ -412,9 +393,7 @@ def film_force(
     speed: float,
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> FloatArray:
-    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without
-    linearisation.
-    """
+    """Force on the journal (2,) [N] at *position* (2,) [m] and *velocity* (2,) [m/s], exact."""
     displacement = np.asarray(position) / bearing.clearance
     state = film_at(
         bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed)
@@ -430,11 +409,9 @@ def converged_equilibrium(
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> JournalEquilibrium:
     """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below
-    *tolerance*.
-
-    The error, relative to the largest coefficient, is estimated as a third of the change from half the cells
-    each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a first mesh
-    that cannot be halved. Equation (jour-mesh).
+    *tolerance*. The error, relative to the largest coefficient, is estimated as a third of the change from
+    half the cells each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a
+    first mesh that cannot be halved. Equation (jour-mesh).
     """
     half = mesh.halved()
     if half is None:

@@ -77,10 +77,7 @@ class JournalCurve:
         )
 
     def rest(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Eccentricity ratio [-] and attitude [rad] from the load with the spin, same shape as *sommerfeld*.
-
-        FitError outside the table.
-        """
+        """Eccentricity ratio [-], attitude [rad], of the shape (...) of *sommerfeld*; FitError beyond."""
         values = self.spline(self._place(sommerfeld))
         return values[..., 8], values[..., 9]
 
@@ -97,9 +94,7 @@ class JournalCurve:
 
 
 def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArray) -> FloatArray:
-    """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] of the same shape, N in revolutions per
-    second.
-    """
+    """mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] (...), N in revolutions per second."""
     scale = (
         bearing.viscosity
         * bearing.length
@@ -115,9 +110,7 @@ def journal_curve(
     length_over_diameter: float, groove_width: float = 0.0, mesh: FilmMesh = CURVE_MESH, nodes: int = NODES
 ) -> JournalCurve:
     """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; cached, since it takes a
-    second.
-
-    *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
+    second. *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
     """
     half = mesh.halved()
     if half is None:
@@ -195,10 +188,7 @@ class TableRange:
 
 @dataclass(frozen=True)
 class TableCoefficients:
-    """stiffness [N/m], damping [N s/m], (2, 2).
-
-    Their derivatives by PARAMETERS in SI units, (5, 2, 2) each.
-    """
+    """stiffness [N/m], damping [N s/m], (2, 2), and slopes by PARAMETERS, (5, 2, 2) each."""
 
     stiffness: FloatArray
     damping: FloatArray
@@ -225,10 +215,8 @@ class JournalTable:
         self, bearing: JournalBearing, speed: float, size: float | None = None
     ) -> TableCoefficients:
         """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the
-        table's.
-
-        *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s]. FitError
-        outside the table. Equation (jour-table).
+        table's. *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s].
+        FitError outside the table. Equation (jour-table).
         """
         weight = float(np.hypot(*self.load)) if size is None else size
         point, slopes = _place(bearing, weight, speed)
@@ -279,9 +267,7 @@ def journal_table(
     workers: int = 1,
 ) -> JournalTable:
     """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure
-    are not used.
-
-    *workers*: number of processes, without influence on the result.
+    are not used. *workers*: number of processes, without influence on the result.
     """
     ranges = ranges or TableRange()
     weight = float(np.hypot(*load))
@@ -310,9 +296,7 @@ def journal_table(
 
 @dataclass(frozen=True)
 class _Sheet:
-    """The part of a table at one *root* of depth over clearance: its equilibria do not depend on those of
-    other parts.
-    """
+    """A table at one *root* of depth over clearance, independent of other sheets."""
 
     bearing: JournalBearing
     load: tuple[float, float]
@@ -344,10 +328,7 @@ class _Sheet:
 
 
 def _sheet(sheet: _Sheet) -> FloatArray:
-    """Scaled coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at one depth.
-
-    The angle changes the film most, so that it varies slowest.
-    """
+    """Coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at a depth; the angle varies slowest."""
     angles, places = sheet.nodes[1], list(product(sheet.nodes[2], sheet.nodes[3]))
     rows = []
     before: list[JournalEquilibrium] = []

@@ -23,8 +23,8 @@ of two columns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -45,19 +45,12 @@ def wear_edges(depth: float, angle: float) -> tuple[float, float]:
 
 
 def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
-    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], same
-    shape as *theta* [rad].
-
-    Equation (jour-wear).
-    """
+    """max(0, depth - 1 - cos(theta - pi/2 - angle)) over c [-], (...). Equation (jour-wear)."""
     return np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
-    """`worn_depth` averaged over an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact.
-
-    Equation (jour-wear-mean).
-    """
+    """`worn_depth` over an arc of *width* [rad] about *theta*, (...) [-]. Equation (jour-wear-mean)."""
     if depth <= 0:
         return np.zeros_like(theta)
     from_deepest = np.mod(theta - np.pi / 2 - angle, 2 * np.pi) - np.pi
@@ -74,10 +67,7 @@ FEWEST_ACROSS = 4
 
 @dataclass(frozen=True)
 class FilmMesh:
-    """Cells *around* the journal by cells *across* the full width.
-
-    Both even, because half the width is solved.
-    """
+    """Cells *around* by cells *across*, both even, because half the width is solved."""
 
     around: int = 120
     across: int = 30
@@ -139,10 +129,7 @@ def film_grid(mesh: FilmMesh) -> FilmGrid:
 
 @lru_cache(maxsize=16)
 def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatArray]:
-    """Matrices a (n_fine, n_coarse), b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b.
-
-    Linear, periodic around the journal.
-    """
+    """a (n_fine, n_coarse), b (n_coarse, n_fine) [1]: fine = a @ coarse @ b, periodic around."""
     position = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
     before = np.floor(position).astype(int)
     part = position - before
@@ -175,96 +162,61 @@ GROOVE_DIAGONAL = 1e12
 LEAST_DISTANCE = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Film:
-    """A film: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom, cavitation
-    pressure (<= 0).
-
-    worn_centre, worn_face (n_theta,) [-]: added thickness at cell centres and faces; groove [rad]: width of
-    each of two axial grooves at the horizontal split, zero for none; grooved (n_theta,): cells in a groove;
-    opening (n_theta,): conductance factor of the face after each cell for the distance to the groove's edge.
+    """A film over a bore: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom,
+    cavitation pressure (<= 0), *groove* [rad]: width of each of two axial grooves at the split, or zero.
     """
 
     mesh: FilmMesh
-    grid: FilmGrid
     slenderness: float
-    depth: float
-    angle: float
-    cavitation: float
-    worn_centre: FloatArray
-    worn_face: FloatArray
-    groove: float
-    grooved: BoolArray
-    opening: FloatArray
+    depth: float = 0.0
+    angle: float = 0.0
+    cavitation: float = 0.0
+    groove: float = 0.0
 
-    @classmethod
-    def of(
-        cls,
-        mesh: FilmMesh,
-        slenderness: float,
-        depth: float = 0.0,
-        angle: float = 0.0,
-        cavitation: float = 0.0,
-        groove: float = 0.0,
-    ) -> Film:
-        """The film over a bore with wear *depth* (over clearance) at *angle* [rad] from the bottom, with or
-        without grooves.
-        """
-        grid = film_grid(mesh)
-        centre, face = (mean_worn_depth(theta, depth, angle, mesh.arc) for theta in (grid.centre, grid.face))
-        grooved, opening = _grooves(grid, mesh.arc, groove)
-        return cls(
-            mesh=mesh,
-            grid=grid,
-            slenderness=slenderness,
-            depth=depth,
-            angle=angle,
-            cavitation=cavitation,
-            worn_centre=centre,
-            worn_face=face,
-            groove=groove,
-            grooved=grooved,
-            opening=opening,
+    @property
+    def grid(self) -> FilmGrid:
+        return film_grid(self.mesh)
+
+    @cached_property
+    def worn(self) -> tuple[FloatArray, FloatArray]:
+        """Added thickness at cell centres and faces, (n_theta,) each [-]."""
+        centre, face = (
+            mean_worn_depth(theta, self.depth, self.angle, self.mesh.arc)
+            for theta in (self.grid.centre, self.grid.face)
         )
+        return centre, face
+
+    @cached_property
+    def grooves(self) -> tuple[BoolArray, FloatArray]:
+        """Cells in a groove, conductance of the faces by their distance to an edge, (n_theta,) [-]."""
+        return _grooves(self.grid, self.mesh.arc, self.groove)
 
     def coarser(self) -> Film | None:
         """The same film with half the cells each way, None where that is too coarse."""
         mesh = self.mesh.halved()
-        return (
-            None
-            if mesh is None
-            else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
-        )
+        return None if mesh is None else replace(self, mesh=mesh)
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the
-        journal in y and z.
-
-        Equation (jour-thickness).
-        """
+        """h [-] at centres and faces, (n_theta,), at a *displacement* (2,) [-]. Equation (jour-thickness)."""
         return (
-            1 + self.worn_centre + displacement @ self.grid.at_centre,
-            1 + self.worn_face + displacement @ self.grid.at_face,
+            1 + self.worn[0] + displacement @ self.grid.at_centre,
+            1 + self.worn[1] + displacement @ self.grid.at_face,
         )
 
     @property
     def force_weights(self) -> FloatArray:
-        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega
-        (R/c)^2 R L.
-
-        Equation (jour-force).
-        """
+        """(2, n_theta) [-] of axial sums, over 6 mu Omega (R/c)^2 R L. Equation (jour-force)."""
         return self.grid.at_centre * (self.mesh.arc * self.mesh.strip)
 
 
 @dataclass(frozen=True)
 class FilmEquations:
     """One Newton step, dimensionless [-]: (A + diagonal) dp = -residual - by_displacement @ de - by_velocity
-    @ dv.
-
-    around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual (n_theta,
-    n_half); by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the cavitation
-    pressure.
+    @ dv. around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual
+    (n_theta, n_half); by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the
+    cavitation pressure.
     """
 
     around: FloatArray
@@ -278,14 +230,10 @@ class FilmEquations:
 def film_equations(
     film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray
 ) -> FilmEquations:
-    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,)
-    over c Omega [-].
-
-    Equation (jour-reynolds).
-    """
+    """Linear at pressure (n_theta, n_half), displacement, velocity (2,) [-]. Equation (jour-reynolds)."""
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
-    around, across = film.opening * face**3 / arc**2, film.slenderness**2 * centre**3
+    around, across = film.grooves[1] * face**3 / arc**2, film.slenderness**2 * centre**3
     flow = around[:, None] * (pressure - np.concatenate([pressure[1:], pressure[:1]]))
     leak = across[:, None] * (pressure @ grid.curvature)
     wedge = _out(face) / arc
@@ -310,23 +258,11 @@ def film_equations(
         by_displacement[axis] += grid.wedge[axis, :, None] - wider[axis, :, None] * by_width
     diagonal, residual, cavitated = (1 - slope) * in_flow, (gap - largest) * in_flow, slope <= LEAST_SLOPE
     if film.groove > 0:
-        _hold_ambient(film.grooved, pressure, diagonal, residual, by_displacement, cavitated)
+        # The equations of cells in grooves are p = 0.
+        grooved = film.grooves[0]
+        diagonal[grooved], residual[grooved] = GROOVE_DIAGONAL, GROOVE_DIAGONAL * pressure[grooved]
+        by_displacement[:, grooved], cavitated[grooved] = 0, True
     return FilmEquations(around, across, diagonal, residual, by_displacement, cavitated)
-
-
-def _hold_ambient(
-    grooved: BoolArray,
-    pressure: FloatArray,
-    diagonal: FloatArray,
-    residual: FloatArray,
-    by_displacement: FloatArray,
-    cavitated: BoolArray,
-) -> None:
-    """Replace the equations of cells in grooves by p = 0, in place."""
-    diagonal[grooved] = GROOVE_DIAGONAL
-    residual[grooved] = GROOVE_DIAGONAL * pressure[grooved]
-    by_displacement[:, grooved] = 0
-    cavitated[grooved] = True
 
 
 def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:
@@ -342,10 +278,8 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, Floa
 
 def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """max(0, x) [-], exact outside +-*width* and twice continuously differentiable; its derivatives by x (>=
-    LEAST_SLOPE) and by width.
-
-    x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2),
-    slope t^2 (3 - 2 t). Equation (jour-rounded).
+    LEAST_SLOPE) and by width. x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2
+    width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t). Equation (jour-rounded).
     """
     t = np.clip((x + width) / (2 * width), 0, 1)
     area, slope = t**3 * (1 - t / 2), t * t * (3 - 2 * t)
@@ -364,9 +298,7 @@ def _out(flow: FloatArray) -> FloatArray:
 @dataclass(frozen=True)
 class FactoredFilm:
     """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded
-    factors (n_band, n_cell).
-
-    diagonal (n_theta, n_half): of all cells.
+    factors (n_band, n_cell). diagonal (n_theta, n_half): of all cells.
     """
 
     columns: IntArray
@@ -374,10 +306,7 @@ class FactoredFilm:
     diagonal: FloatArray
 
     def solve(self, sides: FloatArray) -> FloatArray:
-        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape.
-
-        Only the diagonal in cavitated columns.
-        """
+        """(A + diagonal)^-1 times (n_side, n_theta, n_half) [-], same shape."""
         # Imported here: settings of a rotor know bearings, and are read where nothing is solved.
         from scipy.linalg import lapack
 
@@ -397,9 +326,7 @@ def band_room(mesh: FilmMesh) -> FloatArray:
 
 def factorise(equations: FilmEquations, curvature: FloatArray, room: FloatArray) -> FactoredFilm:
     """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not
-    positive definite.
-
-    *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
+    positive definite. *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
     """
     cavitated = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)

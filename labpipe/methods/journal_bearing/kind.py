@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -145,15 +144,12 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
     )
 
 
-def _figures(name: str, coefficients: BearingCoefficients) -> Mapping[str, Any]:
-
-    return {} if coefficients.film is None else {"pressure.svg": film_figure(name, coefficients.film)}
-
-
 JOURNAL_KIND = BearingKind(
     JournalFile,
     journal_coefficients,
     on_rotor=JournalSettings,
     mount=JournalSettings.bearing,
-    figures=_figures,
+    figures=lambda name, coefficients: (
+        {} if coefficients.film is None else {"pressure.svg": film_figure(name, coefficients.film)}
+    ),
 )

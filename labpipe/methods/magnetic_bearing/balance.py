@@ -16,12 +16,11 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.floating_bearing.stator import shared_noise
+from labpipe.methods.floating_bearing.stator import check_names, named_columns, shared_noise
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
 
 CURRENT, DISPLACEMENT = "current", "displacement"
@@ -113,14 +112,8 @@ def _choose(
     spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str
 ) -> list[int]:
     columns = [n for role in roles for n in spectra.columns(quantity, role)]
-    places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
-    for name in names:
-        if name not in places:
-            raise ConfigError(
-                f"no {quantity} channel '{name}'", hint=nearest(name, sorted(places)), field=key
-            )
-    if names:
-        columns = [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+    check_names(spectra, columns, names, quantity, key)
+    columns = named_columns(spectra, columns, names) if names else columns
     if not columns:
         hint = f"quantity: {quantity}, role: {roles[0]}, dof: x in the rig file"
         raise ConfigError(f"there is no {quantity} channel", hint=hint, field=key)
@@ -152,9 +145,7 @@ def _pair(channels: Sequence[Channel], currents: Sequence[int], displacements: S
 def _at_magnets(
     currents: Sequence[Channel], sensors: Sequence[Channel]
 ) -> tuple[FloatArray, tuple[int, ...], tuple[tuple[int, ...], ...]]:
-    """Displacements at the magnets by the sensors' (n, n) [1], the bearing of every axis, and the axes of
-    every plane.
-    """
+    """Displacements at the magnets by the sensors' (n, n) [1], the bearing of each axis, axes by plane."""
     planes: dict[float | str, list[int]] = {}
     for number, channel in enumerate(currents):
         planes.setdefault(_plane(channel), []).append(number)
@@ -176,9 +167,7 @@ def _at_magnets(
 
 
 def _plane(channel: Channel) -> float | str:
-    """What axes of one plane have in common: the angle, or the last letter of a name such as ax and
-    bearing2.y.
-    """
+    """What axes of one plane share: the angle, or the last letter of a name such as ax and bearing2.y."""
     if channel.angle is not None:
         return round(channel.angle, 9)
     return AXIS_ANGLES.get(channel.dof[-1:], channel.dof)
@@ -248,18 +237,14 @@ UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
 
 @dataclass(frozen=True)
 class Between:
-    """How the current goes on between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz]
-    or at once.
-    """
+    """Current between samples: held at *rate* [Hz], at once or behind an amplifier of *bandwidth* [Hz]."""
 
     rate: float
     bandwidth: float | None = None
 
     def moments(self, omega: FloatArray) -> ComplexArray:
         """n_j(w), (n_power, n_line) [s^(2 j)]: (1/T^2) integral of (T - |t|)^(2 j + 1) / (2 j + 1)! i(t) /
-        i_0 over -T ... T.
-
-        Equation (mag-moments).
+        i_0 over -T ... T. Equation (mag-moments).
         """
         interval = 1 / self.rate
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
@@ -306,11 +291,7 @@ class MagnetModel:
         return matrices
 
     def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
-        """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass*
-        (n, n) [kg] in its place.
-
-        Equation (mag-balance).
-        """
+        """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) and a *mass*. Equation (mag-balance)."""
         mass = self.mass if mass is None else mass
         matrices, w = self.matrices(values), np.asarray(omega)[:, None, None]
         if self.between is None:
@@ -331,9 +312,7 @@ class MagnetModel:
         return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * matrices["c"]], axis=2)
 
     def slopes(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not
-        linear.
-        """
+        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences."""
         # Sizes of parameters that count, from the inertia at the middle of the band.
         middle = float(np.median(omega))
         inertia = float(np.max(np.abs(self.mass))) * middle**2
@@ -355,9 +334,7 @@ def magnet_model(
     damping: bool,
     between: Between | None,
 ) -> MagnetModel:
-    """The model of axes *labels* on their bearings with mass (n, n) [kg]: which terms of K_i, K_s and C are
-    estimated.
-    """
+    """The model of axes *labels* with mass (n, n) [kg]: which terms of K_i, K_s and C are estimated."""
     n = len(labels)
     pairs = [
         (row, column)

@@ -18,16 +18,16 @@ from labpipe.methods.magnetic_bearing.loop import (
     stiffness_matrix,
     stiffness_shares,
 )
+from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
 from labpipe.methods.magnetic_bearing.stability import (
     PADE_ORDER,
-    Levitated,
     SensitivityPeak,
     closed_loop_poles,
     sensitivity_peak,
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import Settings, quantity, require_positive, setting, settings_of
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -46,9 +46,7 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Magnet(Settings):
-    """Geometry of a radial hybrid magnet: four poles per ring, and between the two rings a permanent
-    magnet.
-    """
+    """A radial hybrid magnet: four poles per ring, a permanent magnet between the two rings."""
 
     turns: int = setting("integer", "turns of the coil on each pole")
     gap: float = quantity("effective air gap of the centred rotor", "m")
@@ -64,14 +62,7 @@ class Magnet(Settings):
     iron_permeability: float = quantity("relative permeability of the iron", "1", 4000.0)
 
     def __post_init__(self) -> None:
-        positive = {"turns": self.turns, "gap": self.gap, "pole_area": self.pole_area, "recoil": self.recoil}
-        positive |= {
-            "iron_permeability": self.iron_permeability,
-            "magnet_area": 1.0 if self.magnet_area is None else self.magnet_area,
-        }
-        for name, amount in positive.items():
-            if not amount > 0:
-                raise ConfigError(f"{name}: must be above zero, not {amount:g}")
+        require_positive(self, "turns", "gap", "pole_area", "recoil", "iron_permeability", "magnet_area")
         for name in ("bias_current", "coercivity", "magnet_length", "iron_path"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name}: must not be negative")
@@ -96,9 +87,7 @@ class Magnet(Settings):
 
 @dataclass(frozen=True)
 class MagnetFactors:
-    """F = k_i i + k_n x of the centred rotor: *force_per_current* k_i [N/A], *negative_stiffness* k_n [N/m],
-    bias flux density [T].
-    """
+    """F = k_i i + k_n x of the centred rotor: k_i [N/A], k_n [N/m], and the bias flux density [T]."""
 
     force_per_current: float
     negative_stiffness: float
@@ -107,10 +96,8 @@ class MagnetFactors:
 
 def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArray:
     """Flux of the four poles of one ring with the rotor at *displacement* [m] in x and the control *current*
-    [A], (4,) [Wb].
-
-    Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A /
-    (g_j + l_iron), and H_c l_m = R_m sum_j phi_j + 2 U. Equation (mag-fluxes).
+    [A], (4,) [Wb]. Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j),
+    P_j = mu_0 A / (g_j + l_iron), and H_c l_m = R_m sum_j phi_j + 2 U. Equation (mag-fluxes).
     """
     permeance = MU_0 * magnet.pole_area / (magnet.gap + magnet.iron_length - ALONG_X * displacement)
     coils = magnet.turns * (magnet.bias_current + ALONG_X * current)
@@ -122,20 +109,13 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
-    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N].
-
-    Equation (mag-force).
-    """
+    """Force in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N]. Equation (mag-force)."""
     fluxes = pole_fluxes(magnet, displacement, current)
     return float(RINGS * (ALONG_X @ fluxes**2) / (2 * MU_0 * magnet.pole_area))
 
 
 def magnet_factors(magnet: Magnet) -> MagnetFactors:
-    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the
-    bias flux of a pole.
-
-    Equation (mag-factors).
-    """
+    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g'); g' = g + l_iron. Equation (mag-factors)."""
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
     return MagnetFactors(
@@ -146,19 +126,12 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
 
 
 def static_stiffness(factors: MagnetFactors, current_per_displacement: float) -> float:
-    """k_0 = k_i di/dx - k_n of the closed loop at rest.
-
-    *current_per_displacement* = probe * G(0) * amplifier [A/m] -> [N/m].
-    """
+    """k_0 = k_i di/dx - k_n [N/m] of the loop at rest, di/dx = probe * G(0) * amplifier [A/m]."""
     return factors.force_per_current * current_per_displacement - factors.negative_stiffness
 
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
-    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
-    reluctance [m^2].
-
-    Equation (mag-area).
-    """
+    """A = k_i^2 g / (4 N^2 mu_0 k_n) [m^2], iron without reluctance. Equation (mag-area)."""
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
 
@@ -169,10 +142,8 @@ DOFS = ("x", "y")
 @dataclass(frozen=True, kw_only=True)
 class MagneticFile(Settings):
     """A magnetic-bearing file: the control loop, the magnet by its geometry or its factors, and the frequency
-    of the motion.
-
-    One of static_stiffness (from which the negative stiffness is inferred), negative_stiffness and magnet is
-    required.
+    of the motion. One of static_stiffness (from which the negative stiffness is inferred), negative_stiffness
+    and magnet is required.
     """
 
     kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
@@ -226,7 +197,7 @@ class MagneticFile(Settings):
     def motion_frequency(self) -> float:
         return float(self.speed or 0.0) if self.frequency is None else self.frequency
 
-    def levitated(self) -> Levitated:
+    def levitated(self) -> Suspended:
         """Control loop, negative stiffness and mass, from whichever entries the file has."""
         factor, pull = self.force_per_current, self.negative_stiffness
         if self.magnet is not None:
@@ -237,7 +208,7 @@ class MagneticFile(Settings):
         if self.static_stiffness is not None:
             pull = inferred_negative_stiffness(loop, self.static_stiffness)
         assert pull is not None
-        return Levitated(loop, pull, self.mass)
+        return Suspended(loop, pull, self.mass)
 
     def assumptions(self) -> str:
         single, rate = self.loop.cross is None, self.loop.rate
@@ -260,9 +231,7 @@ class MagneticFile(Settings):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and
-    the sensitivity's peak.
-    """
+    """Poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and the sensitivity's peak."""
 
     poles: ComplexArray
     unstable: int
@@ -270,7 +239,7 @@ class Verdict:
 
 
 @lru_cache(maxsize=32)
-def verdict(plant: Levitated) -> Verdict:
+def verdict(plant: Suspended) -> Verdict:
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
 
 
@@ -320,9 +289,7 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
 
 
 def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
-    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay; a sensitivity
-    beyond zone B.
-    """
+    """Warnings: an unstable loop, poles that grow by the approximated delay only, beyond zone B."""
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
         listed = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in right)

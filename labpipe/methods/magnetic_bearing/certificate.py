@@ -38,6 +38,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 )
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
+from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
 from labpipe.methods.magnetic_bearing.sensitivity import (
     MeasuredSensitivity,
     Peak,
@@ -47,7 +48,6 @@ from labpipe.methods.magnetic_bearing.sensitivity import (
 )
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,
-    Levitated,
     closed_loop_poles,
     open_loop,
     sample,
@@ -106,9 +106,7 @@ class ClosedLoop:
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
     def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
-        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their
-        logarithm, and their budget.
-        """
+        """All amounts with 95 % intervals, *quantile* standard errors to either side, and their budget."""
         plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
         return (
             with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC)
@@ -129,11 +127,7 @@ class ClosedLoop:
 
 
 def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
-    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in
-    the unknowns' errors.
-
-    Equation (comp-closed-loop).
-    """
+    """The fitted closed loop, modes up to *highest_mode* [Hz], first order. Equation (comp-closed-loop)."""
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
     unstable = unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
@@ -141,7 +135,9 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
 
     def at(changed: Mapping[str, float]) -> dict[str, float]:
         other = with_unknowns(file, changed).levitated()
-        return _amounts(other, rate, _nearest(loop_poles(other, rate), poles), unstable == 0)
+        others = loop_poles(other, rate)
+        near = np.array([others[np.argmin(np.abs(others - pole))] for pole in poles], np.complex128)
+        return _amounts(other, rate, near, unstable == 0)
 
     here = at(values)
     slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters]).reshape(
@@ -158,9 +154,7 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
 def _bent(
     at: Amounts, values: Mapping[str, float], slopes: FloatArray, covariance: FloatArray
 ) -> tuple[str, ...]:
-    """Names of the amounts whose course is not straight where the unknowns move REACH combined standard
-    errors along an amount's slope.
-    """
+    """Names of amounts that are not straight REACH combined standard errors of the unknowns away."""
     here = at(values)
     errors = np.sqrt(np.maximum(np.einsum("ji,jk,ki->i", slopes, covariance, slopes), 0.0))
     bent = []
@@ -190,9 +184,7 @@ def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names
 
 
 def bent_findings(loop: ClosedLoop) -> list[Finding]:
-    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their
-    errors.
-    """
+    """A warning where amounts of the fitted loop are not straight within its unknowns' errors."""
     if not loop.bent:
         return []
     names = ", ".join(loop.bent)
@@ -203,7 +195,7 @@ def bent_findings(loop: ClosedLoop) -> list[Finding]:
     return [Finding("first-order", what)]
 
 
-def loop_poles(plant: Levitated, rate: float | None) -> ComplexArray:
+def loop_poles(plant: Suspended, rate: float | None) -> ComplexArray:
     """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
     return closed_loop_poles(plant) if rate is None else sampled_poles(sample(plant, rate), rate)
 
@@ -214,14 +206,8 @@ def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
     return chosen[np.argsort(np.abs(chosen))]
 
 
-def _nearest(poles: ComplexArray, modes: ComplexArray) -> ComplexArray:
-    return np.array([poles[np.argmin(np.abs(poles - mode))] for mode in modes], np.complex128)
-
-
-def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
-    """Margins where the loop is stable, then f_n, logarithmic decrement 2 pi z / sqrt(1 - z^2) and pole of
-    every mode.
-    """
+def _amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
+    """Margins of a stable loop, then f_n, log decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
     amounts: dict[str, float] = {}
     if stable:
         highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)
@@ -250,15 +236,13 @@ BEYOND = 1.5
 def certificate(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """The certificate of the loops of one test.
-
-    ConfigError for channels and settings that do not fit together, FitError without a covariance.
-    """
+    """The certificate of a test's loops; ConfigError for unfit channels, FitError without covariance."""
     certificate_settings = resolve(settings)
     matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
-    peaks = _peaks(matrix, response)
+    loops = [matrix.loop(number) for number in range(len(matrix.loops))]
+    peaks = [peak_of(loop) for loop in loops]
     worst = max(peaks, key=lambda peak: peak.value)
-    measured_amounts, budget = _measured_amounts(matrix, peaks)
+    measured_amounts, budget = _measured_amounts(matrix, loops, peaks)
     model = None if file is None else _fit(settings, certificate_settings, response, matrix, file)
     limits = [
         _zone_limit(certificate_settings, worst, None if model is None else model.trusted),
@@ -274,6 +258,8 @@ def certificate(
             [*amounts, *goodness(model.fit), *model.fit.parameters],
             [*budgets, model.fit.budget],
         )
+    rejected = "" if model is None else model.rejected
+    unfounded = (*OF_LOOP, *settings.estimate) if rejected else ()
     verdict = verdict_of(limits, certificate_settings.confidence)
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
@@ -289,21 +275,19 @@ def certificate(
             f"{verdict.capitalize()}: "
             f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
         ),
-        curves=_curves(matrix, model),
+        curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
         budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
-        undecided=(*undecided(limits), *_unfounded(settings, model)),
+        undecided=(*undecided(limits), *((name, rejected) for name in unfounded)),
     )
 
 
 @dataclass(frozen=True)
 class FittedModel:
     """A bearing *file* beside what was recorded: its *fit*, the closed *loop*, None where the fit has no
-    intervals.
-
-    rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in continuous
-    time.
+    intervals. rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in
+    continuous time.
     """
 
     file: MagneticFile
@@ -331,12 +315,6 @@ OF_LOOP = (
 )
 
 
-def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tuple[str, str]]:
-    if model is None or not model.rejected:
-        return []
-    return [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
-
-
 def resolve(settings: CompareSettings) -> CertificateSettings:
     certificate: CertificateSettings = settings.kind_settings
     if certificate.after:
@@ -344,41 +322,30 @@ def resolve(settings: CompareSettings) -> CertificateSettings:
     return replace(certificate, before=certificate.before or (settings.before,), after=(settings.after,))
 
 
-def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
-    peaks = []
-    for number in range(len(matrix.loops)):
-        size, error = matrix.size(number)
-        phased, above = matrix.values[:, number, number], np.maximum(error, 1e-15 * size)
-        errors = matrix.errors_of(number)
-        measured = MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, errors)
-        peaks.append(peak_of(measured))
-    return peaks
-
-
 def _measured_amounts(
-    matrix: SensitivityMatrix, peaks: Sequence[Peak]
+    matrix: SensitivityMatrix, loops: Sequence[MeasuredSensitivity], peaks: Sequence[Peak]
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
     amounts: list[Parameter] = []
     changes: list[FloatArray] = []
-    for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
-        suffix = f"_{loop}" if len(peaks) > 1 else ""
-        amounts += peak.amounts(matrix.quantile, suffix)
+    frequency, dof = matrix.response.frequency, matrix.response.covariance_dof
+    for name, loop, peak in zip(matrix.loops, loops, peaks, strict=True):
+        suffix = f"_{name}" if len(peaks) > 1 else ""
+        amounts += peak.amounts(loop.quantile, suffix)
         changes += [peak.changes, peak.frequency_changes]
-        transfer, moved = matrix.loop_transfer(number), matrix.transfer_changes(number)
-        noise = matrix.dof, matrix.quantile
-        for margin, change in measured_margins(matrix.frequency, transfer, moved, noise, suffix):
-            amounts.append(margin)
-            changes.append(change)
+        noise = dof, loop.quantile
+        margins = measured_margins(frequency, loop.transfer, loop.transfer_changes, noise, suffix)
+        amounts += [margin for margin, _ in margins]
+        changes += [change for _, change in margins]
     if len(peaks) > 1:
         size, error = matrix.largest()
         top = int(np.argmax(size))
         amounts.append(
             with_error("largest_singular_value", "1", float(size[top]), float(error[top]), matrix.quantile)
         )
-        amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
+        amounts.append(Parameter("largest_frequency", float(frequency[top]), "Hz", derived=True))
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
-    dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
-    return with_budget(amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof)
+    sources = [error.uncertainty for error in matrix.errors]
+    return with_budget(amounts, sources, np.array(changes).T, 2 * dof if np.isfinite(dof) else None)
 
 
 def _fit(
@@ -455,32 +422,32 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
     return [Limit("log_decrement", probability, said)]
 
 
-def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:
+def _curves(
+    matrix: SensitivityMatrix, loops: Sequence[MeasuredSensitivity], model: FittedModel | None
+) -> tuple[Curve, ...]:
     curves = []
-    fitted = _fitted_size(matrix.frequency, model)
-    several = len(matrix.loops) > 1
-    named = [
-        (f"sensitivity {name}" if several else "sensitivity", matrix.combined_size(n))
-        for n, name in enumerate(matrix.loops)
+    frequency = matrix.response.frequency
+    fitted = np.empty(0)
+    if model is not None and model.loop is not None:
+        plant = with_unknowns(model.file, model.fit.values()).levitated()
+        fitted = np.abs(open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
+    several = len(loops) > 1
+    sizes = [
+        (f"sensitivity {name}" if several else "sensitivity", loop.size, loop.combined)
+        for name, loop in zip(matrix.loops, loops, strict=True)
     ]
     if several:
-        named.append(("largest singular value", matrix.combined_largest()))
-    for quantity, (size, error) in named:
+        size, error = matrix.largest()
+        combined = np.sqrt(error**2 + np.sum(matrix.largest_changes() ** 2, axis=0))
+        sizes.append(("largest singular value", size, combined))
+    for quantity, size, error in sizes:
         reach = matrix.quantile * error
-        curves.append(_curve(matrix.frequency, quantity, size, (size - reach, size + reach), fitted))
-    for n, name in enumerate(matrix.loops):
-        label = f"L {name}" if several else "L"
-        transfer, _ = matrix.loop_transfer(n)
-        curves.append(_curve(matrix.frequency, f"{label} real", transfer.real))
-        curves.append(_curve(matrix.frequency, f"{label} imaginary", transfer.imag))
+        curves.append(_curve(frequency, quantity, size, (size - reach, size + reach), fitted))
+    for name, loop in zip(matrix.loops, loops, strict=True):
+        label, transfer = f"L {name}" if several else "L", loop.transfer[0]
+        curves.append(_curve(frequency, f"{label} real", transfer.real))
+        curves.append(_curve(frequency, f"{label} imaginary", transfer.imag))
     return tuple(curves)
-
-
-def _fitted_size(frequency: FloatArray, model: FittedModel | None) -> FloatArray:
-    if model is None or model.loop is None:
-        return np.empty(0)
-    plant = with_unknowns(model.file, model.fit.values()).levitated()
-    return np.abs(open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
 
 
 def _curve(

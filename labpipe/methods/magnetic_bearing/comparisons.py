@@ -179,13 +179,8 @@ def _statement(
     word: str,
     views: Sequence[View],
 ) -> str:
-    counts = [
-        (sum(b.holds for b in bands if b.parameter == name), sum(b.parameter == name for b in bands))
-        for name in names
-    ]
-    shares = " and ".join(
-        f"{name} in {holding} of {whole}" for name, (holding, whole) in zip(names, counts, strict=True)
-    )
+    held = {name: [band.holds for band in bands if band.parameter == name] for name in names}
+    shares = " and ".join(f"{name} in {sum(holds)} of {len(holds)}" for name, holds in held.items())
     sentences = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
     if word == "unstable":
         tests = ", ".join(
@@ -221,10 +216,7 @@ def _values(
 
 
 def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
-    """The magnetic-bearing file as a function of the condition that sets one of its entries.
-
-    ConfigError for another kind of bearing.
-    """
+    """The bearing file over the condition that sets an entry; ConfigError for another kind."""
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
         raise ConfigError(
@@ -307,9 +299,7 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
 
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:
-    """The comparison with a finding on the directions of its *ports* that have an uncertainty: nothing tells
-    what they read across.
-    """
+    """With a finding on *ports* of uncertain direction: nothing tells what they read across."""
     names = directions_left_out(ports)
     if not names:
         return comparison

@@ -4,6 +4,7 @@ and block (an amplifier, a sensor or a whole chain as gain, delay and low-pass).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,7 +22,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widen
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.floating_bearing.findings import BalanceError, BalanceMisfit, balance_error, few_averages
-from labpipe.methods.floating_bearing.values import SAME, Valued, as_estimate, budgeted, unconverged
+from labpipe.methods.floating_bearing.values import as_estimate, budgeted, plain_values, unconverged
 from labpipe.methods.magnetic_bearing.balance import (
     Between,
     Levitation,
@@ -54,9 +55,7 @@ PER_DECADE, BEYOND = 12, 1.5
 
 def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidence: float) -> RobustPlant:
     """The band of radius |G^ - G_nominal| + r, r of the measured scatter, which holds the true plant at all
-    lines with *confidence*.
-
-    *dof* nu: complex ones behind the variance.
+    lines with *confidence*. *dof* nu: complex ones behind the variance.
     """
     assert curve.variance is not None
     radius = np.abs(curve.measured - curve.fitted) + np.sqrt(curve.variance) * scatter_radius(
@@ -88,11 +87,7 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
 
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
-    """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of
-    F with 2 and 2 nu.
-
-    Equation (mag-radius).
-    """
+    """sqrt of the F(2, 2 nu) quantile of |e|^2 / var of *count* values together. Equation (mag-radius)."""
     beyond = -np.expm1(np.log(confidence) / count)
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
 
@@ -100,9 +95,7 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 def state_space(
     model: MagnetModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the
-    currents.
-    """
+    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements under the currents."""
     matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
     a[:n, n:], c[:, :n] = np.eye(n), np.eye(n)
@@ -112,11 +105,7 @@ def state_space(
 
 
 def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, float]:
-    """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere
-    below *weight* (n_line,) [1].
-
-    Equation (mag-overbound).
-    """
+    """k [1], zero, pole [Hz] of the least bound above *weight* (n_line,) [1]. Equation (mag-overbound)."""
     low, high = np.log10(frequency[0]) - BEYOND, np.log10(frequency[-1]) + BEYOND
     corners = np.logspace(low, high, int(PER_DECADE * (high - low)) + 1)
     shapes = np.log(np.abs(1 + 1j * frequency / corners[:, None]))
@@ -178,9 +167,7 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
 
 
 def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
-    """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
-    would give.
-    """
+    """Sign and size of the estimate, its use as a force, and what plain least squares would give."""
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
     notes = [
@@ -239,9 +226,7 @@ def draw(rotor: Levitation, best: MagnetEstimate) -> FittedCurve | None:
 
 
 def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) -> FloatArray:
-    """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of every run times what that run is in
-    I^-1.
-    """
+    """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of each run by its part in I^-1."""
     n = rotor.n_axis
     covariance = rotor.to_axes @ rotor.covariance @ rotor.to_axes.T
     rows = np.concatenate([-measured, np.broadcast_to(np.eye(n), measured.shape)], axis=2)
@@ -250,11 +235,7 @@ def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) 
 
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band.
-
-    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
-    parameters.
-    """
+    """A fit per band; ConfigError where settings and channels do not fit, FitError for too few lines."""
     _check(settings)
     return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
 
@@ -287,7 +268,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
     error = magnet_error(rotor, best)
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
-    parameters, budget = budgeted(_values(best, whole), best.uncertainties, best.dof)
+    vifs, covariances = inflation_factors(best.design), (best.covariance, whole)
+    valued = plain_values(model.names, model.units, best.values, covariances, best.dof, vifs)
+    parameters, budget = budgeted(valued, best.uncertainties, best.dof)
     if not best.converged:
         parameters = unconverged(parameters)
     gof = _goodness(rotor, model, best)
@@ -327,10 +310,9 @@ def _matrix(mass: object) -> FloatArray:
 def _given(
     rotor: Levitation, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
-    """Uncertainties of the mass and of the moment of inertia, with the change (n, n) [kg] of the mass matrix
-    by one standard deviation.
-    """
+    """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
     magnet_settings: MagnetSettings = settings.model_settings
+    mass_of = functools.partial(mass_matrix, rotor.currents, rotor.planes)
     given: list[tuple[Uncertainty, FloatArray]] = []
     of_mass = dict(settings.uncertainties).get("mass")
     if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
@@ -338,31 +320,16 @@ def _given(
         given.append(
             (
                 uncertainty_of(of_mass, source, "kg"),
-                _mass_of(rotor, magnet_settings, mass + of_mass.std_error) - rotor.mass,
+                mass_of(mass + of_mass.std_error, magnet_settings) - rotor.mass,
             )
         )
     inertia = magnet_settings.inertia
     if inertia is not None and inertia.std_error > 0:
         larger = replace(magnet_settings, inertia=Uncertain(inertia.value + inertia.std_error))
-        change = _mass_of(rotor, larger, mass) - rotor.mass
+        change = mass_of(mass, larger) - rotor.mass
         source = f"moment of inertia, {inertia.value:g} kg.m^2 +- {inertia.std_error:g} kg.m^2"
         given.append((uncertainty_of(inertia, source, "kg.m^2"), change))
     return given
-
-
-def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -> FloatArray:
-    return mass_matrix(rotor.currents, rotor.planes, mass, own)
-
-
-def _values(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
-    vifs = inflation_factors(best.design)
-    parameters = []
-    for place, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):
-        noise, full = (float(np.sqrt(matrix[place, place])) for matrix in (best.covariance, whole))
-        plain = estimated(name, unit, float(best.values[place]), noise, best.dof, float(vifs[place]))
-        shown: Parameter = widen(plain, full / noise) if noise > 0 and full > SAME * noise else plain
-        parameters.append(Valued(shown, np.eye(best.values.size)[place]))
-    return parameters
 
 
 def _goodness(rotor: Levitation, model: MagnetModel, best: MagnetEstimate) -> Goodness:
@@ -383,9 +350,7 @@ LEAST_LINES = 4
 
 @dataclass(frozen=True)
 class Block:
-    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau scaled by the highest line, then ln f and
-    ln zeta.
-    """
+    """K e^{-j w tau} times low-passes: values (n,) ln |K|, tau by the highest line, ln f, ln zeta."""
 
     order: int
     sign: float
@@ -444,10 +409,7 @@ class _Problem:
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band.
-
-    ConfigError for more than one input or output, FitError for lines without noise or too few.
-    """
+    """A fit per band; ConfigError for several inputs or outputs, FitError for too few or noiseless lines."""
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
         raise ConfigError(

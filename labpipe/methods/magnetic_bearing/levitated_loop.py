@@ -34,9 +34,7 @@ RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
 
 @dataclass(frozen=True)
 class BendingMode(Settings):
-    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of
-    shape times force.
-    """
+    """A free-free bending mode of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of shape * force."""
 
     frequency: float = quantity("natural frequency w_0", "Hz")
     at_bearings: tuple[float, ...] = setting(
@@ -47,8 +45,7 @@ class BendingMode(Settings):
     at_unbalance: float = quantity("its shape at the unbalance", "1", 0.0)
 
     def __post_init__(self) -> None:
-        if not self.frequency > 0:
-            raise ConfigError("the natural frequency is positive", field="frequency")
+        require_positive(self, "frequency")
         for name in ("at_bearings", "at_sensors"):
             if len(getattr(self, name)) != len(ENDS):
                 raise ConfigError(f"'{name}' needs a number for each of the two ends", field=name)
@@ -65,8 +62,7 @@ class LongRotor(Settings):
     bending: BendingMode | None = setting("section", "a bending mode", section=BendingMode, default=None)
 
     def __post_init__(self) -> None:
-        if not self.inertia > 0:
-            raise ConfigError("the transverse moment of inertia is positive", field="inertia")
+        require_positive(self, "inertia")
         for name in ("bearings", "sensors"):
             places = getattr(self, name)
             if len(places) != len(ENDS) or places[0] == places[1]:
@@ -76,9 +72,7 @@ class LongRotor(Settings):
 @dataclass(frozen=True)
 class SampledPid(Settings):
     """i = -(P + I / s + D s / (1 + s T)) X y by the bilinear transform, sampled and held at *rate*, *delay*
-    intervals late.
-
-    y are the readings of all sensors, X mixes them: the unit matrix unless `mixing` is given.
+    intervals late. y are the readings of all sensors, X mixes them: the unit matrix unless `mixing` is given.
     """
 
     proportional: float = quantity("P, current per displacement", "A/m")
@@ -94,18 +88,14 @@ class SampledPid(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not (self.rate > 0 and self.derivative_time > 0):
-            raise ConfigError("rate and derivative_time are positive")
+        require_positive(self, "rate", "derivative_time")
         if self.delay < 0:
             raise ConfigError("'delay' must not be negative", field="delay")
 
 
 @dataclass(frozen=True)
 class Injection(Settings):
-    """What is added in the loop, at the controller's output (a current) or input (a displacement).
-
-    Its rms is that of one axis.
-    """
+    """Added at the controller's output (a current) or input (a displacement), its rms by axis."""
 
     rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
     place: str = setting("choice", "where it is added", choices=PLACES, default="output")
@@ -121,9 +111,7 @@ class Injection(Settings):
 
 @dataclass(frozen=True)
 class LevitatedNoise(Settings):
-    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of
-    the recording.
-    """
+    """Standard deviations of what is added up to half the sampling rate of the recording."""
 
     displacement: float = quantity("position sensors; it is in the loop", "m", 1e-7)
     current: float = quantity("measured currents", "A", 1e-4)
@@ -240,10 +228,8 @@ BETWEEN = 8
 
 @dataclass(frozen=True)
 class Mechanics:
-    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q).
-
-    at_bearings, at_sensors (n_axis, n_q) [1, m]: displacement there per coordinate; at_unbalance
-    (n_direction, n_q).
+    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q). at_bearings, at_sensors (n_axis, n_q)
+    [1, m]: displacement there per coordinate; at_unbalance (n_direction, n_q).
     """
 
     mass: FloatArray
@@ -307,9 +293,7 @@ def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray,
 
 
 def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
-    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
-    y.
-    """
+    """k_s of the bearings and what couples x with y, (n_axis, n_axis) [N/m]."""
     n = len(rig.labels)
     coupling = (
         np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))
@@ -319,9 +303,7 @@ def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
     """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]:
-    reading per force k_i i.
-
-    Equation (sim-rotor).
+    reading per force k_i i. Equation (sim-rotor).
     """
     of = mechanics(rig)
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
@@ -337,20 +319,6 @@ def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
             dynamic, np.broadcast_to(of.at_bearings.T, (*jw.shape[:1], *of.at_bearings.T.shape))
         )
     )
-
-
-@dataclass(frozen=True)
-class Signals:
-    """What a run of the loop gives: *output* of the controller (n_sample, n_axis) [A] with what is added
-    there, at its rate.
-
-    motion at the sensors [m] and current [A], (n_sample * BETWEEN, n_axis): a held output leaves a current
-    that is not smooth from step to step, and a logger's filter sees it between them.
-    """
-
-    output: FloatArray
-    motion: FloatArray
-    current: FloatArray
 
 
 @dataclass(frozen=True)
@@ -372,16 +340,15 @@ class LevitatedLoop:
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the closed loop (n_state,) [1/s], s = rate ln z.
-
-        What a delay holds alone (z = 0) is left out. Equation (sim-poles).
-        """
+        """s = rate ln z (n_state,) [1/s], without delays that hold alone (z = 0). Equation (sim-poles)."""
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))
 
-    def run(self, inputs: FloatArray) -> Signals:
-        """The signals of *inputs* (n_sample, n_input) [N, m, m, A], from rest; ConfigError where unstable."""
+    def run(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Output of the controller with what is added (n_sample, n_axis) [A], motion at the sensors [m] and
+        current [A] BETWEEN times as often, of *inputs* (n_sample, n_input), from rest; ConfigError: unstable.
+        """
         growth = float(np.max(self.poles.real))
         if growth > ROUNDING * self.rate:
             message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
@@ -390,7 +357,7 @@ class LevitatedLoop:
             )
         outputs = linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
-        return Signals(outputs[:, : self.n_axis], fine[:, 0], fine[:, 1])
+        return outputs[:, : self.n_axis], fine[:, 0], fine[:, 1]
 
 
 def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
@@ -428,9 +395,7 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
 def _sampled_plant(
     rig: LevitatedRig, of: Mechanics, share: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, q' and currents after a *share* of the controller's interval: step, held outputs, generalised forces
-    at its ends (straight).
-    """
+    """q, q', currents after a *share* of an interval: step, held outputs, straight forces."""
     n_q, n_axis = of.mass.shape[0], len(rig.labels)
     n = 2 * n_q + n_axis
     corner = 2 * np.pi * rig.amplifier_bandwidth

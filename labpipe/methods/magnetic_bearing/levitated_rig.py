@@ -39,30 +39,25 @@ FINE_CURRENT = ("uA", 1e6)
 
 
 def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
-    period = round(rig.sample_rate / rig.injection.spacing)
-    n_sample, n_axis = (
-        (
-            rig.injection.periods * period
-            if name.startswith(MULTISINE)
-            else round(rig.injection.duration * rig.sample_rate)
-        ),
-        len(rig.labels),
-    )
+    injection, n_axis = rig.injection, len(rig.labels)
+    if name.startswith(MULTISINE):
+        n_sample = injection.periods * round(rig.sample_rate / injection.spacing)
+    else:
+        n_sample = round(injection.duration * rig.sample_rate)
     length = n_sample * rig.decimation + round((SETTLING + MARGIN) * rig.control.rate)
     angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
-    shape = ((length + 1), len(rig.labels))
-    added, push = (
-        _injection(rig, name, length, rng),
-        (_random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)),
-    )
+    added = _injection(rig, name, length, rng)
+    push: FloatArray = np.zeros((length + 1, n_axis))
+    if name == SHAKER:
+        push = _random(rig, rig.shaker, (length + 1, n_axis), rng, straight_lines=True)
     seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(
         rig, angle[:-1]
     )
-    signals = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
-    fine = _log(rig, np.hstack([signals.current, signals.motion]), BETWEEN, n_sample)
+    output, motion, current = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
+    fine = _log(rig, np.hstack([current, motion]), BETWEEN, n_sample)
     coarse: list[FloatArray] = [seen]
     if rig.output_recorded:
-        coarse.append(signals.output)
+        coarse.append(output)
     if name != REST:
         coarse.append(push[:-1] if name == SHAKER else added)
     plain = _log(rig, np.hstack(coarse), 1, n_sample)
@@ -90,10 +85,7 @@ def _inputs(
     added: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """What drives the loop (n_sample, n_input) [N, m, m, A].
-
-    Noise that is stated for the recording has its density at the loop's rate.
-    """
+    """What drives the loop (n_sample, n_input) [N, m, m, A]; noise at the density of the recording."""
     of, loudness = mechanics(rig), np.sqrt(rig.decimation)
     directions = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(AXES[rig.axes])]
     whirling = rig.unbalance * (2 * np.pi * rig.speed) ** 2 * directions
@@ -121,10 +113,7 @@ def _injection(rig: LevitatedRig, name: str, length: int, rng: np.random.Generat
 def _random(
     rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.random.Generator, *, straight_lines: bool
 ) -> FloatArray:
-    """White in the injection's band, of this *rms*.
-
-    With *straight_lines*, what is straight between its samples has this spectrum.
-    """
+    """White in the injection's band; *straight_lines*: what is straight between samples is."""
     frequency = fft.rfftfreq(shape[0], 1 / rig.control.rate)
     inside = (frequency >= rig.injection.band[0]) & (frequency <= rig.injection.band[1])
     spectrum = np.zeros((frequency.size, shape[1]), np.complex128)
@@ -144,11 +133,7 @@ def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
 
 
 def _log(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -> FloatArray:
-    """Signals known *per_step* times in a step of the controller, as a logger stores them: all channels by
-    one filter without delay.
-    """
-    # Loading scipy.signal takes longer than most runs.
-
+    """Signals known *per_step* times in a step, stored by one filter without delay."""
     before = round(MARGIN * rig.sample_rate)
     steps = rig.decimation * per_step
     steady = signals[round(SETTLING * rig.control.rate) * per_step - before * steps :]
@@ -177,10 +162,7 @@ def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
 
 
 def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
-    """Standard deviation of what the logger adds to a channel [A, N, A or m].
-
-    The sensors' noise is in the loop already.
-    """
+    """Standard deviation that the logger adds [A, N, A or m]; sensor noise is in the loop already."""
     if channel.name.startswith("r_"):
         return rig.noise.reference
     if channel.name.startswith("s_"):

@@ -19,7 +19,13 @@ from labpipe.estimation.causes import BY_DELAY, LIKELIEST, delay_finding, delays
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
-from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information, real_rows
+from labpipe.methods.floating_bearing.likelihood import (
+    BalanceEstimate,
+    Noise,
+    inverse_information,
+    real_rows,
+    stated_pulls,
+)
 from labpipe.methods.floating_bearing.settings import given_uncertainties, join, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.finding import Finding
@@ -31,9 +37,7 @@ REWEIGHTED = 4
 
 @dataclass(frozen=True)
 class Residual:
-    """e = B z (n_line, n_run, n) [N], L L^H = S (n_line, n_run, n, n), white = L^-1 e, smoothed channels z^
-    (n_line, n_run, n_channel).
-    """
+    """e = B z (n_line, n_run, n) [N], L L^H = S, white = L^-1 e, channels z^ (n_line, n_run, n_channel)."""
 
     plain: ComplexArray
     lower: ComplexArray
@@ -69,15 +73,11 @@ class MagnetLikelihood:
         return self._at[1]
 
     def rows(self, values: FloatArray) -> ComplexArray:
-        """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at *values* (n_parameter,)
-        [parameter units].
-        """
+        """B by channels (n_line, n, n_channel) [N per SI unit] at *values* (n_parameter,)."""
         return np.asarray(self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there.
-        """
+        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit and parameter unit]."""
         return np.asarray(self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -104,9 +104,7 @@ class MagnetLikelihood:
 
 def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
     """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its
-    covariance is singular.
-
-    Equation (mag-likelihood).
+    covariance is singular. Equation (mag-likelihood).
     """
     b = rows[:, None]
     e = (b @ rotor.channels[..., None])[..., 0]
@@ -119,44 +117,41 @@ def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
 
 def start(problem: MagnetLikelihood) -> FloatArray:
     """Values (n_parameter,) [parameter units] to begin with: weighted least squares, repeated with the
-    weights that it gives.
-
-    The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with
-    k_i = 0, since the noise of w^2 x grows with frequency.
+    weights that it gives. The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end
+    in a false minimum with k_i = 0, since the noise of w^2 x grows with frequency.
     """
-    rotor, model = problem.rotor, problem.model
-    smooth = MagnetModel(model.names, model.places, model.mass)
-    none = np.zeros(len(model.names))
-    slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
-    columns = np.einsum("plac,lrc->plra", slopes, rotor.channels)
-    values: FloatArray = none
+    rotor = problem.rotor
+    smooth, columns, free = _linear(rotor, problem.model)
+    values: FloatArray = np.zeros(len(columns))
     starts = []
     for _ in range(REWEIGHTED):
         state = residual(rotor, smooth.rows(values, rotor.omega) @ rotor.to_axes)
-        free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
-        design = real_rows(state.whiten(columns).reshape(len(none), -1)).T
-        side = real_rows(state.whiten(free[..., 0]).reshape(1, -1))[0]
-        values = _least_squares(design, side)
+        values = _least_squares(state.whiten(columns), state.whiten(free))
         starts.append(values)
     return min(starts, key=problem.chi2)
 
 
-def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
-    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free
-    of noise.
-    """
+def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, ComplexArray, ComplexArray]:
+    """The model of smooth currents, its forces by parameter (n, n_line, n_run, n_axis), the free rotor's."""
     smooth = MagnetModel(model.names, model.places, model.mass)
     none = np.zeros(len(model.names))
-    columns = np.einsum("plac,lrc->plra", smooth.slopes(none, rotor.omega) @ rotor.to_axes, rotor.channels)
+    slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
     free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
-    design, side = real_rows(columns.reshape(len(none), -1)).T, real_rows(free[..., 0].reshape(1, -1))[0]
-    return _least_squares(design, side)
+    return smooth, np.einsum("plac,lrc->plra", slopes, rotor.channels), free[..., 0]
 
 
-def _least_squares(design: FloatArray, side: FloatArray) -> FloatArray:
+def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
+    """Values (n_parameter,) [parameter units] of least squares without regard to noise."""
+    return _least_squares(*_linear(rotor, model)[1:])
+
+
+def _least_squares(columns: ComplexArray, side: ComplexArray) -> FloatArray:
+    design = real_rows(columns.reshape(len(columns), -1)).T
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    return np.asarray(-np.linalg.lstsq(design / scale, side, rcond=None)[0] / scale)
+    return np.asarray(
+        -np.linalg.lstsq(design / scale, real_rows(side.reshape(1, -1))[0], rcond=None)[0] / scale
+    )
 
 
 NEAR, MOST_STEPS = 1e-4, 60
@@ -165,30 +160,11 @@ NOISE_FREE = 1e-20
 
 
 @dataclass(frozen=True)
-class MagnetEstimate:
-    """Values (n_parameter,), covariance by noise (n_parameter, n_parameter) [their units], 2 V corrected for
-    an estimated covariance.
+class MagnetEstimate(BalanceEstimate[MagnetModel]):
+    """Of magnets, what given numbers do, and amplification (n_parameter,) [their units] of errors."""
 
-    design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1; uncertainties:
-    what given numbers do.
-    """
-
-    model: MagnetModel
-    values: FloatArray
-    covariance: FloatArray
-    squares: float
-    dof: int
-    p_value: float
-    converged: bool
-    steps: int
-    design: FloatArray
-    uncertainties: tuple[GivenUncertainty, ...] = ()
-    amplification: FloatArray | None = None
-
-    @property
-    def reduced(self) -> float:
-        """Chi-square per degree of freedom, 1 if the model is right."""
-        return self.squares / self.dof
+    uncertainties: tuple[GivenUncertainty, ...]
+    amplification: FloatArray
 
 
 def noise_of(rotor: Levitation) -> Noise:
@@ -221,14 +197,15 @@ def magnet_estimate(
         ) from None
     jacobian = problem.jacobian(best.values)
     dof = n_equation - n
-    squares = 2 * problem.chi2(best.values) / noise.excess
+    squares, state = 2 * problem.chi2(best.values), problem.at(best.values)
     errors = errors_by_given(problem, best.values, given)
     uncertainties = given_uncertainties(
-        [(uncertainty, error[None]) for uncertainty, error in errors],
-        response_of(problem.at(best.values).whiten, jacobian),
+        [(uncertainty, error[None]) for uncertainty, error in errors], response_of(state.whiten, jacobian)
     )
     if errors:
-        squares -= _explained_part(problem, best.values, jacobian, uncertainties, errors, noise.excess)
+        changes = real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
+        squares -= stated_pulls(changes, problem.residual(best.values), jacobian, noise).explained
+    squares /= noise.excess
     information = inverse_information(jacobian)
     return MagnetEstimate(
         model=model,
@@ -258,9 +235,7 @@ def _check_noise(rotor: Levitation, noise: Noise) -> None:
 def errors_by_given(
     problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
 ) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
-    source once.
-    """
+    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation, each source once."""
     rotor, model = problem.rotor, problem.model
     smoothed = problem.at(values).smoothed
     axes = smoothed @ rotor.to_axes.T
@@ -279,27 +254,6 @@ def errors_by_given(
     return join(errors)
 
 
-def _explained_part(
-    problem: MagnetLikelihood,
-    values: FloatArray,
-    jacobian: FloatArray,
-    uncertainties: Sequence[GivenUncertainty],
-    errors: Sequence[tuple[Uncertainty, ComplexArray]],
-    excess: float,
-) -> float:
-    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs
-    counting as one.
-    """
-    state = problem.at(values)
-    changes = real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
-    # What the parameters can follow is theirs already.
-    changes = changes + np.concatenate([uncertainty.changes for uncertainty in uncertainties]) @ jacobian.T
-    along = 2 * changes @ problem.residual(values) / excess
-    return float(
-        excess * along @ np.linalg.solve(np.eye(len(changes)) + 2 * changes @ changes.T / excess, along)
-    )
-
-
 class LateLikelihood(MagnetLikelihood):
     """V where the channels of *late* (n_channel,) were recorded tau [s] after the others, the last of the
     parameters: their spectra count as z exp(j w tau).
@@ -316,9 +270,7 @@ class LateLikelihood(MagnetLikelihood):
         return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """Its derivatives (n_parameter + 1, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there, the last one by s.
-        """
+        """dB/dp (n_parameter + 1, n_line, n, n_channel) [N per SI and parameter unit], the last by s."""
         turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
         return np.concatenate([super().slopes(values[:-1]) * self._turn(values[-1]), turned[None]])
 
@@ -337,9 +289,8 @@ class LateLikelihood(MagnetLikelihood):
             turned = self.rotor.channels * np.exp(1j * self.rotor.omega[:, None, None] * delay * self._late)
             forces = np.einsum("plac,lrc->plra", columns, turned)
             white = np.linalg.solve(lower, forces[..., None])[..., 0].reshape(len(columns), -1)
-            *design, side = real_rows(white)
-            step = _least_squares(np.array(design).T, side)
-            left = float(np.sum((side + step @ np.array(design)) ** 2))
+            step = _least_squares(white[:-1], white[-1])
+            left = float(np.sum(np.abs(white[-1] + step @ white[:-1]) ** 2))
             if left < best[0]:
                 best = left, np.append(values + step, delay)
         return best
@@ -347,9 +298,7 @@ class LateLikelihood(MagnetLikelihood):
 
 def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
     """A finding where one channel, or all readings, recorded later or earlier explain a residual that is far
-    from noise.
-
-    Each delay is fitted beside all parameters, from the best of a grid; as `delay_findings`.
+    from noise. Each delay is fitted beside all parameters, from the best of a grid; as `delay_findings`.
     """
     if best.p_value >= MISMATCH_P:
         return []
@@ -368,9 +317,7 @@ def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
 
 
 def _may_be_late(rotor: Levitation) -> list[tuple[str, BoolArray]]:
-    """Name and channels (n_channel,) of everything that may be late; of one axis only the reading against the
-    current.
-    """
+    """Name and channels (n_channel,) of what may be late; of one axis its reading only."""
     n, used = rotor.n_axis, np.any(rotor.to_axes != 0, axis=0)
     readings = np.any(rotor.to_axes[n:] != 0, axis=0)
     channels = rotor.spectra.channels

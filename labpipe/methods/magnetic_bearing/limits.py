@@ -22,7 +22,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.uncertain import MatrixError
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
@@ -65,10 +65,7 @@ class CertificateSettings(Settings):
     def __post_init__(self) -> None:
         if not 0.5 < self.confidence < 1:
             raise ConfigError("'confidence' must lie between 50 and 100 %", field="confidence")
-        if self.log_decrement is not None and not self.log_decrement > 0:
-            raise ConfigError("'log_decrement' must be above zero", field="log_decrement")
-        if self.rate is not None and not self.rate > 0:
-            raise ConfigError("'rate' must be above zero", field="rate")
+        require_positive(self, "log_decrement", "rate")
         if self.before and len(self.before) != len(self.after):
             raise ConfigError(
                 f"{len(self.before)} points ahead of a sum and {len(self.after)} behind",
@@ -123,9 +120,7 @@ def words(probability: float) -> str:
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
-    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else
-    undecided.
-    """
+    """Accepted where all limits are kept with *confidence*, not where one is broken, else undecided."""
     judged = [limit.probability for limit in limits if limit.probability is not None]
     if any(probability < 1 - confidence for probability in judged):
         return BROKEN
@@ -152,11 +147,7 @@ RATIO, DECREMENT = "zeta", "log_decrement"
 
 
 def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Comparison:
-    """The probability that every mode of the fits has its decrement; ConfigError for fits without damping
-    ratios.
-
-    Equation (comp-decrement).
-    """
+    """Whether every mode has its decrement; ConfigError without damping. Equation (comp-decrement)."""
     certificate_settings: CertificateSettings = settings.kind_settings
     several = len(fits) > 1
     amounts = [amount for fit in fits for amount in _decrements(fit, several)]
@@ -206,10 +197,7 @@ def _why_undecided(fit: Fit, several: bool) -> str:
 
 
 def _decrements(fit: Fit, several: bool) -> list[Parameter]:
-    """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, ends by the ends of z.
-
-    Or the decrement that the fit has.
-    """
+    """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, or the fit's own decrements."""
     given = [parameter for parameter in fit.parameters if parameter.name.startswith(DECREMENT)]
     decrements = given or [
         _of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO
@@ -322,9 +310,7 @@ def recorded_loop(
 def cause_of(
     own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
 ) -> str:
-    """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
-    empty without one.
-    """
+    """The change of sign, power of ten or place of excitation that makes the fit good; else empty."""
     changes = []
     for what, changed_own, changed in _changes(own, response):
         observation = recorded_loop(changed_own, changed, file)

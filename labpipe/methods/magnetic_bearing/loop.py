@@ -22,13 +22,11 @@ PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
 @dataclass(frozen=True, kw_only=True)
 class ControlLoop(Settings):
     """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau}
-    / (1 + s / w_a).
-
-    Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag
-    reduces damping below 21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone
-    is unstable. Delay: one sampling interval of 20 kHz for computation, half of one for the hold. A
-    *controller* of blocks in series takes the place of the PID, any transfer function of s or z; *cross*
-    makes it a matrix of x and y.
+    / (1 + s / w_a). Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the
+    printed +0.25 the lag reduces damping below 21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz)
+    and the rotor alone is unstable. Delay: one sampling interval of 20 kHz for computation, half of one for
+    the hold. A *controller* of blocks in series takes the place of the PID, any transfer function of s or z;
+    *cross* makes it a matrix of x and y.
     """
 
     proportional: float = quantity("proportional gain k_p", "1", 1.0)
@@ -61,27 +59,18 @@ class ControlLoop(Settings):
         self._check_blocks()
 
     def _check_blocks(self) -> None:
-        if self.controller:
-            for name in PID:
-                if getattr(self, name) != self.__dataclass_fields__[name].default:
-                    raise ConfigError(
-                        f"{name}: belongs to the PID, and there is a controller of blocks",
-                        hint="leave it out, or put {form: pid, ...} among the blocks",
-                        field=name,
-                    )
-        elif self.cross is not None:
-            raise ConfigError(
-                "cross: needs the element x by x as controller",
-                hint="controller: [{form: ...}]",
-                field="cross",
-            )
+        written = [name for name in PID if name in self.written]
+        if self.controller and written:
+            what = f"{written[0]}: belongs to the PID, and there is a controller of blocks"
+            hint = "leave it out, or put {form: pid, ...} among the blocks"
+            raise ConfigError(what, hint=hint, field=written[0])
+        if not self.controller and self.cross is not None:
+            what, hint = "cross: needs the element x by x as controller", "controller: [{form: ...}]"
+            raise ConfigError(what, hint=hint, field="cross")
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
-        """The blocks of an element of the controller matrix.
-
-        None for the PID, and for a coupling that is zero.
-        """
+        """Blocks of an element of the controller matrix; none of a PID or a coupling that is zero."""
         if self.cross is None or (output, input) == ("x", "x"):
             return self.controller if output == input else ()
         return getattr(self.cross, output + input) or (self.controller if output == input else ())
@@ -108,10 +97,7 @@ class ControlLoop(Settings):
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
-    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1].
-
-    A controller of blocks is one term.
-    """
+    """Terms of the PID, or the blocks as one, by name at *omega* [rad/s], each (n_line,) [1]."""
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
     s = 1j * omega
@@ -137,10 +123,7 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop.
-
-    Equation (mag-controller).
-    """
+    """G(jw) x by x with delay, amplifier and probe, (n_line,) [1]. Equation (mag-controller)."""
     total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
@@ -166,11 +149,7 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
-    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError
-    for an integrator.
-
-    Equation (mag-static).
-    """
+    """k_n = K G(0) - k_0 [N/m] by *static* k_0; ConfigError for an integrator. Equation (mag-static)."""
     if not np.isfinite(loop.at_rest):
         raise ConfigError(
             "static_stiffness: the controller integrates, so the loop is rigid at rest",
@@ -181,10 +160,7 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
-    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m].
-
-    Equation (mag-stiffness).
-    """
+    """K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
@@ -221,11 +197,9 @@ LoopTransfer = Callable[[FloatArray], ComplexArray]
 @dataclass(frozen=True)
 class Margins:
     """Factors of the gain (1) down to and up to the border of stability, phase [rad], delay [s], disk [1],
-    peak of |S| [1], its place [Hz].
-
-    gain_lower 0 and gain_upper, phase, delay infinite where the loop never gets there. disk: the balanced
-    (symmetric) disk margin 1 / max|S - 1/2|: gain and phase may change together within it (Seiler, Packard
-    and Gahinet 2020, IEEE Control Systems 40:78).
+    peak of |S| [1], its place [Hz]. gain_lower 0 and gain_upper, phase, delay infinite where the loop never
+    gets there. disk: the balanced (symmetric) disk margin 1 / max|S - 1/2|: gain and phase may change
+    together within it (Seiler, Packard and Gahinet 2020, IEEE Control Systems 40:78).
     """
 
     gain_lower: float
@@ -238,11 +212,7 @@ class Margins:
 
 
 def margins(loop: LoopTransfer, highest: float) -> Margins:
-    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to
-    *highest* [Hz].
-
-    Equation (mag-margins).
-    """
+    """Margins of L(omega), omega (n_line,) [rad/s], stable, up to *highest* [Hz]. Equation (mag-margins)."""
     omega = 2 * np.pi * np.concatenate([[0.0], np.geomspace(LOWEST * highest, highest, LINES)])
     values = loop(omega)
     finite = np.isfinite(values)
@@ -273,9 +243,7 @@ def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[
 
 
 def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tuple[list[float], list[float]]:
-    """Distance of the phase from -180 deg to either side [rad], and the delay that takes it there [s], where
-    |L| is 1.
-    """
+    """Phase from -180 deg [rad], and the delay that takes it there [s], where |L| is 1."""
     turns, delays = [], []
     for place in _roots(lambda w: np.log(np.abs(loop(w))), omega, np.log(np.abs(values))):
         angle = float(np.angle(-loop(np.array([place]))[0]))
@@ -287,9 +255,7 @@ def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tupl
 def _roots(
     function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
 ) -> list[float]:
-    """Where *values* (n_line,) of the *function* at *omega* (n_line,) [rad/s] change their sign, all at once
-    by finer lines, to 1e-12 of each.
-    """
+    """Where *values* (n_line,) at *omega* (n_line,) change their sign, by finer lines to 1e-12."""
     places = np.flatnonzero((values[:-1] * values[1:] < 0) & (omega[:-1] > 0))
     if places.size == 0:
         return []

@@ -29,9 +29,7 @@ ZERO = -1.0
 
 @dataclass(frozen=True)
 class HeldProblem:
-    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,)
-    [1].
-    """
+    """The problem over *free* (n_parameter,) parameters, the others held at u (n_parameter,) [1]."""
 
     problem: LoopProblem
     u: FloatArray
@@ -56,18 +54,12 @@ class HeldProblem:
         return self.problem.jacobian(self.whole(values))[:, self.free]
 
     def chi2(self, values: FloatArray) -> float:
-        """Sum of squares [1] at the free parameters (n_free,) [1].
-
-        Infinite for values that no bearing can have.
-        """
+        """Sum of squares [1] at the free ones (n_free,) [1]; infinite where no bearing can be."""
         return self.problem.chi2(self.whole(values))
 
 
 def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
-    """(n_parameter,): the unknowns that would go below zero if a bearing could have that.
-
-    U (n_parameter,) [1].
-    """
+    """(n_parameter,): unknowns at u (n_parameter,) [1] that would go below zero if they could."""
     gradient = problem.jacobian(u).T @ problem.residual(u)
     at_zero = np.zeros(u.size, dtype=bool)
     for number in range(len(problem.unknowns)):
@@ -107,10 +99,8 @@ CLOSE, MOST_STEPS, MOST_HALVINGS, STAGES = 1e-2, 30, 12, 3
 
 @dataclass(frozen=True)
 class LoopMinimum:
-    """The problem at the end *u* (n_parameter,) [1] of its descent.
-
-    residual (n_equation,) [1], jacobian (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1]
-    of J^T J.
+    """The problem at the end *u* (n_parameter,) [1] of its descent. residual (n_equation,) [1], jacobian
+    (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1] of J^T J.
     """
 
     problem: LoopProblem
@@ -153,24 +143,18 @@ class LoopMinimum:
         return self.inverse[len(self.problem.unknowns) :]
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the
-        sources add.
-        """
+        """Covariance (n_parameter, n_parameter) [1] of u by noise alone."""
         steps = self.steps
         return np.asarray(inflation * (self.inverse - steps.T @ steps))
 
     def combined(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by
-        all sources.
-        """
+        """Covariance (n_parameter, n_parameter) [1] of u by noise times *inflation*, and all sources."""
         steps = self.steps
         return self.random(inflation) + steps.T @ steps
 
     def end(self, column: int, distance: float, inflation: float) -> float | None:
         """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance*
-        combined standard errors away.
-
-        None where none is found. Equation (comp-end).
+        combined standard errors away. None where none is found. Equation (comp-end).
         """
         here: LoopMinimum = self
         for stage in range(1, STAGES + 1):
@@ -208,11 +192,7 @@ class LoopMinimum:
         return None
 
     def bent(self, covariance: FloatArray) -> FloatArray:
-        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
-        away.
-
-        Equation (comp-bent).
-        """
+        """Second over first order (n_unknown,) [1], REACH combined errors away. Equation (comp-bent)."""
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
         for column in range(bends.size):
@@ -279,10 +259,8 @@ class LoopFit:
 
 def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
     """Output-error fit of all responses weighted by their noise; every number with an uncertainty, the
-    support's among them, is fitted within it.
-
-    Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for
-    responses without noise estimate. Equation (comp-loop).
+    support's among them, is fitted within it. Without *names* only the goodness of fit of the loop as it is.
+    ConfigError for unknown names, FitError for responses without noise estimate. Equation (comp-loop).
     """
     if not all(has_noise(observation.measured) for observation in observations):
         raise FitError(
@@ -310,10 +288,8 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
 
 
 def _settle(problem: LoopProblem, minimum: Minimum) -> Minimum:
-    """Converged as well where the descent ended within SETTLED standard errors.
-
-    The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square
-    further.
+    """Converged as well where the descent ended within SETTLED standard errors. The current sampled when a
+    held command arrives has a kink over the delay, where no step lowers chi-square further.
     """
     if minimum.converged:
         return minimum
@@ -389,9 +365,7 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
 
 def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, curved: bool) -> LoopFit:
     """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by
-    both.
-
-    *curved*: ends of intervals follow the response where it bends.
+    both. *curved*: ends of intervals follow the response where it bends.
     """
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
@@ -472,9 +446,7 @@ def goodness(fit: LoopFit) -> list[Parameter]:
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
-    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or
-    errors beyond first order.
-    """
+    """Warnings: unknowns hardly told apart, no convergence, errors beyond first order."""
     if not fit.parameters:
         return list(fit.contradicted)
     together = " and ".join(fit.alike)

@@ -35,16 +35,21 @@ from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
 
 ALIASES = {"gain": "amplifier"}
-FACTORS = ("force_per_current", "negative_stiffness")
-_LOOP = {name: entry.unit for name, (entry, _) in settings_of(ControlLoop).items() if entry.kind == "value"}
-_MAGNET = {name: entry.unit for name, (entry, _) in settings_of(Magnet).items() if entry.kind == "value"}
-
-
 # An entry of the controller's blocks, "controller.2.frequency"; they count from 1.
 BLOCK = "controller."
-_BLOCK_ENTRIES = {
-    name: entry.unit for name, (entry, _) in settings_of(ControllerBlock).items() if entry.kind == "value"
+
+
+def _units(owner: type) -> dict[str, str]:
+    return {name: entry.unit for name, (entry, _) in settings_of(owner).items() if entry.kind == "value"}
+
+
+# Section of the file -> entries that may be unknown, with their units.
+ENTRIES = {
+    "": {"force_per_current": "N/A", "negative_stiffness": "N/m", "static_stiffness": "N/m"},
+    "loop": _units(ControlLoop),
+    "magnet": _units(Magnet),
 }
+_BLOCK_ENTRIES = _units(ControllerBlock)
 
 
 @dataclass(frozen=True)
@@ -56,94 +61,73 @@ class Unknown:
     unit: str
 
 
-def unknown(file: MagneticFile, name: str) -> Unknown:
-    """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
+def _place(file: MagneticFile, name: str) -> tuple[str, str, str]:
+    """Section (of a block its number), entry and unit of an unknown; ConfigError where there is none."""
     field = ALIASES.get(name, name)
-    value_and_unit: tuple[float | None, str] | None
     if field.startswith(BLOCK):
-        place, _, entry = name.removeprefix(BLOCK).partition(".")
+        number, _, entry = field.removeprefix(BLOCK).partition(".")
         count = len(file.loop.controller)
-        if not place.isdigit() or not 1 <= int(place) <= count:
+        if not number.isdigit() or not 1 <= int(number) <= count:
             hint = f"controller.1 to controller.{count}" if count else ""
             raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
         if entry not in _BLOCK_ENTRIES:
-            raise ConfigError(
-                f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES))
-            )
-        value_and_unit = getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
-    elif field == "static_stiffness":
-        value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
-    elif field in FACTORS:
+            hint = nearest(entry, list(_BLOCK_ENTRIES))
+            raise ConfigError(f"estimate: '{name}' is no number of a block", hint=hint)
+        return number, entry, _BLOCK_ENTRIES[entry]
+    for section, units in ENTRIES.items():
+        if field in units:
+            return section, field, units[field]
+    names = dict.fromkeys([*ALIASES, *(entry for units in ENTRIES.values() for entry in units)])
+    raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, names))
+
+
+def unknown(file: MagneticFile, name: str) -> Unknown:
+    """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
+    section, field, unit = _place(file, name)
+    value: float | None
+    if section == "" and field != "static_stiffness":
         plant = file.levitated()
-        value_and_unit = (
-            (plant.loop.force_per_current, "N/A")
-            if field == "force_per_current"
-            else (plant.negative_stiffness, "N/m")
-        )
-    elif field in _LOOP:
-        value_and_unit = (getattr(file.loop, field), _LOOP[field])
-    elif field in _MAGNET:
-        value_and_unit = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
+        value = getattr(plant.loop if field == "force_per_current" else plant, field)
     else:
-        raise ConfigError(
-            f"estimate: '{name}' is no unknown of a magnetic bearing",
-            hint=nearest(name, list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))),
-        )
-    if value_and_unit is None or value_and_unit[0] is None:
-        where = (
-            "static_stiffness"
-            if field == "static_stiffness"
-            else f"magnet: {{{field}: ...}}"
-            if field in _MAGNET
-            else f"loop.{field}"
-        )
+        owner = {"": file, "loop": file.loop, "magnet": file.magnet}.get(section)
+        value = getattr(file.loop.controller[int(section) - 1] if section.isdigit() else owner, field, None)
+    if value is None:
+        where = {"": field, "magnet": f"magnet: {{{field}: ...}}"}.get(section, f"loop.{field}")
         raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
-    if value_and_unit[0] == 0:
+    if value == 0:
         raise ConfigError(
             f"estimate: '{name}' is zero in the bearing file",
             hint="a value near the expected one is needed to start from",
         )
-    return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
+    return Unknown(name, float(value), unit)
+
+
+def _changed(settings: Any, changes: Mapping[str, Any]) -> Any:
+    return replace(settings, **changes) if settings and changes else settings
 
 
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
     """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
-    loop: dict[str, Any] = {}
-    magnet: dict[str, float] = {}
-    factors: dict[str, float] = {}
+    changes: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
-        field = ALIASES.get(name, name)
-        if field.startswith(BLOCK):
-            blocks = loop.get("controller", file.loop.controller)
-            place, _, entry = name.removeprefix(BLOCK).partition(".")
-            number = int(place) - 1
-            loop["controller"] = (
-                *blocks[:number],
-                replace(blocks[number], **{entry: value}),
-                *blocks[number + 1 :],
-            )
-        elif field in (*FACTORS, "static_stiffness"):
-            factors[field] = value
-        elif field in _LOOP:
-            loop[field] = value
-        else:
-            magnet[field] = value
+        section, field, _ = _place(file, name)
+        changes.setdefault(section, {})[field] = value
+    own, magnet = changes.get("", {}), changes.get("magnet")
     # An explicit negative stiffness replaces the one inferred from the static stiffness.
-    freed = {"static_stiffness": None} if "negative_stiffness" in factors else {}
-    changed = replace(file, loop=replace(file.loop, **loop), **freed, **factors)  # type: ignore[arg-type]
-    if not magnet or file.magnet is None:
-        return changed
-    return replace(changed, magnet=replace(file.magnet, **magnet))  # type: ignore[arg-type]
+    own |= {"static_stiffness": None} if "negative_stiffness" in own else {}
+    blocks = tuple(
+        _changed(block, changes.get(str(n), {})) for n, block in enumerate(file.loop.controller, 1)
+    )
+    changed = replace(file, loop=replace(file.loop, controller=blocks, **changes.get("loop", {})), **own)
+    return changed if magnet is None else replace(changed, magnet=_changed(file.magnet, magnet))
 
 
 def response_errors(
     response: FrequencyResponse, rows: Sequence[int], columns: Sequence[int]
 ) -> tuple[MatrixError, ...]:
     """Changes (n_line, n_output, n_input) [unit of the response] of the chosen part by one standard
-    uncertainty of every source.
-
-    Gain, delay and phase of the channels, and sums of channels; a direction, which another channel of the
-    same quantity would have to tell, is left out.
+    uncertainty of every source. Gain, delay and phase of the channels, and sums of channels; a direction,
+    which another channel of the same quantity would have to tell, is left out.
     """
     part = np.ix_(range(response.n_frequency), rows, columns)
     return matrix_errors(
@@ -192,10 +176,8 @@ Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
 @dataclass(frozen=True)
 class LoopObservation:
     """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside
-    the bearings.
-
-    *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of channels, and of
-    numbers that the prediction rests on.
+    the bearings. *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of
+    channels, and of numbers that the prediction rests on.
     """
 
     measured: Measured
@@ -209,10 +191,8 @@ class LoopObservation:
 @dataclass(frozen=True)
 class LoopProblem:
     """Whitened residual of all responses over u: unknowns as shares of their start, then deviations in
-    standard uncertainties, of the support's numbers and of all other sources.
-
-    *support*: 0 for stiffness or 1 for damping, with its standard error, of every number of the support that
-    has one.
+    standard uncertainties, of the support's numbers and of all other sources. *support*: 0 for stiffness or 1
+    for damping, with its standard error, of every number of the support that has one.
     """
 
     observations: tuple[LoopObservation, ...]
@@ -282,9 +262,7 @@ class LoopProblem:
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
     def changes(self, u: FloatArray) -> FloatArray:
-        """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
-        each source beside the support.
-        """
+        """Change (n_source, n_datum) [1] of all residuals by each source beside the support."""
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
@@ -301,9 +279,7 @@ class LoopProblem:
         return np.hstack(parts)
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by
-        one-sided ones; the residual is linear in the sources.
-        """
+        """(n_equation, n_parameter) [1] by centred differences, one-sided at the edge of what can be."""
         shared = self.n_shared
         count = sum(loop.measured.n_equation for loop in self.observations) + u.size - len(self.unknowns)
         slopes = np.zeros((count, u.size))
@@ -325,10 +301,7 @@ class LoopProblem:
         return (ahead - behind) / (2 * STEP)
 
     def residual_within(self, u: FloatArray) -> FloatArray | None:
-        """The residual (n_equation,) [1] at u (n_parameter,) [1].
-
-        None for values that no bearing can have.
-        """
+        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None where no bearing can be."""
         try:
             return self.residual(u)
         except ConfigError:
@@ -376,11 +349,7 @@ class View:
 
 
 def checked_view(view: View) -> View:
-    """The view.
-
-    ConfigError for fits whose coefficients are not those of one bearing in one direction, or without known
-    mass.
-    """
+    """The view; ConfigError unless its fits are of one bearing in one direction with known mass."""
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
@@ -397,9 +366,7 @@ def checked_view(view: View) -> View:
 
 
 def _directions(view: View) -> FloatArray:
-    """cos of the angle between output and force, (n_output, n_input): all directions are equal and
-    uncoupled.
-    """
+    """cos between output and force, (n_output, n_input): all directions are equal and uncoupled."""
     rows, columns = view.ports
     outputs, inputs = (
         [view.response.outputs[row] for row in rows],
@@ -440,10 +407,8 @@ def view_errors(
     view: View, measured: Measured, file: MagneticFile, support: tuple[float, float]
 ) -> tuple[MatrixError, ...]:
     """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard
-    uncertainty of every source.
-
-    A given mass changes the prediction, and so does a direction, unless other sensors tell the motion across
-    it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
+    uncertainty of every source. A given mass changes the prediction, and so does a direction, unless other
+    sensors tell the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
     # Of the prediction: in proportion to the measurement a gain would shrink its noise with it.
@@ -460,9 +425,7 @@ def view_errors(
 
 
 def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[MatrixError]:
-    """What directions that are written too large do to measured less predicted cos(output - force) / *total*
-    (n_line, 1, 1) [N/m].
-    """
+    """What directions too large do to measured less cos(output - force) / *total* (n_line, 1, 1) [N/m]."""
     across = across_ports(measured.outputs)
     for number, port in enumerate(measured.outputs):
         for error in _uncertainties_of_direction(port):
@@ -486,9 +449,7 @@ def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
 
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:
-    """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are
-    known.
-    """
+    """sin(output - force) (n_output, n_input) along one port, where both directions are known."""
     sines = np.zeros((len(measured.outputs), len(measured.inputs)))
     for row, output in enumerate(measured.outputs):
         for column, force in enumerate(measured.inputs):
@@ -498,9 +459,7 @@ def _sines(measured: Measured, turned_port: Port) -> FloatArray:
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
-    """The same fits of the predicted response, on the same lines with the same weights, for comparison with
-    the measured fits.
-    """
+    """The same fits of the predicted response, on the same lines with the same weights."""
     frequency = view.response.frequency
     rows, columns = view.ports
     matrix = view.response.matrix.copy()

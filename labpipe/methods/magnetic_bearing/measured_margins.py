@@ -47,9 +47,7 @@ ROUNDING = 1e-12
 @dataclass(frozen=True)
 class Course:
     """A response at omega (n_line,) [rad/s]: *plain* as measured with its *variance* and its changes by every
-    source (n_source, n_line), all [1].
-
-    dof: complex degrees of freedom behind the variance.
+    source (n_source, n_line), all [1]. dof: complex degrees of freedom behind the variance.
     """
 
     omega: FloatArray
@@ -59,11 +57,7 @@ class Course:
     dof: float
 
     def follows(self, starts: IntArray, width: int) -> BoolArray:
-        """Whether a parabola over log omega leaves no more than noise of *width* lines, from each of *starts*
-        (n,) on.
-
-        Equation (comp-course).
-        """
+        """Whether a parabola leaves noise of *width* lines from *starts* (n,) on. Equation (comp-course)."""
         if width <= PARABOLA:
             return np.ones(starts.size, dtype=bool)
         lines = starts[:, None] + np.arange(width)
@@ -81,9 +75,7 @@ class Course:
         return np.asarray(np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding))
 
     def smoother(self) -> FloatArray:
-        """(n_line, n_line) [1]: from the lines as measured to every one by those around it, as many as a
-        parabola follows, up to LOCAL.
-        """
+        """(n_line, n_line) [1]: to every line from as many around it as a parabola follows, up to LOCAL."""
         count = self.omega.size
         weights, open_lines = np.zeros((count, count)), np.arange(count)
         for width in range(LOCAL, FEWEST - 1, -2):
@@ -125,17 +117,13 @@ def window(first: int, last: int, width: int, count: int) -> slice:
 
 
 def _through(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatArray:
-    """(..., n_place, n_line) [1]: from values at omega (..., n_line) [rad/s] to those of their polynomial
-    over log omega at other places (..., n_place) [rad/s].
-    """
+    """(..., n_place, n_line) [1]: values at omega (..., n_line) to their polynomial at other places."""
     count = min(coefficients, omega.shape[-1])
     return _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
 
 
 def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
-    """(..., n_place, count) [1]: powers of log omega at some places [rad/s], from -1 to 1 over the lines
-    omega (..., n_line) [rad/s].
-    """
+    """(..., n_place, count) [1]: powers of log omega [rad/s], -1 to 1 over omega (..., n_line)."""
     low, high = np.log(omega[..., :1]), np.log(omega[..., -1:])
     x = (2 * np.log(places) - low - high) / (high - low)
     return np.asarray(x[..., None] ** np.arange(count))
@@ -143,9 +131,7 @@ def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Smooth:
-    """A smoothed response at omega (n_place,) [rad/s] with its covariance (n_place, n_place) and changes
-    (n_source, n_place), all [1].
-    """
+    """A smoothed response at omega (n,) [rad/s], covariance (n, n), changes (n_source, n), all [1]."""
 
     omega: FloatArray
     values: ComplexArray
@@ -153,10 +139,7 @@ class Smooth:
     changes: ComplexArray
 
     def of(self, margin: Margin, n: int) -> Found:
-        """A margin between the places n and n + 1, its standard error and its changes.
-
-        Equation (comp-margins-change).
-        """
+        """A margin between places n and n + 1, its error and changes. Equation (comp-margins-change)."""
         part = slice(n, n + 2)
         pair, places, total = self.values[part], self.omega[part], 0.0
         moved = np.zeros(len(self.changes))
@@ -185,9 +168,7 @@ def measured_margins(
 
     Each with its change (n_source,) [its unit] by one standard uncertainty of every systematic source, that
     changes L by *changes* (n_source, n_line) [1]. noise: complex degrees of freedom behind the variance, and
-    standard errors to either side of a 95 % interval. *frequency* (n_line,) [Hz].
-
-    Equation (comp-margins).
+    standard errors to either side of a 95 % interval. *frequency* (n_line,) [Hz]. Equation (comp-margins).
     """
     dof, quantile = noise
     if frequency.size < LOCAL:
@@ -202,7 +183,7 @@ def measured_margins(
             candidates.setdefault(name, []).append(near.of(margin, n))
     units = {"phase_margin": "rad", "delay_margin": "s"}
     chosen = {
-        name: (max if name == "gain_margin_lower" else min)(margins, key=_value)
+        name: (max if name == "gain_margin_lower" else min)(margins, key=lambda found: found[0])
         for name, margins in candidates.items()
     }
     return [
@@ -214,10 +195,6 @@ def measured_margins(
         )
         for name, (value, error, moved) in chosen.items()
     ]
-
-
-def _value(found: Found) -> float:
-    return found[0]
 
 
 def factor(name: str, value: float, error: float, quantile: float) -> Parameter:
@@ -346,20 +323,14 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Crest:
-    """The highest |S| by itself: value [1] and place [rad/s], each with its standard error by noise and its
-    changes (n_source,) by every source.
-    """
+    """The highest |S|: value [1] and place [rad/s], each with its error and changes (n_source,)."""
 
     value: Found
     place: Found
 
 
 def crest_of(course: Course) -> Crest | None:
-    """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
-    lies at an end of the lines.
-
-    Equation (comp-peak).
-    """
+    """The maximum of |S| by parabolas; None at an end of the lines. Equation (comp-peak)."""
     count = course.omega.size
     if count < FEWEST:
         return None
@@ -382,9 +353,7 @@ def crest_of(course: Course) -> Crest | None:
 
 
 def _crest_lines(course: Course) -> tuple[slice, bool]:
-    """The most lines that a parabola follows around the highest |S|, each time about the maximum of the last;
-    False where it does not follow the fewest.
-    """
+    """Most lines that a parabola follows around the highest |S|; False where it follows too few."""
     count = course.omega.size
     top = int(np.argmax(np.abs(course.plain)))
     chosen, follows, width = window(top, top, FEWEST, count), False, float(FEWEST)
@@ -399,10 +368,8 @@ def _crest_lines(course: Course) -> tuple[slice, bool]:
 
 def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
     """|S| of *near* where that of *of_place* is highest, the place number *top*, and its place, a step of
-    Newton from there.
-
-    What noise does on average is taken off: beside its maximum |S| is lower; where one polynomial tells both,
-    the maximum seeks the noise; a modulus has the noise across it.
+    Newton from there. What noise does on average is taken off: beside its maximum |S| is lower; where one
+    polynomial tells both, the maximum seeks the noise; a modulus has the noise across it.
     """
     part = slice(top - 1, top + 2)
     at = np.log(near.omega[part])
@@ -424,7 +391,6 @@ def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
 def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> float:
     """Distance [rad/s] between the maximum of |S| and the minimum of |1/S| by polynomials of fourth degree
     through the same lines, a step of Newton each: what lines far apart leave of the place.
-
     Equation (comp-peak-truncation).
     """
     places = of_place.omega[top - 1 : top + 2]
@@ -442,9 +408,7 @@ def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> floa
 
 
 def _modulus(near: Smooth, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The modulus at some places (n,), its covariance (n, n) by noise and its changes (n_source, n), all
-    [1].
-    """
+    """Moduli (n,), their covariance (n, n) by noise and changes (n_source, n), all [1]."""
     values = near.values[part]
     along = values.conj() / np.abs(values)
     covariance = np.real(along[:, None] * along.conj()[None]) * near.covariance[part, part] / 2

@@ -45,10 +45,8 @@ class Suspended:
 @dataclass(frozen=True)
 class SampledLoop:
     """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m,
-    V, V, V, A].
-
-    a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between samples,
-    *injection* is added between the probe ("before") and the controller ("after").
+    V, V, V, A]. a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between
+    samples, *injection* is added between the probe ("before") and the controller ("after").
     """
 
     a: FloatArray
@@ -58,11 +56,7 @@ class SampledLoop:
     rate: float
 
     def run(self, inputs: FloatArray) -> FloatArray:
-        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m,
-        V], from rest.
-
-        ConfigError for an unstable loop.
-        """
+        """z (n_sample, n_direction, 5) [m, V, A] of w (..., 4) [N, m, V], from rest; ConfigError unstable."""
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
             rate = np.log(largest) * self.rate
@@ -78,10 +72,7 @@ class SampledLoop:
         return states @ self.c.T + inputs @ self.d.T
 
     def response(self, omega: FloatArray) -> ComplexArray:
-        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3).
-
-        The force as `straight` feeds it.
-        """
+        """z over force (as `straight` feeds it), noise, injection at *omega* [rad/s], (n_line, 5, 3)."""
         z = np.exp(1j * omega / self.rate)[:, None, None]
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
@@ -91,10 +82,8 @@ class SampledLoop:
 
 def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
     """s[k] of s[k+1] = A s[k] + *driven*[k] (n_sample, n_state) [units of the states] from rest, with A =
-    *step* (n_state, n_state).
-
-    All pieces at once from rest, then what each inherits from the one before: as many products as a piece has
-    steps and there are pieces.
+    *step* (n_state, n_state). All pieces at once from rest, then what each inherits from the one before: as
+    many products as a piece has steps and there are pieces.
     """
     n_sample, n = driven.shape
     n_piece = -(-n_sample // PIECE)
@@ -134,10 +123,7 @@ class SampledPlant:
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop of one direction as matrices.
-
-    ConfigError for what cannot be sampled, see `sampled_matrix`.
-    """
+    """The closed loop of one direction as matrices; ConfigError as `sampled_matrix`."""
     if plant.loop.cross is not None:
         raise ConfigError(
             "a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross"
@@ -217,8 +203,6 @@ def sampled_law(
         raise ConfigError(
             "controller: more zeros than poles cannot be sampled", hint=hint, field="controller"
         )
-    # A second of imports that few runs need.
-
     zeros, poles, gain = scipy.signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
     zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
     sections = scipy.signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)
@@ -255,10 +239,7 @@ def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
 
 @lru_cache(maxsize=16)
 def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
-    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz].
-
-    ConfigError for one shorter than the hold.
-    """
+    """Motion between samples, whole intervals of the delay, at *rate* [Hz]; ConfigError below the hold."""
     loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
@@ -295,11 +276,7 @@ def _step(
 
 
 def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear
-    transform; *time*, *interval* [s].
-
-    Equation (mag-tustin).
-    """
+    """(b0, b1, a1) [its unit] of (constant + derivative s) / (1 + s time [s]). Equation (mag-tustin)."""
     fast = 2 / interval
     whole = 1 + fast * time
     return (
@@ -335,11 +312,7 @@ def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
 def integrals(
     slope: FloatArray, inputs: FloatArray, time: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time*
-    [s] (Van Loan, 1978).
-
-    *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
-    """
+    """e^{A t} (n, n), responses (n, m) [any unit] to 1 and to a ramp t after *time* [s] (Van Loan 1978)."""
     n, m = inputs.shape
     joint = np.zeros((n + 2 * m, n + 2 * m))
     joint[:n, :n], joint[:n, n : n + m], joint[n : n + m, n + m :] = slope, inputs, np.eye(m)
@@ -350,9 +323,7 @@ def integrals(
 def step_matrices(
     step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column:
-    (n_state, n_state), ...
-    """
+    """A, B, C, D (n_state, n_state), ... [any unit] of a linear *step* (state, inputs) -> both."""
     still = np.zeros(n_input)
     by_state = [step(unit, still) for unit in np.eye(n_state)]
     by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,8 @@ from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
 COMPLEX_PARTS = 2
+# Share of |S| below which its error is rounding.
+ROUNDING = 1e-15
 # Ratio of predicted to measured S (1 - S) up to which a change is scaled by it: beyond is noise about zero.
 MOST_SCALED = 2.0
 
@@ -45,10 +48,8 @@ MOST_SCALED = 2.0
 @dataclass(frozen=True)
 class MeasuredSensitivity:
     """S over *frequency* [Hz], complex (n_line,), with the standard error of |S| by noise; *quantile*: errors
-    to either side of 95 %.
-
-    *response*: the FRF it is computed from. errors: changes (n_line, 1, 1) [1] of S by one standard
-    uncertainty of every source.
+    to either side of 95 %. *response*: the FRF it is computed from. errors: changes (n_line, 1, 1) [1] of S
+    by one standard uncertainty of every source.
     """
 
     frequency: FloatArray
@@ -73,6 +74,16 @@ class MeasuredSensitivity:
     def _changes(self) -> ComplexArray:
         changes = [error.change[:, 0, 0] for error in self.errors]
         return np.array(changes).reshape(len(changes), self.values.size)
+
+    @property
+    def transfer(self) -> tuple[ComplexArray, FloatArray]:
+        """L = 1 / S - 1, its variance |S|^-4 var S, (n_line,) each [1]. Equation (mag-loop-transfer)."""
+        return np.asarray(1 / self.values - 1), 2 * self.error**2 / self.size**4
+
+    @property
+    def transfer_changes(self) -> ComplexArray:
+        """dL = -S^-2 dS by every source, (n_source, n_line) [1]. Equation (mag-transfer-change)."""
+        return np.asarray(-self._changes / self.values**2)
 
     @property
     def course(self) -> Course:
@@ -121,10 +132,8 @@ class MeasuredSensitivity:
 @dataclass(frozen=True)
 class Peak:
     """The largest |S| with its standard error by noise and its frequency [Hz]; *at_edge*: at the edge of the
-    measured band.
-
-    frequency_error [Hz] by noise, None for that of a line. changes, frequency_changes (n_source,) [1] and
-    [Hz]: by one standard uncertainty of every source.
+    measured band. frequency_error [Hz] by noise, None for that of a line. changes, frequency_changes
+    (n_source,) [1] and [Hz]: by one standard uncertainty of every source.
     """
 
     value: float
@@ -156,11 +165,6 @@ class Peak:
         return [with_error(f"peak{suffix}", "1", self.value, self.error, quantile), place]
 
 
-def _quantile(dof: float) -> float:
-    """Standard errors to either side of a 95 % interval by complex degrees of freedom."""
-    return student_quantile(0.975, COMPLEX_PARTS * dof) if np.isfinite(dof) else normal_quantile(0.975)
-
-
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
     """S = H_after / (H_after - H_before), both against the excitation that is added between them.
 
@@ -174,36 +178,11 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
             f"'{before}' and '{after}' under one excitation are needed",
             hint="role: input for the excitation alone",
         )
-    if response.covariance is None:
-        hint = "average several periods or blocks"
-        raise FitError("the noise of the response is not known, so the peak has no interval", hint=hint)
-    index = [row * len(response.inputs) + columns[0] for row in rows]
-    ahead, behind = response.matrix[:, rows, columns[0]].T
-    added = behind - ahead
-    if np.any(np.abs(added) < SAME_SIGNAL * np.abs(behind)):
-        raise FitError(
-            f"'{before}' and '{after}' are the same signal",
-            hint="record one ahead of the sum and one behind it",
-        )
-    slopes = np.stack([behind, -ahead], axis=1) / added[:, None] ** 2
-    covariance = response.covariance[:, index][:, :, index]
-    variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
-    quantile = _quantile(response.covariance_dof)
-    errors = tuple(
-        replace(error, change=np.einsum("fi,fic->fc", slopes, error.change)[:, :, None])
-        for error in response_errors(response, rows, columns)
-    )
-    return MeasuredSensitivity(
-        response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile, response, errors
-    )
+    return sensitivity_matrix(response, (before,), (after,)).loop(0)
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
-    """The maximum of |S| by a polynomial through the lines around it; at an edge of the band the highest line
-    itself.
-
-    Equation (comp-peak-change).
-    """
+    """The maximum of |S|; at an edge of the band the highest line. Equation (comp-peak-change)."""
     crest = crest_of(measured.course)
     if crest is None:
         top = int(np.argmax(measured.size))
@@ -219,9 +198,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
 def loop_sensitivity(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be
-    fitted to S.
-    """
+    """Peak and zone of the measured |S|; the prediction of the file, whose unknowns may be fitted."""
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     zone = zone_of(peak.value)
@@ -390,9 +367,7 @@ def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
 def _covariance(
     spectra: ChannelSpectra, places: tuple[list[int], list[int]], matrix: ComplexArray, inverse: ComplexArray
 ) -> ComplexArray:
-    """E[dH dH^H] (n_line, n, n) row by row: sum over runs of E[(dY - H dR)(dY - H dR)^H] times what the run
-    is in R^-1.
-    """
+    """E[dH dH^H] (n_line, n, n) row by row: of dY - H dR of every run, by its part in R^-1."""
     outputs, inputs = places
     rows = np.zeros((*matrix.shape[:2], len(spectra.channels)), np.complex128)
     rows[:, np.arange(len(outputs)), outputs] = 1.0
@@ -406,9 +381,7 @@ def _covariance(
 def _errors(
     spectra: ChannelSpectra, places: tuple[list[int], list[int]], matrix: ComplexArray, inverse: ComplexArray
 ) -> tuple[MatrixError, ...]:
-    """dH (n_line, n_output, n_input) by one standard uncertainty of every source in the channels and their
-    sums.
-    """
+    """dH (n_line, n_output, n_input) by every source in the channels and their sums."""
     outputs, inputs = places
     uncertainties = {
         calibration.uncertainty.source: calibration.uncertainty
@@ -445,99 +418,65 @@ SAME_SIGNAL = 1e-9
 
 @dataclass(frozen=True)
 class SensitivityMatrix:
-    """S over *frequency* [Hz], (n_line, n, n) [1] by loops, covariance (n_line, n^2, n^2) [1] of its elements
-    row by row.
-
-    dof: complex degrees of freedom behind the covariance; names of the loops. errors: changes (n_line, n, n)
-    [1] of S by one standard uncertainty of every source.
+    """S of a *response*, (n_line, n, n) [1] by loops, covariance (n_line, n^2, n^2) [1] of its elements row
+    by row; errors: changes (n_line, n, n) [1] of S by one standard uncertainty of every source.
     """
 
-    frequency: FloatArray
+    response: FrequencyResponse
     values: ComplexArray
     covariance: ComplexArray
-    dof: float
-    loops: tuple[str, ...]
     errors: tuple[MatrixError, ...] = ()
 
     @property
+    def loops(self) -> tuple[str, ...]:
+        return tuple(port.label for port in self.response.inputs)
+
+    @property
     def quantile(self) -> float:
-        return _quantile(self.dof)
+        """Standard errors to either side of a 95 % interval by complex degrees of freedom."""
+        dof = self.response.covariance_dof
+        return student_quantile(0.975, COMPLEX_PARTS * dof) if np.isfinite(dof) else normal_quantile(0.975)
 
-    def errors_of(self, loop: int) -> tuple[MatrixError, ...]:
-        """Changes (n_line, 1, 1) [1] of S_ii of a loop."""
-        part = slice(loop, loop + 1)
-        return tuple(replace(error, change=error.change[:, part, part]) for error in self.errors)
-
-    def size(self, loop: int) -> tuple[FloatArray, FloatArray]:
-        """|S_ii| of a loop and its standard error, (n_line,) each [1]."""
-        n = len(self.loops)
-        return np.abs(self.values[:, loop, loop]), np.sqrt(
-            np.maximum(self.covariance[:, loop * (n + 1), loop * (n + 1)].real / 2, 0.0)
+    def loop(self, number: int) -> MeasuredSensitivity:
+        """S_ii of a loop."""
+        part, place = slice(number, number + 1), number * (len(self.loops) + 1)
+        values = self.values[:, number, number]
+        error = np.sqrt(np.maximum(self.covariance[:, place, place].real / 2, 0.0))
+        return MeasuredSensitivity(
+            self.response.frequency,
+            values,
+            np.maximum(error, ROUNDING * np.abs(values)),
+            self.quantile,
+            self.response,
+            tuple(replace(error, change=error.change[:, part, part]) for error in self.errors),
         )
 
     def largest(self) -> tuple[FloatArray, FloatArray]:
-        """The largest singular value of S and its standard error, d sigma = Re u^H dS v, (n_line,) each
-        [1].
-        """
-        slopes = self._largest_slopes()
+        """The largest singular value, its error by d sigma = Re u^H dS v, (n_line,) each [1]."""
+        slopes = self._largest_slopes
         variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
         return np.linalg.svd(self.values, compute_uv=False)[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
 
     def largest_changes(self) -> FloatArray:
-        """Changes of the largest singular value by every source, (n_source, n_line) [1].
-
-        Equation (mag-singular-change).
-        """
-        slopes = self._largest_slopes()
+        """Its changes by every source, (n_source, n_line) [1]. Equation (mag-singular-change)."""
+        slopes = self._largest_slopes
         changes = [np.sum(slopes * error.change.reshape(slopes.shape), axis=1).real for error in self.errors]
         return np.array(changes).reshape(len(self.errors), len(slopes))
 
-    def combined_size(self, loop: int) -> tuple[FloatArray, FloatArray]:
-        """|S_ii| of a loop and its combined standard uncertainty, (n_line,) each [1]."""
-        size, error = self.size(loop)
-        along = self.values[:, loop, loop].conj() / np.maximum(size, 1e-300)
-        changes = [(along * error_of.change[:, loop, loop]).real for error_of in self.errors]
-        return size, np.sqrt(error**2 + np.sum(np.square(changes), axis=0))
-
-    def combined_largest(self) -> tuple[FloatArray, FloatArray]:
-        """The largest singular value and its combined standard uncertainty, (n_line,) each [1]."""
-        size, error = self.largest()
-        return size, np.sqrt(error**2 + np.sum(self.largest_changes() ** 2, axis=0))
-
+    @cached_property
     def _largest_slopes(self) -> ComplexArray:
         """u_i* v_j of the largest singular value, (n_line, n^2) [1]."""
         left, _, right = np.linalg.svd(self.values)
         slopes = left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]
         return slopes.reshape(len(slopes), -1)
 
-    def loop_transfer(self, loop: int) -> tuple[ComplexArray, FloatArray]:
-        """L = 1 / S_ii - 1 of a loop that is cut alone, the others closed, and its variance |S_ii|^-4 var
-        S_ii, (n_line,) each [1].
-
-        Equation (mag-loop-transfer).
-        """
-        size, error = self.size(loop)
-        return np.asarray(1 / self.values[:, loop, loop] - 1), 2 * error**2 / size**4
-
-    def transfer_changes(self, loop: int) -> ComplexArray:
-        """Changes of L of a loop by every source, dL = -S_ii^-2 dS_ii, (n_source, n_line) [1].
-
-        Equation (mag-transfer-change).
-        """
-        changes = np.array([error.change[:, loop, loop] for error in self.errors]).reshape(
-            len(self.errors), len(self.values)
-        )
-        return np.asarray(-changes / self.values[:, loop, loop] ** 2)
-
 
 def sensitivity_matrix(
     response: FrequencyResponse, before: Sequence[str], after: Sequence[str]
 ) -> SensitivityMatrix:
     """S = H_after (H_after - H_before)^-1; without *before* the responses behind the sums are per excitation
-    themselves, S = H_after.
-
-    ConfigError where there is not one excitation per loop, FitError without a covariance or where both sides
-    are one signal. Equation (mag-sensitivity-matrix).
+    themselves, S = H_after. ConfigError where there is not one excitation per loop, FitError without a
+    covariance or where both sides are one signal. Equation (mag-sensitivity-matrix).
     """
     rows = [chosen_ports(response.outputs, (name,), "response")[0] for name in after]
     ahead = [chosen_ports(response.outputs, (name,), "response")[0] for name in before]
@@ -568,21 +507,9 @@ def sensitivity_matrix(
         picked[:, :, ahead] += values
     slopes = np.einsum("lio,lkj->lijok", picked, inverse).reshape(len(values), n * n, -1)
     covariance = slopes @ response.covariance @ slopes.conj().swapaxes(1, 2)
-    loops = tuple(port.label for port in response.inputs)
+    used = list(dict.fromkeys([*rows, *ahead]))
     errors = tuple(
-        replace(error, change=picked @ error.change @ inverse)
-        for error in _recorded_errors(response, (rows, ahead), picked)
+        replace(error, change=picked[:, :, used] @ error.change @ inverse)
+        for error in response_errors(response, used, list(range(n)))
     )
-    return SensitivityMatrix(response.frequency, values, covariance, response.covariance_dof, loops, errors)
-
-
-def _recorded_errors(
-    response: FrequencyResponse, places: tuple[list[int], list[int]], picked: ComplexArray
-) -> tuple[MatrixError, ...]:
-    used = list(dict.fromkeys([*places[0], *places[1]]))
-    errors = []
-    for error in response_errors(response, used, list(range(len(response.inputs)))):
-        change = np.zeros((len(picked), len(response.outputs), len(response.inputs)), np.complex128)
-        change[:, used] = error.change
-        errors.append(replace(error, change=change))
-    return tuple(errors)
+    return SensitivityMatrix(response, values, covariance, errors)

@@ -8,7 +8,7 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.settings import SPECTRA
@@ -20,9 +20,7 @@ ORDERS = (AUTO, "0", "1", "2", "3")
 
 @dataclass(frozen=True)
 class MagnetSettings(Settings):
-    """What of K_i and K_s is estimated, what is known of the rotor, and how the current goes on between
-    samples.
-    """
+    """What of K_i and K_s is estimated, what is known, and the current between samples."""
 
     coupling: str = setting(
         "choice",
@@ -58,10 +56,7 @@ class MagnetSettings(Settings):
     def __post_init__(self) -> None:
         if not 0 < self.band_confidence < 1:
             raise ConfigError("'band_confidence' must lie between 0 and 100 %", field="band_confidence")
-        for name in ("hold", "amplifier_bandwidth"):
-            value: float | None = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ConfigError(f"'{name}' must be above zero", field=name)
+        require_positive(self, "hold", "amplifier_bandwidth")
         if self.amplifier_bandwidth is not None and self.hold is None:
             raise ConfigError(
                 "'amplifier_bandwidth' goes with hold", hint="hold: 20 kHz", field="amplifier_bandwidth"

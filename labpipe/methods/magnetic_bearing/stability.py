@@ -43,15 +43,6 @@ TURNING = (1e-5, 1e7, 400_001)
 
 
 @dataclass(frozen=True)
-class Levitated:
-    """A *mass* [kg] on one loop with the bias field's *negative_stiffness* [N/m]."""
-
-    loop: ControlLoop
-    negative_stiffness: float
-    mass: float
-
-
-@dataclass(frozen=True)
 class SensitivityPeak:
     """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3."""
 
@@ -62,9 +53,7 @@ class SensitivityPeak:
 
 def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]:
     """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! /
-    ((2n)! k! (n-k)!) (s tau)^k.
-
-    Equation (mag-pade).
+    ((2n)! k! (n-k)!) (s tau)^k. Equation (mag-pade).
     """
     terms = [
         factorial(2 * order - k)
@@ -76,7 +65,7 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
     return Polynomial([(-1) ** k * term for k, term in enumerate(terms)]), Polynomial(terms)
 
 
-def characteristic_polynomial(plant: Levitated, time: float) -> Polynomial:
+def characteristic_polynomial(plant: Suspended, time: float) -> Polynomial:
     """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the
     coefficients are of equal magnitude.
 
@@ -122,15 +111,12 @@ def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Poly
     return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
 
 
-def sample(plant: Levitated, rate: float) -> FloatArray:
-    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the
-    controller is a matrix.
-    """
-    suspended = Suspended(plant.loop, plant.negative_stiffness, plant.mass)
-    return sampled_loop(suspended, rate).a if plant.loop.cross is None else sampled_matrix(suspended, rate)
+def sample(plant: Suspended, rate: float) -> FloatArray:
+    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of x unless a matrix controls."""
+    return sampled_loop(plant, rate).a if plant.loop.cross is None else sampled_matrix(plant, rate)
 
 
-def closed_loop_poles(plant: Levitated) -> ComplexArray:
+def closed_loop_poles(plant: Suspended) -> ComplexArray:
     """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation.
 
     With discrete blocks s = f_s ln z of the sampled loop, without approximation.
@@ -143,11 +129,7 @@ def closed_loop_poles(plant: Levitated) -> ComplexArray:
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
-    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty
-    memory, are left out.
-
-    Equation (mag-sampled).
-    """
+    """s = f_s ln z [rad/s], z != 0 of *matrix* (n_state, n_state) [1]. Equation (mag-sampled)."""
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
     return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
 
@@ -157,13 +139,11 @@ def ordered_poles(poles: ComplexArray) -> ComplexArray:
     return poles[np.lexsort((np.abs(poles.imag), -poles.real))]
 
 
-def unstable_poles(plant: Levitated) -> int:
+def unstable_poles(plant: Suspended) -> int:
     """Number of poles in the right half-plane with the exact delay, Z = n / 2 - (phase change of D(jw) over w
-    = 0 ... inf) / pi.
-
-    Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of degree d of the
-    controller, n = 2 + d per direction (the lags of amplifier and probe are stable and cancel). Of discrete
-    blocks the eigenvalues z beyond the unit circle. Equation (mag-unstable).
+    = 0 ... inf) / pi. Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of
+    degree d of the controller, n = 2 + d per direction (the lags of amplifier and probe are stable and
+    cancel). Of discrete blocks the eigenvalues z beyond the unit circle. Equation (mag-unstable).
     """
     loop = plant.loop
     if loop.rate is not None:
@@ -173,9 +153,8 @@ def unstable_poles(plant: Levitated) -> int:
         :, None, None
     ] ** 2 * np.eye(2)
     curve = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
-    poles = np.array(
-        [pole for blocks in _elements(loop) for pole in in_series(blocks)[0].poles], np.complex128
-    )
+    elements = [loop.blocks(*pair) for pair in (["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"])]
+    poles = np.array([pole for blocks in elements for pole in in_series(blocks)[0].poles], np.complex128)
     # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones
     # of a damped loop.
     turned = curve
@@ -189,16 +168,8 @@ def unstable_poles(plant: Levitated) -> int:
     return round((degree - 2 * change / np.pi) / 2)
 
 
-def _elements(loop: ControlLoop) -> list[tuple[ControllerBlock, ...]]:
-    pairs = ["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"]
-    return [blocks for blocks in (loop.blocks(*pair) for pair in pairs) if blocks]
-
-
-def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
-    """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3.
-
-    Of a controller matrix that of x.
-    """
+def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:
+    """S(jw) = 1 / (1 + L), L = K G / (-m w^2 - k_n), (n_line,) [1], of x; ISO 14839-3."""
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
@@ -210,12 +181,8 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
     return np.where(np.isfinite(controlled), ratio, 0.0)
 
 
-def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
-    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes
-    the largest |S_ii|.
-
-    Equation (mag-sensitivity).
-    """
+def sensitivity_matrix(plant: Suspended, omega: FloatArray) -> ComplexArray:
+    """S = (I + L)^-1, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]. Equation (mag-sensitivity)."""
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     return rotor[:, None, None] * np.linalg.inv(
         rotor[:, None, None] * np.eye(2) + loop_stiffness(plant.loop) * controller_matrix(plant.loop, omega)
@@ -223,15 +190,12 @@ def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 
 def zone_of(peak: float) -> str:
-    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above.
-
-    Equation (mag-zone).
-    """
+    """Zone of ISO 14839-3 of a peak: A below 3 (9.5 dB), B 4, C 5, D above. Equation (mag-zone)."""
     return next((zone for zone, end in ZONES if peak < end), "D")
 
 
-def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
-    """The largest |S| from 0 Hz to 2 kHz and its zone; meaningful for a stable loop only."""
+def sensitivity_peak(plant: Suspended) -> SensitivityPeak:
+    """The largest |S_ii| from 0 Hz to 2 kHz (ISO 14839-3) and its zone, of a stable loop only."""
     frequency = np.concatenate([[0.0], np.geomspace(*SEARCH)])
     if plant.loop.cross is None:
         size = np.abs(sensitivity(plant, 2 * np.pi * frequency))
@@ -252,10 +216,8 @@ AT_A_POLE = 1e-12
 @dataclass(frozen=True)
 class OpenLoop:
     """Controller C [1] with the probe's sensitivity k [V/m], motion X [m/V] and current I [A/V] per command,
-    (n_line,) each.
-
-    L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a minus sign.
-    recorded_motion: what a logger with a filter sees of X, None where it is X.
+    (n_line,) each. L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a
+    minus sign. recorded_motion: what a logger with a filter sees of X, None where it is X.
     """
 
     sensor: float
@@ -277,9 +239,7 @@ class OpenLoop:
 
     def signals(self, place: str) -> dict[str, ComplexArray]:
         """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it
-        (output).
-
-        before and after are the two sides of the sum where it is added.
+        (output). before and after are the two sides of the sum where it is added.
         """
         s = self.sensitivity
         command = self.controller * s if place == INPUT else s
@@ -294,13 +254,11 @@ class OpenLoop:
 
 
 def open_loop(
-    plant: Levitated, omega: FloatArray, rate: float | None = None, filtered: bool = False
+    plant: Suspended, omega: FloatArray, rate: float | None = None, filtered: bool = False
 ) -> OpenLoop:
     """The loop at *omega* [rad/s] (n_line,), sampled and held at *rate* [Hz]; without one in continuous time,
-    the hold as delay.
-
-    *filtered*: current and motion are recorded through a filter against aliasing, not as the controller
-    samples them. ConfigError for what cannot be sampled.
+    the hold as delay. *filtered*: current and motion are recorded through a filter against aliasing, not as
+    the controller samples them. ConfigError for what cannot be sampled.
     """
     loop = plant.loop
     if rate is None:
@@ -309,7 +267,7 @@ def open_loop(
         motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
         law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
         return OpenLoop(loop.sensor, law.astype(np.complex128), motion * chain.get("sensor", 1.0), current)
-    motion, current = _sampled_motion(Suspended(loop, plant.negative_stiffness, plant.mass), omega, rate)
+    motion, current = _sampled_motion(plant, omega, rate)
     law_at = law_response(_own_law(loop, rate), omega, rate)
     if not filtered:
         return OpenLoop(loop.sensor, law_at, motion, current)
@@ -332,10 +290,7 @@ def _own_law(loop: ControlLoop, rate: float) -> SampledLaw:
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
-    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s].
-
-    Infinite at a pole, as of an integrator at rest.
-    """
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]; infinite at a pole."""
     if not len(law.a):
         return np.full(np.shape(omega), law.d, np.complex128)
     law_bytes = (law.a.tobytes(), law.b.tobytes(), law.c.tobytes())

@@ -25,9 +25,7 @@ VANISHED, SAME = 1e-10, 1e-6
 
 @dataclass(frozen=True)
 class Transfer:
-    """G = gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a sampling *rate* [Hz] v = z =
-    e^{s / rate} [1].
-    """
+    """gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a *rate* [Hz] v = e^{s / rate}."""
 
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
@@ -77,9 +75,7 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
 
 
 def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
-    """Without leading coefficients that make zeros far beyond the *largest* pole: what rounding has left of a
-    power that is not there.
-    """
+    """Without leading coefficients, left by rounding, that make zeros far beyond the *largest* pole."""
     while coefficients.size > 1 and abs(coefficients[1]) > FAR * largest * abs(coefficients[0]) > 0:
         coefficients = coefficients[1:]
     return coefficients
@@ -100,9 +96,7 @@ def low_pass(frequency: float, order: int, damping: float) -> Transfer:
 
 
 def notch(frequency: float, depth: float, width: float) -> Transfer:
-    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D: |G| = *depth* at *frequency* [Hz], *width*
-    2 D of it at -3 dB.
-    """
+    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D, *frequency* [Hz], *width* 2 D at -3 dB."""
     omega = 2 * np.pi * frequency
     return Transfer(_pair(omega, depth * width / 2), _pair(omega, width / 2), 1.0)
 
@@ -165,10 +159,8 @@ def _rate_of(interval: Any) -> float | None:
 
 def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> Transfer:
     """Zeros by the pencil [[A - z I, B], [C, D]], poles of A, and the gain by the first Markov parameter D, C
-    B, C A B, ... that is none.
-
-    As many zeros are infinite as parameters vanish before it; ConfigError where rounding does not let the
-    others be told.
+    B, C A B, ... that is none. As many zeros are infinite as parameters vanish before it; ConfigError where
+    rounding does not let the others be told.
     """
     n = len(a)
     if not n:
@@ -234,47 +226,33 @@ CONJUGATE = 1e-6
 
 @dataclass(frozen=True)
 class Form:
-    """Entries that a block of the form *needs* and those that it *takes* beside them, and its transfer
-    function.
-    """
+    """Entries that a block *needs* and *takes* beside them, and its transfer function of all, in order."""
 
     needs: tuple[str, ...]
     takes: tuple[str, ...]
-    transfer: Callable[[Any], Transfer]
+    transfer: Callable[..., Transfer]
 
 
-def _checked_roots(block: ControllerBlock) -> Transfer:
-    for name in ("zeros", "poles"):
-        roots = np.array(getattr(block, name), np.complex128)
+def _checked_roots(
+    zeros: tuple[complex, ...], poles: tuple[complex, ...], gain: float, rate: float | None
+) -> Transfer:
+    for name, given in (("zeros", zeros), ("poles", poles)):
+        roots = np.array(given, np.complex128)
         for root in roots:
             if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300):
                 hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
                 raise ConfigError(f"{name}: {root:g} stands without its conjugate", hint=hint, field=name)
-    return Transfer(block.zeros, block.poles, block.gain, block.rate)
+    return Transfer(zeros, poles, gain, rate)
 
 
 FORMS: dict[str, Form] = {
     "roots": Form((), ("zeros", "poles", "gain", "rate"), _checked_roots),
-    "polynomial": Form(
-        ("numerator", "denominator"),
-        ("rate",),
-        lambda block: of_polynomials(block.numerator, block.denominator, block.rate),
-    ),
-    "pid": Form(
-        (),
-        ("proportional", "integral", "derivative", "derivative_time"),
-        lambda block: pid(block.proportional, block.integral, block.derivative, block.derivative_time),
-    ),
-    "lead-lag": Form(("zero", "pole"), (), lambda block: lead_lag(block.zero, block.pole)),
-    "low-pass": Form(
-        ("frequency",),
-        ("order", "damping"),
-        lambda block: low_pass(block.frequency, block.order, block.damping),
-    ),
-    "notch": Form(
-        ("frequency",), ("depth", "width"), lambda block: notch(block.frequency, block.depth, block.width)
-    ),
-    "gain": Form((), ("gain",), lambda block: Transfer(gain=block.gain)),
+    "polynomial": Form(("numerator", "denominator"), ("rate",), of_polynomials),
+    "pid": Form((), ("proportional", "integral", "derivative", "derivative_time"), pid),
+    "lead-lag": Form(("zero", "pole"), (), lead_lag),
+    "low-pass": Form(("frequency",), ("order", "damping"), low_pass),
+    "notch": Form(("frequency",), ("depth", "width"), notch),
+    "gain": Form((), ("gain",), lambda gain: Transfer(gain=gain)),
 }
 
 
@@ -340,13 +318,12 @@ class ControllerBlock(Settings):
     @property
     def transfer(self) -> Transfer:
         """G(s), or G(z) with a rate."""
-        return FORMS[self.form].transfer(self)
+        form = FORMS[self.form]
+        return form.transfer(*(getattr(self, name) for name in (*form.needs, *form.takes)))
 
     @classmethod
     def entries_from(cls, value: Any) -> Any:
-        """Blocks as they are, or from a system with one input and one output of python-control or
-        scipy.signal.
-        """
+        """Blocks, or a system of python-control or scipy.signal with one input and output."""
         if isinstance(value, (str, Sequence)):
             return value
         try:
@@ -367,9 +344,7 @@ def block_of(transfer: Transfer) -> ControllerBlock:
 
 
 def blocks_of_matrix(system: Any) -> dict[str, tuple[ControllerBlock, ...]]:
-    """Elements xx, xy, yx and yy of a system of python-control or scipy.signal with two inputs and two
-    outputs; ConfigError for others.
-    """
+    """Elements xx, xy, yx, yy of a two-by-two system of another package; ConfigError else."""
     elements = matrix_of(system)
     if len(elements) != 2 or any(len(row) != 2 for row in elements):
         raise ConfigError("a controller of two directions has two inputs and two outputs")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
@@ -37,6 +37,7 @@ from labpipe.simulate.virtual_rigs import (
     SimulatedRun,
     Truth,
     chosen_runs,
+    coefficients_by_name,
     generator,
     kind_of_tests,
     one_mass_truth,
@@ -45,6 +46,8 @@ from labpipe.simulate.virtual_rigs import (
 
 READING, BEFORE, AFTER, OUTPUT, CURRENT = range(len(OUTPUTS))
 HOVER_CORNER = 5.0
+# Direction of the force on the levitated rotor.
+DIAGONAL = "45 deg"
 # Half length of the logger's filter [s].
 MARGIN = 0.05
 SETTLING = 3.0
@@ -58,10 +61,7 @@ AXIAL_SHARE = 0.15
 
 
 def suspension(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
-    """Pedestal and rotor on all bearings in one direction.
-
-    The bias field is that of the rig's own loop, whatever gains *loop* has.
-    """
+    """Pedestal and rotor on all bearings; the bias field is that of the rig's own loop."""
     levitation = rig.levitation
     return Suspended(
         loop or levitation.loop,
@@ -100,11 +100,8 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _log(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
     shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
-    channels = [Channel("f", "force", "input", "45 deg", np.pi / 4)]
-    columns: list[FloatArray] = [shaker]
-    for number, dof in enumerate("xy"):
-        channels.append(Channel(dof, "displacement", "output", dof, AXIS_ANGLES[dof]))
-        columns.append(signals[:, number, READING])
+    channels = _channels(DIAGONAL, "xy")
+    columns: list[FloatArray] = [shaker, *signals[:, :2, READING].T]
     # The gain study needs force and motion only.
     for number, dof in enumerate("xy" if name not in GAINS else ""):
         channels += [
@@ -114,27 +111,27 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
         columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
     omega = line_frequencies(force)
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
-    return SimulatedRun(
-        name,
-        {
-            "mass": rig.rotor_mass,
-            "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
-            "proportional": plant.loop.proportional,
-            "delay": plant.loop.delay,
-            "negative_stiffness_per_bearing": plant.negative_stiffness,
-            "frequency_hz": (omega / (2 * np.pi)).tolist(),
-            "k_per_bearing": bearing.real.tolist(),
-            "c_per_bearing": (bearing.imag / omega).tolist(),
-        },
-        Recording(tuple(channels), np.column_stack(columns), rate, name),
-    )
+    truth = {
+        "mass": rig.rotor_mass,
+        "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
+        "proportional": plant.loop.proportional,
+        "delay": plant.loop.delay,
+        "negative_stiffness_per_bearing": plant.negative_stiffness,
+        **_per_bearing(omega, bearing),
+    }
+    return _run(name, truth, channels, columns, rate)
+
+
+def _per_bearing(omega: FloatArray, bearing: ComplexArray) -> dict[str, list[float]]:
+    return {
+        "frequency_hz": (omega / (2 * np.pi)).tolist(),
+        "k_per_bearing": bearing.real.tolist(),
+        "c_per_bearing": (bearing.imag / omega).tolist(),
+    }
 
 
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The rotor alone.
-
-    A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded.
-    """
+    """The rotor alone: a multisine, 4-1000 Hz every 2 Hz, between probe and controller."""
     plant = rotor_alone(rig)
     added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
     periods, rate = 1 + PERIODS, 5000.0
@@ -149,18 +146,12 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> S
     reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
     channels = [Channel("e", "voltage", "input", "e")]
     channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
-    samples = np.column_stack([reference, signals[:, BEFORE], signals[:, AFTER]])
-    return SimulatedRun(
-        name,
-        {"mass": plant.mass, "injection_rms": INJECTION},
-        Recording(tuple(channels), samples, rate, name),
-    )
+    samples = [reference, signals[:, BEFORE], signals[:, AFTER]]
+    return _run(name, {"mass": plant.mass, "injection_rms": INJECTION}, channels, samples, rate)
 
 
 def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z,
-    tacho.
-    """
+    """The rotor alone from 1200 to 8000 rpm: x, y at both ends, z, tacho."""
     low, high, duration = RUN_UP
     rate, length = 2000.0, _length(duration)
     t = np.arange(length + 1) / CONTROL_RATE
@@ -189,9 +180,7 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         "mass": plant.mass,
         "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()},
     }
-    return SimulatedRun(
-        name, truth, Recording(tuple(channels), np.column_stack([displacements, tacho]), rate, name)
-    )
+    return _run(name, truth, channels, [displacements, tacho], rate)
 
 
 def _unbalance_force(
@@ -219,9 +208,7 @@ def _probe_noise(
 def _hover_force(
     rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator
 ) -> FloatArray:
-    """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low
-    pass.
-    """
+    """A slow force that makes the rotor wander by the stated rms."""
     wander = slow_noise(shape, CONTROL_RATE, rng)
     static = (
         plant.stiffness
@@ -231,17 +218,12 @@ def _hover_force(
 
 
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:
-    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how a levitated rotor
-    wanders.
-    """
-    # Loading scipy.signal takes longer than most runs.
-
+    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): a rotor's wander."""
     b, a = scipy.signal.butter(1, HOVER_CORNER, fs=rate)
     return np.asarray(scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
 
 
 def _log(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
-
     return scipy.signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
 
 
@@ -294,13 +276,11 @@ ONE_DOF: dict[str, Callable[[VirtualMagneticRig], OneDofRun]] = {"pedestal": ped
 
 def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, float]) -> dict[str, float]:
     """Cramer-Rao standard errors of k [N/m] and c [N.s/m] from the lines of run *name* within *band* [Hz],
-    mass known.
-
-    With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2, where s^2 =
-    4 sigma^2 / n over n averaged samples is the variance of a complex amplitude. Information: 2 sum Re(dH^*
-    dH^T) |F|^2 / variance, with dH/dk = -H^2, dH/dc = -j w H^2. Holds while the noise of a line's force is
-    small beside the force. ConfigError for a run that is not of one degree of freedom, a band without lines,
-    or a rig without noise. Equation (sim-bound).
+    mass known. With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2,
+    where s^2 = 4 sigma^2 / n over n averaged samples is the variance of a complex amplitude. Information: 2
+    sum Re(dH^* dH^T) |F|^2 / variance, with dH/dk = -H^2, dH/dc = -j w H^2. Holds while the noise of a line's
+    force is small beside the force. ConfigError for a run that is not of one degree of freedom, a band
+    without lines, or a rig without noise. Equation (sim-bound).
     """
     if name not in ONE_DOF:
         raise ConfigError(f"run '{name}' has no single k and c", hint=nearest(name, ONE_DOF))
@@ -332,19 +312,13 @@ STATIC_BEND = 300e-6
 def simulate(
     rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None
 ) -> tuple[SimulatedRun, ...]:
-    """The named runs, all of `run_names` unless named.
-
-    The same rig and seed give the same samples, whatever other runs are made.
-    """
+    """The named runs, else all of `run_names`; one rig and seed give the same samples."""
     by_name = {**RUNS, **_loop_runs(rig)}
     return tuple(by_name[name](rig, name, generator(seed, name)) for name in chosen_runs(rig, runs))
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
-    """All of RUNS.
-
-    Of a rig under its control loop also those that close the loop in the time domain, LOOP_RUNS.
-    """
+    """All of RUNS; of a rig under its control loop LOOP_RUNS too."""
     return tuple({**RUNS, **_loop_runs(rig)})
 
 
@@ -362,18 +336,17 @@ def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArra
     return clean + rng.normal(0.0, std, clean.shape)
 
 
-def _recording(
-    name: str, channels: list[Channel], samples: list[FloatArray], sample_rate: float
-) -> Recording:
-    return Recording(tuple(channels), np.column_stack(samples), sample_rate, name)
+def _run(
+    name: str, truth: dict[str, Any], channels: Sequence[Channel], samples: Sequence[FloatArray], rate: float
+) -> SimulatedRun:
+    return SimulatedRun(name, truth, Recording(tuple(channels), np.column_stack(samples), rate, name))
 
 
-def _force_channel(dof: str, angle: float | None) -> Channel:
-    return Channel("f", "force", "input", dof, angle)
-
-
-def _displacement_channel(name: str) -> Channel:
-    return Channel(name, "displacement", "output", name, AXIS_ANGLES.get(name))
+def _channels(force: str, moved: str) -> list[Channel]:
+    """A force in a direction (dof) and the displacements of some axes."""
+    angle = np.pi / 4 if force == DIAGONAL else AXIS_ANGLES.get(force)
+    of_motion = [Channel(dof, "displacement", "output", dof, AXIS_ANGLES.get(dof)) for dof in moved]
+    return [Channel("f", "force", "input", force, angle), *of_motion]
 
 
 def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -389,8 +362,7 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         _noisy(run.force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng),
         _noisy(clean, rig.noise.displacement, rng),
     ]
-    channels = [_force_channel(run.dof, AXIS_ANGLES.get(run.dof)), _displacement_channel(run.dof)]
-    return SimulatedRun(name, run.truth, _recording(name, channels, samples, timing.sample_rate))
+    return _run(name, run.truth, _channels(run.dof, run.dof), samples, timing.sample_rate)
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
@@ -421,20 +393,15 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         "speed_hz": rig.speed if rotating else 0.0,
         "forcing_angle": np.pi / 4,
         "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
-        "frequency_hz": (omega / (2 * np.pi)).tolist(),
-        "k_per_bearing": bearing.real.tolist(),
-        "c_per_bearing": (bearing.imag / omega).tolist(),
+        **_per_bearing(omega, bearing),
     }
     if rig.levitation.law == "control-loop":
         truth["negative_stiffness_per_bearing"] = mechanics.negative_stiffness(rig.levitation)
-    channels = [_force_channel("45 deg", np.pi / 4), _displacement_channel("x"), _displacement_channel("y")]
-    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+    return _run(name, truth, _channels(DIAGONAL, "xy"), samples, timing.sample_rate)
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs
-    together.
-    """
+    """A cross-coupled support under a force along x (or y); both runs show eight coefficients."""
     dof = name[-1]
     column = "xy".index(dof)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
@@ -445,21 +412,13 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     for row in range(2):
         clean = linear.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
         samples.append(_noisy(clean, rig.noise.displacement, rng))
-    matrices = (("k", mechanics.COUPLED_STIFFNESS), ("c", mechanics.COUPLED_DAMPING))
-    truth: dict[str, Any] = {"mass": rig.rotor_mass}
-    for letter, matrix in matrices:
-        truth.update(
-            {f"{letter}_{'xy'[r]}{'xy'[c]}": float(matrix[r, c]) for r in range(2) for c in range(2)}
-        )
-    channels = [_force_channel(dof, AXIS_ANGLES[dof]), _displacement_channel("x"), _displacement_channel("y")]
-    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+    support = coefficients_by_name("xy", k=mechanics.COUPLED_STIFFNESS, c=mechanics.COUPLED_DAMPING)
+    truth = {"mass": rig.rotor_mass, **support}
+    return _run(name, truth, _channels(dof, "xy"), samples, timing.sample_rate)
 
 
 def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """Force over control voltage at seven levels and seven eccentricities.
-
-    The gain falls as 1 / (1 + (e / 0.4)^4).
-    """
+    """Force over voltage at seven levels and eccentricities e, falling as 1 / (1 + (e / 0.4)^4)."""
     levels = np.linspace(0.08, 0.56, 7)
     gains = [rig.actuator_gain / (1 + (e / GAIN_CORNER) ** 4) for e in ECCENTRICITIES]
     eccentricity = np.repeat(ECCENTRICITIES, levels.size)
@@ -472,9 +431,7 @@ def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) 
 
 
 def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45
-    um.
-    """
+    """Static force F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45 um."""
     displacement = np.arange(0, 91, 3) * 1e-6
     k_0 = rig.levitation.static
     force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
@@ -519,10 +476,6 @@ def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
     return {name: float(number) for name, number in first.truth.items() if isinstance(number, (int, float))}
 
 
-def _std_errors(rig: VirtualMagneticRig, runs: Sequence[str], band: tuple[float, float]) -> Truth:
-    return expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {}
-
-
 MAGNETIC_RIG = kind_of_tests(
     VirtualMagneticRig,
     runs=run_names,
@@ -530,5 +483,5 @@ MAGNETIC_RIG = kind_of_tests(
     tests=simulate,
     logged=log_table,
     parameters=_parameters,
-    std_errors=_std_errors,
+    std_errors=lambda rig, runs, band: expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {},
 )

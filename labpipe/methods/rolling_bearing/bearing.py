@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labpipe.arrays import BoolArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import (
     Amount,
     Bearing,
@@ -43,10 +43,8 @@ POSITIONS = 24
 @dataclass(frozen=True)
 class Passage:
     """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] and displacement (n_position, n_case, 5) [m,
-    rad] over one passage.
-
-    cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so that the mean over
-    positions is the mean over time.
+    rad] over one passage. cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so
+    that the mean over positions is the mean over time.
     """
 
     cage_angle: FloatArray
@@ -58,12 +56,12 @@ class Passage:
         """Mean stiffness, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
         return self.stiffness.mean(axis=0)
 
-    @property
+    @cached_property
     def lowest(self) -> FloatArray:
         """Smallest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
         return self.stiffness.min(axis=0)
 
-    @property
+    @cached_property
     def highest(self) -> FloatArray:
         """Largest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
         return self.stiffness.max(axis=0)
@@ -76,11 +74,7 @@ def ball_passage(
     fixed_dofs: Sequence[str] = (),
     positions: int = POSITIONS,
 ) -> Passage:
-    """Equilibrium and stiffness at *positions* cage angles of one passage; arguments and errors as in
-    `equilibrium`.
-
-    Equation (roll-passage).
-    """
+    """`equilibrium` at *positions* cage angles of one passage. Equation (roll-passage)."""
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     n_case = max(len(f), len(q))
     angles = 2 * np.pi / bearing.elements * np.arange(positions) / positions
@@ -110,16 +104,6 @@ def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoe
     return [coefficients[number] for number in range(len(settings))]
 
 
-@dataclass(frozen=True)
-class _Solved:
-    state: Equilibrium
-    contact_angle: FloatArray
-    mirrored: BoolArray
-    determinate: BoolArray
-    lowest: FloatArray
-    highest: FloatArray
-
-
 def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
     first = settings[0]
     bearing, fixed_dofs = first.bearing(), first.fixed_dofs
@@ -129,35 +113,28 @@ def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
     moves = np.array([[getattr(entry.displacements, dof) or 0.0 for dof in DOFS] for entry in settings])
     state = equilibrium(bearing, loads, moves, fixed_dofs, np.array([entry.cage_angle for entry in settings]))
     passage = ball_passage(bearing, loads, moves, fixed_dofs)
-    solved = _Solved(
-        state, state.contact_angle, state.mirrored, state.determinate, passage.lowest, passage.highest
-    )
-    return [_case(entry, solved, case) for case, entry in enumerate(settings)]
+    return [_case(entry, state, passage, case) for case, entry in enumerate(settings)]
 
 
-def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoefficients:
-    state = solved.state
+def _amounts(names: Sequence[str], values: FloatArray, units: Sequence[str]) -> list[Amount]:
+    return [Amount(name, float(value), unit) for name, value, unit in zip(names, values, units, strict=True)]
+
+
+def _case(settings: RollingSettings, state: Equilibrium, passage: Passage, case: int) -> BearingCoefficients:
     k, at = state.stiffness[case], state.contacts
-    rest = [
-        Amount(name, float(q), unit)
-        for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)
-    ]
-    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
-    rest += [
-        Amount(name, float(f), unit)
-        for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)
-    ]
+    rest = _amounts(DOFS, state.displacement[case], UNITS)
+    rest += _amounts([f"load_{name}" for name in LOAD_OF_DOF.values()], state.load[case], LOAD_UNITS)
+    loaded = int(np.sum(at.load[case] > 0))
     warnings = []
-    if solved.mirrored[case]:
+    if state.mirrored[case]:
         message = (
             "elements carry at the opposite contact angle, across the groove: a bearing with one "
             "shoulder cannot carry this load"
         )
         warnings.append(Finding("mirrored", message))
-    if not solved.determinate[case]:
-        number = int(np.sum(solved.state.contacts.load[case] > 0))
+    if not state.determinate[case]:
         message = (
-            f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not "
+            f"{loaded} of {state.bearing.elements} elements carry: the rest position is not "
             "unique, the stiffness is singular"
         )
         warnings.append(Finding("indeterminate", message))
@@ -165,15 +142,15 @@ def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoeff
         dofs=DOFS,
         stiffness=k,
         damping=settings.damping_factor * k,
-        rest=(*rest, Amount("loaded_elements", float(np.sum(state.contacts.load[case] > 0)), "1")),
+        rest=(*rest, Amount("loaded_elements", float(loaded), "1")),
         element_state={
             "element_angle": state.angles[case],
             "element_load": at.load[case],
             "element_deflection": at.deflection[case],
-            "contact_angle": solved.contact_angle[case],
+            "contact_angle": state.contact_angle[case],
         },
-        lowest=solved.lowest[case],
-        highest=solved.highest[case],
+        lowest=passage.lowest[case],
+        highest=passage.highest[case],
         notes=_notes(settings),
         shaft=_shaft(settings, k),
         findings=tuple(warnings),
@@ -191,18 +168,14 @@ def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ..
     if settings.shaft is None:
         return ()
     shaft_modes = modes(settings.shaft.body, stiffness)
-    amounts = [Amount(f"f_{n + 1}", float(f), "Hz") for n, f in enumerate(shaft_modes.frequency)]
+    numbers = range(1, len(DOFS) + 1)
+    amounts = _amounts([f"f_{n}" for n in numbers], shaft_modes.frequency, ["Hz"] * len(DOFS))
     if settings.damping_factor > 0:
-        amounts += [
-            Amount(f"zeta_{n + 1}", float(zeta), "1")
-            for n, zeta in enumerate(shaft_modes.damping_ratio(settings.damping_factor))
-        ]
+        ratios = shaft_modes.damping_ratio(settings.damping_factor)
+        amounts += _amounts([f"zeta_{n}" for n in numbers], ratios, ["1"] * len(DOFS))
     fitted = sdof_stiffness(settings.shaft.body, stiffness)
     units = ("N/m", "N/m", "N/m", "N.m/rad", "N.m/rad")
-    return (
-        *amounts,
-        *(Amount(f"sdof_k_{dof}", float(k), unit) for dof, k, unit in zip(DOFS, fitted, units, strict=True)),
-    )
+    return (*amounts, *_amounts([f"sdof_k_{dof}" for dof in DOFS], fitted, units))
 
 
 def rolling_response(
@@ -221,9 +194,7 @@ def rolling_response(
 
 @dataclass(frozen=True)
 class RollingOnRotor:
-    """A rolling bearing on a rotor: its x and y are the rotor's y and z, its axial load and moments are those
-    of its settings.
-    """
+    """A rolling bearing on a rotor: x, y are the rotor's y, z; axial load and moments are its own."""
 
     settings: RollingSettings
 

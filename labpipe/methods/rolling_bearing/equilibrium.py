@@ -9,7 +9,9 @@ clearance and zero contact angle need no special case.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -84,23 +86,22 @@ def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Seque
 
 
 def check_carried(bearing: RollingBearing, at: Contacts) -> None:
-    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90
-    deg.
-    """
-    beyond = at.deflection > bearing.reach
-    if np.any(beyond):
-        case, element = (int(n) for n in np.argwhere(beyond)[0])
+    """FitError beyond the range of Hertzian contact, or of a contact angle beyond 90 deg."""
+    for wrong, pressed in (
+        (at.deflection > bearing.reach, True),
+        ((at.deflection > 0) & (at.cos < 0), False),
+    ):
+        if not np.any(wrong):
+            continue
+        case, element = (int(n) for n in np.argwhere(wrong)[0])
+        what = f"{_case(case, len(wrong))}element {element + 1}"
+        if pressed:
+            raise FitError(
+                f"{what} is pressed in by {1e6 * at.deflection[case, element]:.4g} um",
+                hint=f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements",
+            )
         raise FitError(
-            f"{_case(case, len(beyond))}element {element + 1} is pressed in by "
-            f"{1e6 * at.deflection[case, element]:.4g} um",
-            hint=f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements",
-        )
-    inside = (at.deflection > 0) & (at.cos < 0)
-    if np.any(inside):
-        case, element = (int(n) for n in np.argwhere(inside)[0])
-        raise FitError(
-            f"{_case(case, len(inside))}element {element + 1} carries at a contact angle beyond 90 deg: the "
-            "rings have come apart",
+            f"{what} carries at a contact angle beyond 90 deg: the rings have come apart",
             hint="the bearing cannot carry this load",
         )
 
@@ -174,9 +175,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Trial:
-    """A position u (n_case, 5) [m], the contacts there, the residual f - F of the free dofs [N], and the
-    potential [J].
-    """
+    """u (n_case, 5) [m], contacts, residual f - F of free dofs [N], and the potential [J]."""
 
     u: FloatArray
     state: Contacts
@@ -190,9 +189,7 @@ class Trial:
 
 
 def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Positions u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): displacements,
-    zero where free.
-    """
+    """u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): zero where free."""
     u = starting_point(problem, fixed)
     unsolved = np.arange(len(u))
     solved = np.zeros(len(u), dtype=bool)
@@ -219,9 +216,7 @@ def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 def newton_step(problem: Problem, trial: Trial) -> FloatArray:
     """(K + |f - F| / R) p = f - F, (n_case, 5) [m]: limited to the bearing's reach R without stiffness,
-    converging quadratically.
-
-    Equation (roll-newton).
+    converging quadratically. Equation (roll-newton).
     """
     k = stiffness_sum(trial.state, problem.frame)[:, problem.free[:, None], problem.free]
     floor = 1e-15 * np.trace(k, axis1=1, axis2=2) + np.finfo(np.float64).tiny
@@ -234,15 +229,14 @@ def newton_step(problem: Problem, trial: Trial) -> FloatArray:
 
 def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     """Next position u + t p, (n_case, 5) [m], from t = 1, reduced until the potential decreases or its slope
-    along p is not positive.
-
-    A reduction goes to the zero of the secant of the slope.
+    along p is not positive. A reduction goes to the zero of the secant of the slope.
     """
     descent = np.einsum("nf,nf->n", trial.residual, step[:, problem.free])
     length = np.ones(len(step))
     open_cases = np.arange(len(step))
     for _ in range(MAX_CUTS):
-        part = problem if open_cases.size == len(step) else problem.of_cases(_mask(open_cases, len(step)))
+        is_open = np.isin(np.arange(len(step)), open_cases)
+        part = problem if is_open.all() else problem.of_cases(is_open)
         t, p, fall = length[open_cases], step[open_cases], descent[open_cases]
         there = part.at(trial.u[open_cases] + t[:, None] * p)
         rise = -np.einsum("nf,nf->n", there.residual, p[:, problem.free])
@@ -255,17 +249,9 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     return trial.u + length[:, None] * step
 
 
-def _mask(indices: IntArray, size: int) -> BoolArray:
-    mask = np.zeros(size, dtype=bool)
-    mask[indices] = True
-    return mask
-
-
 def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
     """A position in which all elements carry, (n_case, 5) [m]: the axial equilibrium under the sum of the
-    loads; rollers at 0 deg: radial.
-
-    *fixed* (n_case, 5): fixed displacements.
+    loads; rollers at 0 deg: radial. *fixed* (n_case, 5): fixed displacements.
     """
     bearing, u = problem.bearing, fixed.copy()
     size = np.linalg.norm(problem.load, axis=1)
@@ -283,9 +269,7 @@ def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
 
 
 def _axial_approach(bearing: RollingBearing, size: FloatArray, side: FloatArray) -> FloatArray:
-    """dz [m] at which *size* [N] loads all elements equally towards *side* (+1, -1), by fixed-point steps of
-    the contact angle.
-    """
+    """dz [m] at which *size* [N] loads all elements equally towards *side* (+1, -1)."""
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
     per_element = size / bearing.elements / bearing.stiffness_constant
     if bearing.groove_distance is None:
@@ -322,24 +306,20 @@ class Equilibrium:
     angles: FloatArray
     free: tuple[str, ...]
 
-    @property
+    @cached_property
     def contact_angle(self) -> FloatArray:
         """Loaded contact angles a_j (n_case, z) [rad]."""
         return np.arctan2(self.contacts.sin, self.contacts.cos)
 
-    @property
+    @cached_property
     def mirrored(self) -> BoolArray:
-        """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite
-        contact angle.
-
-        The equations allow it.
-        """
+        """Cases (n_case,) with an element carrying at the opposite contact angle, as equations allow."""
         opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
         return np.any(
             opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1
         )
 
-    @property
+    @cached_property
     def determinate(self) -> BoolArray:
         """Load cases (n_case,) whose position is unique: the stiffness of the free dofs is not singular."""
         index = [DOFS.index(name) for name in self.free]
@@ -415,11 +395,9 @@ def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
         )
     )
     check_carried(parts[0].bearing, at)
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("displacement", "load", "stiffness", "angles")
-    }
-    return Equilibrium(parts[0].bearing, contacts=at, free=parts[0].free, **joined)
+    names = ("displacement", "load", "stiffness", "angles")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], contacts=at, **joined)
 
 
 def load_vector(**loads: float) -> FloatArray:

@@ -90,9 +90,7 @@ class RollingBearing:
 
     @property
     def reach(self) -> float:
-        """Largest deflection of the model [m]: the groove centres' distance, about 5 % of a ball; 2 % of the
-        pitch radius for rollers.
-        """
+        """Largest deflection [m]: groove centres' distance, or 2 % of the rollers' pitch radius."""
         return self.groove_distance or ROLLER_REACH * self.pitch_radius
 
     def angles(self, cage_angle: ArrayLike = 0.0) -> FloatArray:
@@ -104,10 +102,8 @@ class RollingBearing:
 @dataclass(frozen=True)
 class ElementFrame:
     """Directions of the elements: dr_j = e_r . q, dz_j = e_z . q, e_r = (cos, sin, 0, 0, 0), e_z = (0, 0, 1,
-    l sin, -l cos) of psi_j.
-
-    radial, axial: (z, 5) [-] for all load cases, or (n_case, z, 5). l is the pitch radius, or 1 where tilts
-    are multiplied by it. Equation (roll-kinematics).
+    l sin, -l cos) of psi_j. radial, axial: (z, 5) [-] for all load cases, or (n_case, z, 5). l is the pitch
+    radius, or 1 where tilts are multiplied by it. Equation (roll-kinematics).
     """
 
     radial: FloatArray
@@ -122,10 +118,7 @@ class ElementFrame:
 
     @cached_property
     def squares(self) -> FloatArray:
-        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-].
-
-        For a frame common to all load cases.
-        """
+        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-]."""
         r, a = self.radial, self.axial
         mixed = r[:, :, None] * a[:, None, :]
         pairs = (
@@ -171,11 +164,9 @@ class Contacts:
 
 def contacts(bearing: RollingBearing, q: FloatArray, frame: ElementFrame) -> Contacts:
     """Deflections and loads of the elements at displacements *q* (n_case, 5) [m, rad] or, with tilts times
-    the pitch radius, [m].
-
-    Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written without the difference
-    of nearly equal lengths: A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A + A0). Rollers: delta
-    = dr cos a0 + dz sin a0. Equation (roll-deflection).
+    the pitch radius, [m]. Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written
+    without the difference of nearly equal lengths: A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A
+    + A0). Rollers: delta = dr cos a0 + dz sin a0. Equation (roll-deflection).
     """
     dz, dr = _along(frame.axial, q), _along(frame.radial, q) - bearing.clearance
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
@@ -237,9 +228,7 @@ def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike =
 
 
 def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad],
-    symmetric.
-    """
+    """K (n_case, 5, 5) [N/m, N/rad, N m/rad], symmetric, at *q* (n_case, 5) [m, rad]."""
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
     return stiffness_sum(contacts(bearing, displacement, frame), frame)
@@ -287,10 +276,8 @@ class Modes:
 
 def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a dof without stiffness
-    gives 0 Hz.
-
-    Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an equilibrium
-    is unstable. Equation (roll-modes).
+    gives 0 Hz. Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an
+    equilibrium is unstable. Equation (roll-modes).
     """
     scale = 1 / np.sqrt(shaft.inertias)
     squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
@@ -308,15 +295,7 @@ def transfer_matrix(
     *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a
     dof without stiffness, or on an undamped resonance. Equation (roll-transfer).
     """
-    w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
-    dynamic: ComplexArray = -(w**2) * np.diag(shaft.inertias) + (1 + 1j * w * beta) * stiffness
-    try:
-        receptance: ComplexArray = np.linalg.inv(dynamic)
-    except np.linalg.LinAlgError:
-        raise FitError(
-            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
-        ) from None
-    return receptance
+    return bent_transfer_matrix(shaft, stiffness, frequency, beta, np.inf)
 
 
 def theoretical_response(
@@ -359,10 +338,8 @@ RADIAL = (0, 1)
 
 def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and
-    y, (..., 5, 5).
-
-    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. ConfigError for k_s
-    not above zero. Equation (roll-series-matrix).
+    y, (..., 5, 5). By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular.
+    ConfigError for k_s not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
         raise ConfigError(
@@ -388,12 +365,11 @@ def bent_transfer_matrix(
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
     try:
-        receptance = np.linalg.inv(dynamic)
+        return np.asarray(np.linalg.inv(dynamic))
     except np.linalg.LinAlgError:
         raise FitError(
             "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
         ) from None
-    return receptance
 
 
 NORMAL_95 = normal_quantile(0.975)
@@ -402,9 +378,7 @@ NORMAL_95 = normal_quantile(0.975)
 @dataclass(frozen=True)
 class BendingShaft:
     """A round shaft that bends between two supports, loaded by a bearing: E [Pa], diameter, span [m], density
-    [kg/m^3].
-
-    ends: length that overhangs both supports together [m].
+    [kg/m^3]. ends: length that overhangs both supports together [m].
     """
 
     youngs_modulus: float
@@ -433,10 +407,8 @@ class BendingShaft:
 
     def static_stiffness(self, load_point: float | None = None) -> float:
         """k = 48 E I / (3 l^2 s - 4 s^3) [N/m], the load s from a support, the deflection at mid span; 48 E I
-        / l^3 for mid span.
-
-        *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing moves the load off the
-        middle. Equation (roll-bending).
+        / l^3 for mid span. *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing
+        moves the load off the middle. Equation (roll-bending).
         """
         s = self.span / 2 if load_point is None else load_point
         if not 0 < s <= self.span / 2 * (1 + 1e-12):
@@ -445,18 +417,12 @@ class BendingShaft:
 
     def energy_stiffness(self) -> float:
         """k = int E I y''^2 dx = pi^4 E I / (2 l^3) [N/m] for the first mode y = cos(pi x / l), 1.5 % above
-        the static one.
-
-        Equation (roll-bending-energy).
+        the static one. Equation (roll-bending-energy).
         """
         return float(np.pi**4 * self.rigidity / (2 * self.span**3))
 
     def equivalent_mass(self) -> float:
-        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves
-        with mid span.
-
-        Equation (roll-bending-mass).
-        """
+        """rho A l / 2 [kg] of y = cos(pi x / l): moves with mid span. Equation (roll-bending-mass)."""
         return self.density * np.pi * self.diameter**2 / 4 * self.span / 2
 
     def total_mass(self) -> float:
@@ -466,9 +432,7 @@ class BendingShaft:
 
 @dataclass(frozen=True)
 class SeriesCorrection:
-    """A bearing's stiffness without the shaft's bending [N/m], its 95 % interval, and the amplification of
-    the relative error.
-    """
+    """Stiffness without the shaft's bending [N/m], 95 % interval, amplification of its error."""
 
     bearing: Uncertain
     ci95: tuple[float, float]
@@ -477,11 +441,9 @@ class SeriesCorrection:
 
 def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
     """k_b = 1 / (1/k_total - 1/k_shaft); s_b/k_b = (k_b/k_total) s_total/k_total combined with (k_b/k_shaft)
-    s_shaft/k_shaft.
-
-    The interval is formed on the compliance, which is nearly linear in the measured stiffness, and inverted:
-    it is wider upwards, and open (infinite) where the measurement is compatible with a rigid bearing. Raises
-    FitError for k_total >= k_shaft. Equation (roll-series-shaft).
+    s_shaft/k_shaft. The interval is formed on the compliance, which is nearly linear in the measured
+    stiffness, and inverted: it is wider upwards, and open (infinite) where the measurement is compatible with
+    a rigid bearing. Raises FitError for k_total >= k_shaft. Equation (roll-series-shaft).
     """
     if not (total.value > 0 and shaft.value > 0):
         raise FitError("a stiffness in series must be above zero", hint="check the fit and the shaft")
@@ -499,11 +461,7 @@ def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
 
 
 def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain) -> Uncertain:
-    """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three
-    uncertainties to first order.
-
-    Equation (roll-series-damping).
-    """
+    """c_total (k_b / k_total)^2 [N s/m], w c << k, to first order. Equation (roll-series-damping)."""
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2
     gap = shaft.value - total.value

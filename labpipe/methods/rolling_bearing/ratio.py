@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
-from labpipe.uncertainty.amounts import chance, change_in, common_changes, from_log, with_error
+from labpipe.uncertainty.amounts import chance, change_in, common_changes, from_log, matrix_of, with_error
 from labpipe.uncertainty.compare import OF_TESTS, Evidence
 from labpipe.uncertainty.observations import Campaign
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
@@ -45,9 +46,7 @@ LARGEST_MOVE = 1.0
 
 @dataclass(frozen=True)
 class TheoryAt:
-    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share
-    *step*, and the shaft.
-    """
+    """K (5, 5) [N/m, N/rad, N m/rad] at a condition, one larger by the share *step*, the shaft."""
 
     stiffness: FloatArray
     near: FloatArray
@@ -57,9 +56,7 @@ class TheoryAt:
 
 @dataclass(frozen=True)
 class Rig:
-    """How the rig measures the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts
-    [m].
-    """
+    """Bending stiffness of the shaft [N/m] (infinite: rigid), and arm of tilts [m]."""
 
     bending: Uncertain
     arm: float | None
@@ -168,10 +165,7 @@ def _log_changes(fit: Fit) -> dict[str, FloatArray]:
 
 
 def log_covariance(fit: Fit) -> FloatArray:
-    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation.
-
-    FitError without standard errors.
-    """
+    """Covariance of ln k, ln c, (2, 2) [1], of a fit; FitError without standard errors."""
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     places = [names.index("k"), names.index("c")]
     chosen = [fit.parameters[place] for place in places]
@@ -185,9 +179,7 @@ def log_covariance(fit: Fit) -> FloatArray:
 def overlay(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig, matched: Matched
 ) -> Overlay:
-    """|H| of the fitted term on all lines of the response: measured, theory with the measured damping, theory
-    times the ratio.
-    """
+    """|H| of the fitted term: measured, theory with the measured damping, theory times the ratio."""
     curve = _curve(fit, response, settings, rig, whole=True)
     beta = float(np.exp(matched.log[1]))
     curves = [
@@ -309,12 +301,18 @@ def stiffness_ratio(
         amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
         verdict="stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory",
         statement=result + _one_factor(mean),
-        condition=campaign.settings.condition,
-        condition_unit=campaign.condition_unit,
-        second=campaign.settings.second,
-        second_unit=campaign.second_unit,
+        **_conditions(campaign),
         overlays=overlays,
     )
+
+
+def _conditions(campaign: Campaign) -> dict[str, Any]:
+    return {
+        "condition": campaign.settings.condition,
+        "condition_unit": campaign.condition_unit,
+        "second": campaign.settings.second,
+        "second_unit": campaign.second_unit,
+    }
 
 
 def joint_covariance(
@@ -329,11 +327,9 @@ def joint_covariance(
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
     shared = np.array([test.to_bending[number] for test in matched]) * bending_error
-    sources = dict.fromkeys(source for test in matched for source in test.to_sources)
-    common = np.array(
-        [[test.to_sources.get(source, np.zeros(2))[number] for test in matched] for source in sources]
+    common = matrix_of(
+        [{source: float(change[number]) for source, change in test.to_sources.items()} for test in matched]
     )
-    common = common.reshape(len(sources), len(matched))
     return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
 
 
@@ -356,11 +352,9 @@ def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) 
 
 def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_error: float = 0.0) -> Comparison:
     """Test of Rayleigh damping c = beta k: chi-square of the tests' beta = c / k about one value, and
-    exponent of c over k.
-
-    With a theory (*matched*), beta is the factor by which the theory's curve has the measured damping,
-    without the influence of neighbouring modes and of the bending shaft; without, the fit's c / k. Equation
-    (comp-rayleigh).
+    exponent of c over k. With a theory (*matched*), beta is the factor by which the theory's curve has the
+    measured damping, without the influence of neighbouring modes and of the bending shaft; without, the fit's
+    c / k. Equation (comp-rayleigh).
     """
     if matched is None:
         logs, covariance = _log_betas([observation.fit for observation in campaign.observations])
@@ -379,27 +373,26 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     result = (
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
-    rows = zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True)
+    points = []
+    for point, log, error in zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True):
+        ratio = from_log("ratio", "1", float(log - np.log(beta.value)), float(error), NORMAL)
+        theory = point.value / ratio.value
+        points.append(replace(point, theory=theory, ratio=ratio.value, ratio_ci95=ratio.ci95))
     return Comparison(
         name=campaign.settings.name,
         kind="rayleigh",
         subject=campaign.subject,
         unit=campaign.unit,
-        points=tuple(_beta_point(*row, beta.value) for row in rows),
+        points=tuple(points),
         amounts=(beta, exponent, chance("p_value", mean.p_value)),
         verdict=verdict,
         statement=f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g}).",
-        condition=campaign.settings.condition,
-        condition_unit=campaign.condition_unit,
-        second=campaign.settings.second,
-        second_unit=campaign.second_unit,
+        **_conditions(campaign),
     )
 
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
-    """ln(c / k) and its covariance (n, n), from that of c and k in each fit and from what the fits have in
-    common.
-    """
+    """ln(c / k) and its covariance (n, n), by each fit and by what the fits have in common."""
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
     variances = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
@@ -414,28 +407,15 @@ def _log_beta_change(fit: Fit, source: str) -> float:
     )
 
 
-def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> ComparedPoint:
-    ratio = from_log("ratio", "1", float(log - np.log(beta)), float(error), NORMAL)
-    return replace(point, theory=point.value / ratio.value, ratio=ratio.value, ratio_ci95=ratio.ci95)
-
-
 # The condition is raised by this share for the slope of the theory.
 CONDITION_STEP = 1e-3
 
 Theory = Callable[[Sequence[tuple[float, str]]], TheoryAt]
-
-
-@dataclass(frozen=True)
-class _Solved:
-    matched: list[Matched]
-    overlays: tuple[Overlay, ...]
+Solved = tuple[list[Matched], tuple[Overlay, ...]]
 
 
 def theory_of(folder: Path, settings: TheorySettings) -> Theory:
-    """The bearing file as a function of the condition [SI].
-
-    ConfigError for a bearing without five dofs, or without a shaft on it.
-    """
+    """The bearing file over the condition [SI]; ConfigError without five dofs or a shaft."""
     file = open_bearing(folder / settings.bearing)
 
     def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:
@@ -459,7 +439,7 @@ def ratio_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(settings, "k")
     solved = _match(campaign, evidence)
-    return stiffness_ratio(campaign, solved.matched, solved.overlays, _bending_error(settings))
+    return stiffness_ratio(campaign, *solved, _bending_error(settings))
 
 
 def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -467,7 +447,7 @@ def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparis
     campaign = evidence.campaign(settings, "c")
     if settings.theory is None:
         return rayleigh(campaign, None)
-    return rayleigh(campaign, _match(campaign, evidence).matched, _bending_error(settings))
+    return rayleigh(campaign, _match(campaign, evidence)[0], _bending_error(settings))
 
 
 def _bending_error(settings: CompareSettings) -> float:
@@ -475,7 +455,7 @@ def _bending_error(settings: CompareSettings) -> float:
     return shaft.std_error / shaft.value if shaft else 0.0
 
 
-def _match(campaign: Campaign, evidence: Evidence) -> _Solved:
+def _match(campaign: Campaign, evidence: Evidence) -> Solved:
     named = campaign.settings.theory
     assert named is not None
     theory = evidence.theory or theory_of(evidence.folder, named)
@@ -485,7 +465,7 @@ def _match(campaign: Campaign, evidence: Evidence) -> _Solved:
     return evidence.solved[key]
 
 
-def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> _Solved:
+def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> Solved:
     rig = Rig(named.shaft or Uncertain(float("inf")), named.arm)
     theories: dict[str, TheoryAt] = {}
     matched, overlays = [], []
@@ -502,20 +482,14 @@ def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named
             theories[key],
             rig,
         )
-        matched.append(_name(observation.fit.test, *inputs))
+        try:
+            matched.append(match(*inputs))
+        except LabpipeError as error:
+            error.what = f"test {observation.fit.test}: {error.what}"
+            raise
         if number in (0, last):
             overlays.append(overlay(*inputs, matched[-1]))
-    return _Solved(matched, tuple(overlays))
-
-
-def _name(
-    test: str, fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig
-) -> Matched:
-    try:
-        return match(fit, response, settings, theory, rig)
-    except LabpipeError as error:
-        error.what = f"test {test}: {error.what}"
-        raise
+    return matched, tuple(overlays)
 
 
 RATIO = ComparisonKind(

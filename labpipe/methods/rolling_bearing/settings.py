@@ -68,28 +68,19 @@ class BallGeometry:
 
     @property
     def groove_distance(self) -> float:
-        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load.
-
-        Equation (roll-groove-distance).
-        """
+        """A0 = (f_i + f_o - 1) D [m] of the groove centres at rest. Equation (roll-groove-distance)."""
         return (self.inner_conformity + self.outer_conformity - 1) * self.ball_diameter
 
     @property
     def groove_centre_radius(self) -> float:
-        """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie.
-
-        Equation (roll-groove-radius).
-        """
+        """d/2 + (f_i - 1/2) D cos a0 [m] of inner centres. Equation (roll-groove-radius)."""
         return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(
             np.cos(self.contact_angle)
         )
 
     @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
-        """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2).
-
-        Equation (roll-ball-constant).
-        """
+        """(K_i^(-2/3) + K_o^(-2/3))^(-3/2) [N/m^1.5]. Equation (roll-ball-constant)."""
         contacts = (
             self._contact(1, self.inner_conformity, rings, balls),
             self._contact(-1, self.outer_conformity, rings, balls),
@@ -97,9 +88,7 @@ class BallGeometry:
         return in_series(contacts, 3 / 2)
 
     def _contact(self, side: int, conformity: float, rings: Material, balls: Material) -> float:
-        """One contact, *side* +1 inner (convex track), -1 outer: curvatures along rolling 2/D (1 + gamma/(1 -
-        gamma)), across 2/D - 1/r.
-        """
+        """Contact, *side* +1 inner, -1 outer: 2/D (1 + gamma/(1 - gamma)) along rolling, 2/D - 1/r across."""
         gamma = side * self.ball_diameter * float(np.cos(self.contact_angle)) / self.pitch_diameter
         along = 2 / self.ball_diameter * (1 + gamma / (1 - gamma))
         return point_contact(along, (2 - 1 / conformity) / self.ball_diameter, rings, balls)
@@ -107,11 +96,9 @@ class BallGeometry:
 
 def point_contact(along: float, across: float, first: Material = STEEL, second: Material = STEEL) -> float:
     """K of Q = K delta^1.5 [N/m^1.5] for two bodies whose summed principal curvatures are *along* and
-    *across* [1/m].
-
-    With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus sqrt(1 - k^2), rho
-    their summed curvatures: delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3), 1/E* = sum (1 -
-    nu^2)/E. Raises ConfigError for other bodies. Equation (roll-point-contact).
+    *across* [1/m]. With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus
+    sqrt(1 - k^2), rho their summed curvatures: delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3),
+    1/E* = sum (1 - nu^2)/E. Raises ConfigError for other bodies. Equation (roll-point-contact).
     """
     if not (along > 0 and across > 0):
         raise ConfigError(
@@ -131,11 +118,7 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
 
 
 def ellipse_ratio(curvature_ratio: float) -> float:
-    """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0,
-    1, k^2) (Carlson).
-
-    Equation (roll-ellipse).
-    """
+    """k = b/a: A/B = R_D(0, k^2, 1) / R_D(0, 1, k^2) <= 1 (Carlson). Equation (roll-ellipse)."""
     if curvature_ratio >= 1:
         return 1.0
 
@@ -166,10 +149,7 @@ def roller_stiffness_constant(length: float) -> float:
 
 
 def in_series(constants: tuple[float, ...], exponent: float) -> float:
-    """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n).
-
-    Equation (roll-series).
-    """
+    """K_n = (sum K^(-1/n))^(-n) of contacts that carry the same load. Equation (roll-series)."""
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)
 
 
@@ -234,20 +214,13 @@ class BallGeometrySettings(Settings):
 
     def at(self, contact_angle: float) -> BallGeometry:
         """The geometry at a contact angle [rad]; ConfigError where it is impossible."""
-        return BallGeometry(
-            self.ball_diameter,
-            self.pitch_diameter,
-            self.inner_conformity,
-            self.outer_conformity,
-            contact_angle,
-        )
+        conformities = self.inner_conformity, self.outer_conformity
+        return BallGeometry(self.ball_diameter, self.pitch_diameter, *conformities, contact_angle)
 
 
 @dataclass(frozen=True)
 class ShaftSettings(Settings):
-    """A rigid shaft whose centre of mass is at the bearing's centre, for natural frequencies and the
-    theoretical transfer matrix.
-    """
+    """A rigid shaft with its centre of mass in the bearing, for natural frequencies and transfer."""
 
     mass: float = quantity("mass of the shaft", "kg")
     inertia_x: float = quantity("moment of inertia about x", "kg.m^2")
@@ -316,10 +289,7 @@ class RollingSettings(Settings, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class BallBearingSettings(RollingSettings):
-    """A ball bearing: its constants, or the geometry they follow from.
-
-    An explicit constant takes precedence.
-    """
+    """A ball bearing by its constants, which come first, or the geometry they follow from."""
 
     stiffness_constant: float | None = quantity("K_n of Q = K_n delta^1.5", "N/m^1.5", None)
     groove_distance: float | None = quantity("unloaded distance A0 of the groove centres", "m", None)
@@ -358,10 +328,7 @@ class BallBearingSettings(RollingSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class RollerBearingSettings(RollingSettings):
-    """A roller bearing.
-
-    Tilts (and z at contact angle 0) are fixed at zero where neither load nor displacement is given.
-    """
+    """A roller bearing; tilts (z at angle 0) are zero without load or displacement."""
 
     stiffness_constant: float | None = quantity("K_n of Q = K_n delta^(10/9)", "N/m^(10/9)", None)
     roller_length: float | None = quantity("effective length of a steel roller", "m", None)

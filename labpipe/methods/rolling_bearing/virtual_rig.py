@@ -40,9 +40,7 @@ CALIBRATION_POINTS = 12
 
 @dataclass(frozen=True)
 class TestedBearing(Settings):
-    """One bearing on the rig, the preloads at which it is tested, and the shaft's bending stiffness under its
-    load.
-    """
+    """A bearing, the preloads at which it is tested, and the shaft's bending stiffness under it."""
 
     name: str = setting("text", "short name, with which the names of the runs begin")
     bearing: BallBearingSettings = setting(
@@ -112,9 +110,7 @@ class VirtualBallBearingRig(Settings):
 
 @dataclass(frozen=True)
 class ShakerTest:
-    """One run: a bearing at one nominal *preload* [N]; *setting*: name of the setting of the preload, *way*:
-    up or down.
-    """
+    """A bearing at a nominal *preload* [N]; *setting*: its name, *way*: up or down."""
 
     tested: TestedBearing
     preload: float
@@ -165,10 +161,7 @@ def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> flo
 
 
 def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> FloatArray:
-    """K of the bearing (5, 5): ratio (1 + hysteresis on the way down) times the theory's at the preload [N].
-
-    Equation (sim-ball).
-    """
+    """K (5, 5): ratio (1 + hysteresis down) times theory's at the preload [N]. Equation (sim-ball)."""
     loads = replace(test.tested.bearing.loads, z=preload)
     (theory,) = rolling_coefficients([replace(test.tested.bearing, loads=loads)])
     factor = rig.stiffness_ratio * (1 + rig.hysteresis if test.way == "down" else 1.0)
@@ -176,9 +169,7 @@ def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float)
 
 
 def lever(rig: VirtualBallBearingRig) -> FloatArray:
-    """Displacement measured per dof, (5,) [m/m, m/rad]: a tilt is measured as displacement at the arm, its
-    moment is a force there.
-    """
+    """Displacement per dof, (5,) [m/m, m/rad]: a tilt is measured at the arm, its moment a force there."""
     return np.array([1.0, 1.0, 1.0, rig.arm, rig.arm])
 
 
@@ -219,9 +210,7 @@ def _channels(force: str) -> tuple[Channel, ...]:
 
 
 def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedRun:
-    """Force read on a reference cell against the string's frequency (P = a f^2), or the strip's voltage (F =
-    b S + c).
-    """
+    """Force against the string's frequency (P = a f^2), or the strip's voltage (F = b S + c)."""
     rng = generator(seed, name)
     force = np.linspace(150.0, 1800.0, CALIBRATION_POINTS)
     if name == "string":
@@ -238,9 +227,7 @@ def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedR
 
 def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> Truth:
     """k and k_row_column of the dofs that are shaken [N/m], as measured at the arm, at the preload that was
-    to be set; k of a single run.
-
-    ConfigError for runs of several bearings or preloads, and for calibrations.
+    to be set; k of a single run. ConfigError for runs of several bearings or preloads, and for calibrations.
     """
     tests = [test for name, test in shaker_tests(rig).items() if name in runs]
     if len({(test.tested.name, test.preload, test.way) for test in tests}) != 1 or len(tests) != len(runs):

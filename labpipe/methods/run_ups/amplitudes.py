@@ -29,7 +29,6 @@ from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, displacement_slopes, runs_by_load, scales
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import (
-    COEFFICIENTS,
     RunUpRotor,
     as_eight,
     as_matrices,
@@ -45,10 +44,7 @@ Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """Limits of a search.
-
-    Meshes are shares of the box's width, *target_share* is a share of the objective at the start.
-    """
+    """Limits of a search: meshes as shares of the box, *target_share* of the objective at the start."""
 
     first_mesh: float = 0.25
     smallest_mesh: float = 1e-4
@@ -68,9 +64,7 @@ class SearchLimits:
 
 @dataclass(frozen=True)
 class SearchHistory:
-    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh
-    [-] (NaN without a mesh).
-    """
+    """By iteration (n_iteration, n_problem): evaluations, lowest objective [its unit], mesh [-] or NaN."""
 
     evaluations: IntArray
     objective: FloatArray
@@ -88,10 +82,8 @@ class SearchHistory:
 @dataclass(frozen=True)
 class SearchResult:
     """The lowest points (n_problem, n_parameter) [parameter units]; objective, mesh, evaluations
-    (n_problem,).
-
-    capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the target of the
-    objective.
+    (n_problem,). capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the
+    target of the objective.
     """
 
     values: FloatArray
@@ -110,9 +102,7 @@ def compass_search(
     limits: SearchLimits | None = None,
 ) -> SearchResult:
     """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same
-    shape; deterministic.
-
-    ConfigError where a start lies outside its box.
+    shape; deterministic. ConfigError where a start lies outside its box.
     """
     limits = limits or SearchLimits()
     values, width = _check(start, lower, upper)
@@ -149,10 +139,8 @@ def cobyqa_search(
     limits: SearchLimits | None = None,
 ) -> SearchResult:
     """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region
-    has no mesh (NaN).
-
-    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError without COBYQA in the
-    installed scipy.
+    has no mesh (NaN). *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError
+    without COBYQA in the installed scipy.
     """
     limits = limits or SearchLimits()
     values, width = _check(start, lower, upper)
@@ -263,10 +251,7 @@ class SpeedwiseFit:
         return float(np.mean(self.at_bound))
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points.
-
-        Beyond them K and Omega C stay constant.
-        """
+        """K and C over speed, linear between the points; beyond them K and Omega C stay constant."""
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -277,10 +262,8 @@ class SpeedwiseFit:
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeFit(SpeedwiseFit):
     """A fit to amplitudes alone: objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared
-    amplitudes [m^2].
-
-    Of the search: evaluations, mesh, capped (n_speed,), its history; every start's factors (n_start, n_speed,
-    8) and objectives (n_start, n_speed), the rotor file's coefficients first.
+    amplitudes [m^2]. Of the search: evaluations, mesh, capped (n_speed,), its history; every start's factors
+    (n_start, n_speed, 8) and objectives (n_start, n_speed), the rotor file's coefficients first.
     """
 
     objective: FloatArray
@@ -313,63 +296,6 @@ class AmplitudeFit(SpeedwiseFit):
         """Computed against measured amplitudes, relative, (n_speed,) [-]."""
         return np.sqrt(self.objective / self.measured)
 
-    def spread(self, point: int) -> StartSpread:
-        speed, measured = float(self.speed[point]), float(self.measured[point])
-        return StartSpread(self.load, speed, self.factors[:, point], self.objectives[:, point], measured)
-
-    @property
-    def statement(self) -> str:
-        if self.objectives.shape[0] < 2:
-            return ""
-        worst = float(np.sqrt(np.max(self.objectives / self.measured)))
-        spread = float(np.median(np.ptp(self.factors, axis=0)))
-        return _statement(
-            self.objectives.shape[0], worst, spread, f"at {self.speed.size} speeds under {self.load:.3g} N "
-        )
-
-
-@dataclass(frozen=True)
-class StartSpread:
-    """Several starts at a *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), sum of
-    squares *measured* [m^2].
-    """
-
-    load: float
-    speed: float
-    factors: FloatArray
-    objective: FloatArray
-    measured: float
-
-    @property
-    def low(self) -> FloatArray:
-        """Lowest factor [-] of every coefficient (8,)."""
-        return np.asarray(self.factors.min(axis=0))
-
-    @property
-    def high(self) -> FloatArray:
-        """Highest factor [-] of every coefficient (8,)."""
-        return np.asarray(self.factors.max(axis=0))
-
-    @property
-    def text(self) -> str:
-        ranges = ", ".join(
-            f"{name} {low:.2f} to {high:.2f}"
-            for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True)
-        )
-        worst = float(np.sqrt(self.objective.max() / self.measured))
-        place = f"under {self.load:.3g} N at {self.speed * 30 / np.pi:.0f} rpm "
-        return (
-            f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), place)}: "
-            f"{ranges}"
-        )
-
-
-def _statement(n_start: int, worst: float, spread: float, place: str) -> str:
-    reached = f"{place}{n_start} starts reach the measured amplitudes within {100 * worst:.2g} %"
-    if spread < 0.02:
-        return f"{reached} with factors that agree within {spread:.2f}"
-    return f"the coefficients are not determined: {reached} with factors spread over {spread:.2f} (median)"
-
 
 def fit_amplitudes(
     rig: RunUpRotor,
@@ -381,10 +307,8 @@ def fit_amplitudes(
     limits: SearchLimits | None = None,
 ) -> list[AmplitudeFit]:
     """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn
-    evenly from the box.
-
-    The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1, no start, or an
-    unknown method. Equation (run-amplitudes).
+    evenly from the box. The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1,
+    no start, or an unknown method. Equation (run-amplitudes).
     """
     if not (0 < bound < 1 and starts >= 1):
         raise ConfigError(
@@ -445,9 +369,7 @@ def _fit_load(
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane)
-    [m], planes of all runs.
-    """
+    """Largest displacements of all *runs* of a load with standard errors, (n_speed, n_plane) [m]."""
 
     runs: tuple[ExcitedRun, ...]
     measured: FloatArray
@@ -463,9 +385,7 @@ class Amplitudes:
         )
 
     def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
-        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
-        s/m] at the *chosen* speeds.
-        """
+        """Displacements (..., n_chosen, n_plane) [m] of coefficients (..., n_chosen, 8)."""
         return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
 
     @staticmethod
@@ -485,18 +405,14 @@ class Amplitudes:
         return squares
 
     def slopes(self, eight: FloatArray) -> FloatArray:
-        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard
-        errors.
-        """
+        """Derivatives (n_speed, n_plane, 8) by coefficients (n_speed, 8) [N/m, N s/m], over errors."""
         matrices = as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]
 
 
 def _error(run: RunUp) -> FloatArray:
-    """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases,
-    to first order.
-    """
+    """Standard error of the largest displacement (n_speed, n_plane) [m], to first order."""
     x, y = run.response[..., 0], run.response[..., 1]
     forward, backward = ((x + turn * y).conj() / np.abs(x + turn * y) for turn in (1j, -1j))
     by = (

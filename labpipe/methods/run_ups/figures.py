@@ -142,9 +142,7 @@ def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Se
 
 
 def best_method(result: RunUpResult) -> RunUpMethod | None:
-    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else
-    (c), (b), (a).
-    """
+    """The method of figures of one method: (d) where chi-square rejects (c), else (c), (b), (a)."""
     joint = result.method("joint")
     order = (
         ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
@@ -198,10 +196,7 @@ def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
 
 
 def orbit_places(run: MeasuredRun) -> list[int]:
-    """Rows of a run at three quarters, one, and beyond its critical speed, and its last.
-
-    Spread evenly without one.
-    """
+    """Rows of a run at three quarters, one, and beyond its critical speed, and its last; else evenly."""
     n, speed = len(run.speed), np.array(run.speed)
     if run.critical_speed is None:
         return [int(place) for place in np.linspace(0, n - 1, ORBITS).round()]
@@ -310,22 +305,14 @@ def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
     )
 
 
-# Half width of the group of starts of a search.
-BESIDE = 0.28
-
-
-# Largest spread of factors that counts as agreement.
-ALIKE = 0.02
-
-
+# Half width of the group of starts of a search; largest spread of factors that counts as agreement.
+BESIDE, ALIKE = 0.28, 0.02
 ITERATION = Axis("iteration")
 
 
 @dataclass(frozen=True, eq=False)
 class CoefficientSurfaces:
-    """Surfaces of coefficients: *speed* (n_speed,) [rpm], *load* (n_load,) [N], *values* (n, n_load, n_speed)
-    in the units of *titles*.
-    """
+    """*values* (n, n_load, n_speed) of *titles* over *speed* (n_speed,) [rpm] and *load* (n_load,) [N]."""
 
     speed: FloatArray
     load: FloatArray
@@ -462,9 +449,6 @@ def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
         caption,
         f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}",
     )
-
-
-# Coefficients as surfaces over load and speed.
 
 
 def surface_canvas(surfaces: CoefficientSurfaces, size: tuple[float, float]) -> Canvas:

@@ -7,7 +7,7 @@ Margins are those of API 617 and 684 as labpipe.methods.rotor.theory has them, k
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -148,7 +148,7 @@ def judge(
         rolled, curves = offsets[0], curves - offsets[:, None, :]
     amplitude = np.abs(curves)
     labels = tuple(port.label for port in track.ports)
-    rate = np.abs(np.gradient(track.speed, track.time))
+    rate, rising = np.abs(np.gradient(track.speed, track.time)), np.argsort(track.speed)
     halves = _Smooth(speed[::2], readings[::2], smooth.deviation[::2], smooth.fine).fitted
     halved = np.abs(halves - (0.0 if rolled is None else rolled))
     judged_peaks = []
@@ -157,7 +157,7 @@ def judge(
             offset = None if rolled is None else offsets[:, probe]
             mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, rng)
             peak, drawn = mode or (peak, drawn)
-            passed = float(np.interp(peak.speed, *_rising(track.speed, rate)))
+            passed = float(np.interp(peak.speed, track.speed[rising], rate[rising]))
             judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, passed))
     sensitivities = (
         tuple(_sensitivities(smooth.fine, curves, labels, unbalance, speed_range, baseline, rng))
@@ -289,9 +289,7 @@ def _peaks(
 
 
 def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Critical | None:
-    """The largest amplitude between two numbers with its half-power speeds, by parabola and straight lines of
-    1 / amplitude^2.
-    """
+    """The largest amplitude with its half-power speeds, by parabola and lines of 1 / amplitude^2."""
     top = first + int(np.argmax(amplitude[first : last + 1]))
     if not 0 < top < fine.size - 1:
         return None
@@ -372,11 +370,6 @@ def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int
     )
 
 
-def _rising(speed: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    order = np.argsort(speed)
-    return speed[order], rate[order]
-
-
 def _judged_peak(
     peak: Critical,
     drawn: Sequence[Critical],
@@ -391,24 +384,21 @@ def _judged_peak(
     whole = factor is not None and len(factors) > DRAWS / 2
     amplification = _estimate(float(factor or 0.0), factors) if whole else None
     fast = amplification is not None and rate * (amplification.value / speed.value) ** 2 > STEADY
+    judged = JudgedPeak(label, speed, amplification, amplitude, None, None, "none asked", None, fast)
     if speed_range is None:
-        return JudgedPeak(label, speed, amplification, amplitude, None, None, "none asked", None, fast)
+        return judged
     there, asked = peak.margin_of(speed_range)
     pairs = [draw.margin_of(speed_range) for draw in drawn if draw.amplification is not None]
     if amplification is None or asked is None or len(drawn) < DRAWS / 2:
         margin = _estimate(there, [draw.margin_of(speed_range)[0] for draw in drawn])
-        return JudgedPeak(label, speed, None, amplitude, margin, None, UNDECIDED, None, fast)
+        return replace(judged, amplification=None, margin=margin, outcome=UNDECIDED)
     kept = float(np.mean([have >= (ask or 0.0) for have, ask in pairs]))
-    return JudgedPeak(
-        label,
-        speed,
-        amplification,
-        amplitude,
-        _estimate(there, [have for have, _ in pairs]),
-        _estimate(asked, [ask or 0.0 for _, ask in pairs]),
-        UNDECIDED if fast else decision(kept),
-        kept,
-        fast,
+    return replace(
+        judged,
+        margin=_estimate(there, [have for have, _ in pairs]),
+        asked=_estimate(asked, [ask or 0.0 for _, ask in pairs]),
+        outcome=UNDECIDED if fast else decision(kept),
+        probability=kept,
     )
 
 

@@ -202,11 +202,9 @@ def run_up_of(
     track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()
 ) -> RunUp:
     """The run-up of a tracked order; standard errors sqrt(variance / 2) of the amplitude, divided by |X| for
-    the phase.
-
-    x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of the track's
-    planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped run).
-    DataError without a plane, or where the speed does not change.
+    the phase. x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of
+    the track's planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped
+    run). DataError without a plane, or where the speed does not change.
     """
     if not track.planes:
         hint = "name dofs in the rig file, for example disc1.x and disc1.y"
@@ -238,9 +236,7 @@ def run_up_of(
 
 
 def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
-    """The uncertainties of the probes of all planes: a probe at theta + d reads what one at theta does and d
-    times what is across it.
-    """
+    """Uncertainties of all probes: one at theta + d reads d times what is across it."""
     for at, plane in enumerate(track.planes):
         to_plane = np.linalg.inv(plane.directions)
         for row, column in enumerate(plane.columns):
@@ -257,9 +253,7 @@ def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
 def _by_speed(
     speed: FloatArray, response: ComplexArray, deviation: FloatArray
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Segments in ascending order of speed, those of equal speed averaged with the inverse of their
-    variances.
-    """
+    """Segments by speed, those of equal speed averaged with the inverse of their variances."""
     order = np.argsort(speed, kind="stable")
     group, first = np.zeros(speed.size, np.intp), speed[order[0]]
     for place, value in enumerate(speed[order]):
@@ -285,10 +279,8 @@ def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
 
 def difference(run: RunUp, residual: RunUp) -> RunUp:
     """Vector difference *run* - *residual* at common speeds: the response to the difference of their known
-    unbalances.
-
-    Variances are added, each resolved along and across the difference phasor. DataError where planes or loads
-    differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
+    unbalances. Variances are added, each resolved along and across the difference phasor. DataError where
+    planes or loads differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
     """
     if run.planes != residual.planes:
         raise DataError(
@@ -311,11 +303,7 @@ def difference(run: RunUp, residual: RunUp) -> RunUp:
 
 
 def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
-    """A densely tracked run at *speed* (n,) [rad/s], linearly interpolated; speeds outside its range are
-    dropped.
-
-    DataError when none is inside.
-    """
+    """The run at *speed* (n,) [rad/s] within its range, interpolated; DataError when none is inside."""
     inside = speed[(speed >= run.speed[0]) & (speed <= run.speed[-1])]
     if inside.size == 0:
         raise DataError(f"run '{run.name}' does not reach the speeds of the run that it is subtracted from")

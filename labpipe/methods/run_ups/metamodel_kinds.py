@@ -21,6 +21,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
+from labpipe.methods.run_ups.amplitudes import SpeedwiseFit
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor
@@ -30,38 +31,17 @@ SAME_LOAD = 1e-6
 TERMS = ("1", "load", "speed", "load x speed", "load^2", "speed^2")
 
 
-class Fitted(Protocol):
-    """Coefficients (n_speed, 8) [N/m, N s/m] of one load [N] at speeds (n_speed,) [rad/s]."""
-
-    @property
-    def load(self) -> float: ...
-    @property
-    def speed(self) -> FloatArray:
-        """Speeds (n_speed,) [rad/s]."""
-        ...
-
-    @property
-    def coefficients(self) -> FloatArray:
-        """Coefficients (n_speed, 8) [N/m, N s/m]."""
-        ...
-
-
 class Queried(Protocol):
     """A fit with coefficients (n_speed, 8) and their errors at any load and speed."""
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)
-        [rad/s].
-        """
+        """Coefficients, errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)."""
         ...
 
 
 @dataclass(frozen=True)
 class Grid:
-    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m].
-
-    DataError for other shapes or impossible values.
-    """
+    """load [N], speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError where impossible."""
 
     load: FloatArray
     speed: FloatArray
@@ -79,7 +59,7 @@ class Grid:
             raise DataError("loads and speeds of a metamodel are positive and its coefficients finite")
 
     @classmethod
-    def of(cls, fits: Iterable[Fitted]) -> Grid:
+    def of(cls, fits: Iterable[SpeedwiseFit]) -> Grid:
         """From one fit per load, such as a PointFit or an AmplitudeFit."""
         all_fits = list(fits)
         if not all_fits:
@@ -93,9 +73,7 @@ class Grid:
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
-        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,)
-        [rad/s].
-        """
+        """From a fit at any load, such as a JointFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
         parts = [
             (np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0])
             for load in loads
@@ -124,10 +102,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Extent:
-    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid.
-
-    Places are coded to -1 to 1 between them.
-    """
+    """Ends of *loads* [N] and *speeds* [rad/s] of a grid; places are coded to -1 to 1 between them."""
 
     loads: tuple[float, float]
     speeds: tuple[float, float]
@@ -154,13 +129,22 @@ class Extent:
         return cls((float(first), float(last)), (float(low), float(high)))
 
 
-@dataclass(frozen=True, kw_only=True)
-class ResponseSurface:
-    """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual
-    standard deviation.
+class WithinExtent:
+    """A metamodel that holds for the speeds of its extent."""
 
-    r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the mean; n_point: fitted
-    points.
+    extent: Extent
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseSurface(WithinExtent):
+    """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual
+    standard deviation. r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the
+    mean; n_point: fitted points.
     """
 
     extent: Extent
@@ -173,11 +157,6 @@ class ResponseSurface:
     n_point: int
 
     kind: ClassVar[str] = "surface"
-
-    @property
-    def speeds(self) -> tuple[float, float]:
-        """Range of speeds [rad/s] that it holds for."""
-        return self.extent.speeds
 
     @property
     def r2_adjusted(self) -> FloatArray:
@@ -230,10 +209,7 @@ class ResponseSurface:
 
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
-    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds.
-
-    Equation (run-surface).
-    """
+    """Least squares; FitError below three loads or three speeds. Equation (run-surface)."""
     extent = Extent.of(grid)
     terms = _terms(extent.coded(grid.load, grid.speed))
     n, m = terms.shape
@@ -267,9 +243,7 @@ def _terms(coded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and
-    speeds of the fit.
-    """
+    """Logarithms *values* (12,), *covariance* (12, 12), widened, [-] of a *family* within an *extent*."""
 
     extent: Extent
     family: FilmFamily
@@ -301,10 +275,7 @@ class PhysicalFit:
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s].
-
-        FitError outside the film's table.
-        """
+        """Coefficients (n_point, 8) [N/m, N s/m]; FitError outside the film's table."""
         return self.family.coefficients(self.values, load, speed)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:

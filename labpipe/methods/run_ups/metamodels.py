@@ -26,14 +26,16 @@ import scipy
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.run_ups.joint import LOAD_SLACK
+from labpipe.methods.run_ups.measured import column
 from labpipe.methods.run_ups.metamodel_kinds import (
     Extent,
     Grid,
     PhysicalFit,
     ResponseSurface,
+    WithinExtent,
     fit_surface,
-    physical_without,
 )
+from labpipe.methods.run_ups.records import LeftOut
 from labpipe.methods.run_ups.rotor import coefficient_errors
 from labpipe.registry import nearest
 
@@ -63,10 +65,8 @@ def scikit_learn(name: str, what: str) -> Any:
 
 
 @dataclass(frozen=True)
-class GaussianProcess:
-    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors:
-    scikit-learn's, one of each.
-    """
+class GaussianProcess(WithinExtent):
+    """A fitted grid; hyper (8, 4) [-]: a, l_w, l_s, n by coefficient; scikit-learn's regressors."""
 
     grid: Grid
     extent: Extent
@@ -75,22 +75,14 @@ class GaussianProcess:
 
     kind: ClassVar[str] = "process"
 
-    @property
-    def speeds(self) -> tuple[float, float]:
-        """Range of speeds [rad/s] that it holds for."""
-        return self.extent.speeds
-
     @classmethod
     def of(cls, grid: Grid, hyper: FloatArray, search: Callable[..., Any] | None = None) -> GaussianProcess:
-        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient.
-
-        A *search* starts from them.
-        """
+        """The process of a grid, hyper (8, 4) [-] as given, or where a *search* from there ends."""
         processes = scikit_learn("gaussian_process", "a Gaussian process")
         kernels = processes.kernels
         extent = Extent.of(grid)
         coded, regressors = extent.coded(grid.load, grid.speed), []
-        for (a, l_w, l_s, n), column in zip(hyper, grid.eight.T, strict=True):
+        for (a, l_w, l_s, n), eight in zip(hyper, grid.eight.T, strict=True):
             plane = kernels.ConstantKernel(PLANE**2, "fixed") * kernels.DotProduct(1.0, "fixed")
             kernel = (
                 plane
@@ -100,7 +92,7 @@ class GaussianProcess:
             regressor = processes.GaussianProcessRegressor(
                 kernel, alpha=JITTER, optimizer=search, normalize_y=True
             )
-            regressors.append(regressor.fit(coded, column))
+            regressors.append(regressor.fit(coded, eight))
         found = np.exp([regressor.kernel_.theta for regressor in regressors])
         # The first and the last of scikit-learn are variances.
         return cls(grid, extent, np.sqrt(found) ** [1, 2, 2, 1] if search else hyper, tuple(regressors))
@@ -125,9 +117,7 @@ class GaussianProcess:
         return np.stack([regressor.predict(coded) for regressor in self.regressors], axis=-1)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds
-        [rad/s].
-        """
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included."""
         coded = self.extent.coded(load, speed)
         return np.stack(
             [regressor.predict(coded, return_std=True)[1] for regressor in self.regressors], axis=-1
@@ -155,18 +145,12 @@ class GaussianProcess:
 
 
 def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
-    """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
-    priors.
-
-    Equation (run-process).
-    """
+    """A descent of the hyperparameters from the medians of their priors. Equation (run-process)."""
     return GaussianProcess.of(grid, np.tile([median for median, _ in HYPER], (8, 1)), _likeliest)
 
 
 def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
-    """(parameters, cost): scikit-learn's parameters (4,), logarithms of a^2, l_w, l_s, n^2, of the largest
-    likelihood times priors.
-    """
+    """(parameters, cost): ln a^2, l_w, l_s, n^2 (4,) of the largest likelihood times priors."""
     powers = np.array([2.0, 1.0, 1.0, 2.0])
     middle, spread = (
         powers * np.log([median for median, _ in HYPER]),
@@ -183,10 +167,8 @@ def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) 
 
 
 @dataclass(frozen=True)
-class Network:
-    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats
-    whose training converged.
-    """
+class Network(WithinExtent):
+    """*repeats*: layers; middle, deviation (8,) [N/m, N s/m] of outputs; n_converged trainings."""
 
     extent: Extent
     repeats: tuple[Layers, ...]
@@ -198,11 +180,6 @@ class Network:
     kind: ClassVar[str] = "network"
 
     @property
-    def speeds(self) -> tuple[float, float]:
-        """Range of speeds [rad/s] that it holds for."""
-        return self.extent.speeds
-
-    @property
     def statement(self) -> str:
         hidden = self.repeats[0][1].size
         ended = "all of them" if self.n_converged == len(self.repeats) else f"{self.n_converged} of them"
@@ -212,11 +189,7 @@ class Network:
         )
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s]
-        (n_point,).
-
-        Equation (run-network).
-        """
+        """By every repeat, (n_repeat, n_point, 8) [N/m, N s/m]. Equation (run-network)."""
         coded = self.extent.coded(load, speed)
         scaled = [
             np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
@@ -224,9 +197,7 @@ class Network:
         return np.asarray(self.middle + self.deviation * np.array(scaled))
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the
-        repeats.
-        """
+        """The eight coefficients (n_point, 8) [N/m, N s/m]: the mean of the repeats."""
         return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -298,23 +269,6 @@ def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int =
     return Network(extent, tuple(trained), middle, deviation, seed, converged)
 
 
-__all__ = [
-    "METAMODELS",
-    "Extent",
-    "GaussianProcess",
-    "Grid",
-    "LeftOut",
-    "Metamodel",
-    "Network",
-    "PhysicalFit",
-    "ResponseSurface",
-    "caution",
-    "fit_metamodel",
-    "from_entries",
-    "leave_one_load_out",
-    "physical_without",
-]
-
 # Fit functions by name, each of a grid and a seed.
 METAMODELS: dict[str, Callable[[Grid, int], Metamodel]] = {
     "surface": fit_surface,
@@ -350,10 +304,7 @@ class Metamodel(Protocol):
 
 
 def fit_metamodel(kind: str, grid: Grid, seed: int = 0) -> Metamodel:
-    """One of METAMODELS on a grid.
-
-    ConfigError with the nearest name on a miss, or where a package is not installed.
-    """
+    """One of METAMODELS on a grid; ConfigError for an unknown one or a missing package."""
     if kind not in METAMODELS:
         raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
     return METAMODELS[kind](grid, seed)
@@ -395,52 +346,33 @@ def caution(model: Metamodel, load: float) -> str:
     )
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """A metamodel fitted without one *load* [N], compared with the coefficients there: errors (8,) [-], rms
-    over the rms coefficient.
-
-    *failed*: reason of a failed fit, then errors are NaN; *beyond*: the load is the lowest or the highest, an
-    extrapolation.
-    """
-
-    kind: str
-    load: float
-    errors: FloatArray
-    beyond: bool
-    failed: str = ""
-
-    @property
-    def rms(self) -> float:
-        """Over the eight coefficients [-]."""
-        return float(np.sqrt(np.mean(self.errors**2)))
-
-
 def leave_one_load_out(
     grid: Grid,
     kinds: Iterable[str] = tuple(METAMODELS),
     physical: Callable[[float], Metamodel] | None = None,
     seed: int = 0,
-) -> list[LeftOut]:
-    """Leave-one-load-out validation of every kind, against the grid's coefficients at that load.
-
-    *physical*: the physical fit without a load, see `physical_without`. Where a fit fails, the row states the
-    reason.
+) -> dict[str, list[LeftOut]]:
+    """Leave-one-load-out validation by kind, against the grid's coefficients at that load. *physical*: the
+    physical fit without a load, see `physical_without`. Where a fit fails, the row states the reason.
     """
-    rows = []
+    kinds = tuple(kinds)
+    rows: dict[str, list[LeftOut]] = {
+        kind: [] for kind in (*kinds, *([PhysicalFit.kind] if physical else []))
+    }
     for load in grid.loads:
         training = grid.without(load) if len(grid.loads) > 1 else grid
-        for kind in kinds:
-            rows.append(_validate(kind, grid, load, partial(fit_metamodel, kind, training, seed)))
-        if physical is not None:
-            rows.append(_validate(PhysicalFit.kind, grid, load, partial(physical, load)))
+        fits = {kind: partial(fit_metamodel, kind, training, seed) for kind in kinds}
+        fits |= {} if physical is None else {PhysicalFit.kind: partial(physical, load)}
+        for kind, fitted in fits.items():
+            rows[kind].append(_validate(grid, load, fitted))
     return rows
 
 
-def _validate(kind: str, grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
-    beyond, points = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
+def _validate(grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
+    outside, points, failed = load in (grid.loads[0], grid.loads[-1]), grid.only(load), ""
+    errors = np.full(8, np.nan)
     try:
         errors = coefficient_errors(fitted().predict(points.load, points.speed), points.eight)
     except FitError as error:
-        return LeftOut(kind, load, np.full(8, np.nan), beyond, error.what)
-    return LeftOut(kind, load, errors, beyond)
+        failed = error.what
+    return LeftOut(load, column(errors), outside, failed)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
@@ -19,7 +19,7 @@ from labpipe.methods.rotor.rig import Unbalance
 from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_amplitudes, perfect_but_wrong
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import column, motions
-from labpipe.methods.run_ups.metamodel_kinds import Fitted, Queried
+from labpipe.methods.run_ups.metamodel_kinds import Queried
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load, scales, sources_of
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
 from labpipe.methods.run_ups.records import (
@@ -28,6 +28,7 @@ from labpipe.methods.run_ups.records import (
     TWO_SIDED,
     Amount,
     Convergence,
+    Motion,
     RunPrediction,
     RunUp,
     RunUpMethod,
@@ -86,23 +87,28 @@ def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 def predict(
     rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True
 ) -> RunPrediction:
-    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the
-    run's unbalance.
-    """
+    """Prediction for one run, with the reasons of missing values; *rig*: with the run's unbalance."""
     if isinstance(solution, str):
         return RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
-    critical = (
-        _try(lambda: _critical(rig, solution, plane), "no critical speed", notes)
-        if run.shaker is None
-        else None
-    )
-    before = len(notes)
-    threshold = _try(lambda: _threshold(rig, solution), "no threshold", notes)
-    stable = f"no threshold below {rig.search.highest / RPM:.0f} rpm"
-    notes += [stable] if threshold is None and len(notes) == before else []
+    own = solution.critical if plane in ("", rig.plane_names[-1]) else None
+    critical = threshold = None
+    try:
+        if run.shaker is None:
+            critical = _amount(own() if own else rig.critical_speed(solution.at_speed, plane))
+    except FitError as error:
+        notes.append(f"no critical speed: {error.what}")
+    try:
+        threshold = _amount(solution.threshold() if solution.threshold else rig.threshold(solution.at_speed))
+        if threshold is None:
+            notes.append(f"no threshold below {rig.search.highest / RPM:.0f} rpm")
+    except FitError as error:
+        notes.append(f"no threshold: {error.what}")
     speed = _drawn_speeds(run, threshold, critical)
-    motion = motions(run.planes, _curve(rig, run, solution, speed)) if curves else ()
+    motion: tuple[Motion, ...] = ()
+    if curves:
+        outputs = rig.condensed(speed, run.unbalance, run.shaker).response(*solution.at_speed(speed))
+        motion = motions(run.planes, outputs.reshape(speed.size, len(run.planes), 2))
     return RunPrediction(
         run.name,
         critical,
@@ -116,27 +122,10 @@ def predict(
     )
 
 
-def _try(give: Callable[[], Amount | None], title: str, notes: list[str]) -> Amount | None:
-    try:
-        return give()
-    except FitError as error:
-        notes.append(f"{title}: {error.what}")
-        return None
-
-
-def _critical(rig: RunUpRotor, solution: AtLoad, plane: str) -> Amount:
-    if solution.critical is not None and plane in ("", rig.plane_names[-1]):
-        speed = solution.critical()
+def _amount(speed: Uncertain | float | None) -> Amount | None:
+    if isinstance(speed, Uncertain):
         return Amount(speed.value, speed.std_error)
-    return Amount(rig.critical_speed(solution.at_speed, plane))
-
-
-def _threshold(rig: RunUpRotor, solution: AtLoad) -> Amount | None:
-    if solution.threshold is not None:
-        speed = solution.threshold()
-        return None if speed is None else Amount(speed.value, speed.std_error)
-    value = rig.threshold(solution.at_speed)
-    return None if value is None else Amount(value)
+    return None if speed is None else Amount(speed)
 
 
 def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> FloatArray:
@@ -150,18 +139,6 @@ def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None)
     return np.union1d(speed, about[(about > speed[0]) & (about < speed[-1])])
 
 
-def _curve(rig: RunUpRotor, run: RunUp, solution: AtLoad, speed: FloatArray) -> ComplexArray:
-    shape = (speed.size, len(run.planes), 2)
-    bare = replace(
-        run,
-        speed=speed,
-        response=np.ones(shape) + 0j,
-        amplitude_error=np.ones(shape),
-        phase_error=np.ones(shape),
-    )
-    return np.asarray(rig.excited(bare).response(*solution.at_speed(speed)).reshape(shape))
-
-
 BOUND = 0.3
 RIDGE = 0.15
 MOST_STEPS = 60
@@ -171,9 +148,7 @@ LEAST_DAMPING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class PointFit(SpeedwiseFit):
-    """std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes, NaN at a bound; n_effective:
-    parameters that the data determine.
-    """
+    """std_error (n_speed, 8) [N/m, N s/m] with probes, NaN at a bound; n_effective parameters."""
 
     std_error: FloatArray
     n_effective: float
@@ -190,11 +165,7 @@ PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 def fit_points(
     rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE
 ) -> list[PointFit]:
-    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
-    ConfigError unless positive.
-
-    Equation (run-points).
-    """
+    """By load; *bound*, *ridge* > 0 (else ConfigError) in parts of `scales`. Equation (run-points)."""
     if not (bound > 0 and ridge > 0):
         raise ConfigError(
             "bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %"
@@ -271,9 +242,7 @@ def _step(
     bound: float,
     ridge: float,
 ) -> FloatArray:
-    """A Gauss-Newton step within the box: coefficients beyond a bound are set to it, and the others are
-    solved again.
-    """
+    """A Gauss-Newton step within the box: coefficients beyond a bound are set to it."""
     gradient = (slopes.swapaxes(1, 2) @ residual[..., None])[..., 0] + parts / ridge**2
     fixed_mask = ((parts >= bound) & (gradient < 0)) | ((parts <= -bound) & (gradient > 0))
     normal = _normal(slopes) + np.eye(8) / ridge**2
@@ -314,7 +283,7 @@ class Solved:
 
     method: RunUpMethod
     predictor: Predictor
-    fits: tuple[Fitted, ...] = ()
+    fits: tuple[SpeedwiseFit, ...] = ()
     anywhere: Queried | None = None
 
 
@@ -436,9 +405,7 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
-    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each uncertainty of
-    the probes, largest first.
-    """
+    """The *combined* error [1] in parts, of noise and priors and of each source, largest first."""
     scale = 1.0 if parameter.name in EXPONENTS else parameter.value
     changes = scale * fit.systematic[:, PARAMETERS.index(parameter.name)]
     systematic = float(np.sqrt(np.sum(changes**2)))
@@ -466,10 +433,7 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
 
 
 def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
-    """Predictions at any load.
-
-    Without errors for a fit that chi-square rejects, whose errors would be wrong.
-    """
+    """Predictions at any load, without errors for a fit that chi-square rejects."""
 
     def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
         run_fit = replace(fit, rig=run_rig)
@@ -552,9 +516,9 @@ def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) ->
     points = dict.fromkeys([int(np.argmax(fit.measured)), fit.speed.size - 1])
     spreads = []
     for point in points:
-        spread = fit.spread(point)
-        place = f"{fit.load:.3g} N, {spread.speed / RPM:.0f} rpm"
+        place = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
         # The relative misfit of the amplitudes, because the sum of squares has no scale.
-        misfit = np.sqrt(spread.objective / spread.measured)
-        spreads.append(StartSpread(place, tuple(column(row) for row in spread.factors), column(misfit)))
+        misfit = np.sqrt(fit.objectives[:, point] / fit.measured[point])
+        factors = tuple(column(row) for row in fit.factors[:, point])
+        spreads.append(StartSpread(place, factors, column(misfit)))
     return tuple(spreads)

@@ -40,24 +40,18 @@ class ExcitedRun:
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N
-        s/m].
-
-        Equation (run-weights).
+        s/m]. Equation (run-weights).
         """
         return self._weight(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N
-        s/m].
-        """
+        """`residual` [-], its slopes (n_speed, n_equation, 8) by *coefficients* (n_speed, 8)."""
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
         weighted = self._weight(np.moveaxis(slopes, -1, 0))
         return self._weight(response - self._measured), np.moveaxis(weighted, 0, -1)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of
-        the *sources*.
-        """
+        """Changes (n_source, n_speed, n_equation) [-] by one standard uncertainty of each source."""
         changes = self.run.changes()
         none = np.zeros_like(self.run.response)
         rows = [self._weight(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
@@ -68,9 +62,7 @@ class ExcitedRun:
         return self.run.response.reshape(self.run.n_speed, -1)
 
     def _weight(self, difference: ComplexArray) -> FloatArray:
-        """Along the measured phasor over the error of its amplitude, across it over the amplitude times the
-        error of its phase.
-        """
+        """Along the phasor over the amplitude's error, across it over amplitude times phase error."""
         run, shape = self.run, (self.run.n_speed, -1)
         size = np.abs(self._measured)
         turned = difference * (self._measured / size).conj()
@@ -88,26 +80,20 @@ class LoadRuns:
     runs: tuple[ExcitedRun, ...]
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by
-        *coefficients* [N/m, N s/m].
-        """
+        """Residual (n_speed, n_equation) [-] of all runs, slopes (n_speed, n_equation, 8)."""
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
         residuals, slopes = zip(*parts, strict=True)
         return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
 
     def residual(self, model: CoefficientFamily, values: FloatArray) -> Residual:
-        """Of all runs (n,) [1] with coefficients of a family at its parameters *values* (n_parameter,), and
-        derivatives by these (n, n_parameter).
-        """
+        """Of all runs (n,) [1] at a family's *values* (n_parameter,), and slopes (n, n_parameter)."""
         load = np.full(self.speed.size, self.load)
         eight, by_parameter = model.coefficients_and_slopes(values, load, self.speed)
         residual, slopes = self.residual_and_slopes(eight)
         return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty
-        of each source.
-        """
+        """Of all runs (n_source, n_speed, n_equation) [-], as of each of them."""
         return np.concatenate([run.residual_changes(sources) for run in self.runs], axis=2)
 
 
@@ -127,9 +113,7 @@ def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
 
 
 def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
-    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share
-    none.
-    """
+    """The runs grouped by load and speeds, in order: for a fit over all speeds."""
     return _group(rig, runs, lambda run: (run.load, run.speed.tobytes()))
 
 
@@ -176,10 +160,8 @@ def scales(start: FloatArray) -> FloatArray:
 
 def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
     """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m]
-    and their slopes.
-
-    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for
-    both circles f = X +- jY of the orbit.
+    and their slopes. slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| =
+    Re(f* df) / |f| for both circles f = X +- jY of the orbit.
     """
     planes = response.reshape(*response.shape[:-1], -1, 2)
     by = slopes.reshape(*planes.shape, slopes.shape[-1])
@@ -247,9 +229,7 @@ def rank_statements(
 
 
 def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankRow:
-    """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second
-    unbalance adds no rank.
-    """
+    """The statement for *runs* of one load; advice where a second unbalance adds no rank."""
     runs = list(runs)
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place))
@@ -282,19 +262,8 @@ def _response(
     shaker: Shaker | None = None,
 ) -> tuple[ComplexArray, ComplexArray]:
     """Under an unbalance or, without one, a force along x at the first plane."""
-    shape = (1, len(rig.planes), 2)
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
-    run = RunUp(
-        "",
-        1.0,
-        speed,
-        rig.plane_names,
-        np.ones(shape, np.complex128),
-        amplitude_error=np.ones(shape),
-        phase_error=np.ones(shape),
-        unbalance=unbalance or {},
-        shaker=force,
-    )
     split = eight.reshape(1, 2, 2, 2)
-    response, slopes = rig.excited(run).response_and_slopes(split[:, 0], split[:, 1])
+    condensed = rig.condensed(speed, unbalance or {}, force)
+    response, slopes = condensed.response_and_slopes(split[:, 0], split[:, 1])
     return response[0], slopes[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -212,10 +213,8 @@ class Clearance:
 @dataclass(frozen=True)
 class TrackedRun:
     """An order over a run, and in forward and backward circles for every plane with two responses in known
-    directions.
-
-    *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are compared
-    with, if any.
+    directions. *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are
+    compared with, if any.
     """
 
     name: str
@@ -239,10 +238,7 @@ def track_run(
     output: OutputFolder,
     clearance: Clearance | None = None,
 ) -> TrackedRun:
-    """The order of a raw file (with its rig) or of a calibrated recording.
-
-    ConfigError for a gap where no plane moves in it.
-    """
+    """The order of a raw file or a calibrated recording; ConfigError for a gap without orbit."""
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", where=str(source), hint="add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
@@ -275,10 +271,7 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
 
 
 def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str, complex]) -> int:
-    """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds.
-
-    ConfigError for another order.
-    """
+    """Order 1 of every plane as a run-up table; number of speeds. ConfigError for another order."""
     if run.track.order != 1:
         raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
     table = run_up_of(run.track, run.name, load, unbalance)
@@ -351,10 +344,7 @@ def _order_columns(track: OrderTrack) -> list[Column]:
 
 
 def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:
-    """Larger half axis of the order's ellipse |f| + |b|.
-
-    Largest distance of the whole motion from its middle, also per gap.
-    """
+    """Half axis |f| + |b| of the order, largest distance of the whole motion, also per gap."""
     (plane,) = circles.planes
     whole = circles.orbit[:, 0]
     columns = [
@@ -424,16 +414,13 @@ def track_and_write(
     echo(f"{run.name}: order {order:g}, {run.speeds.size} segments of {revolutions} revolutions, {between}")
     quantity = QUANTITIES.get(run.quantity)
     unit = quantity.display_unit if quantity else "SI"
-    for row in order_lines(run, unit, lambda value: to_display(value, unit) if quantity else value):
+
+    def shown(value: float) -> float:
+        return to_display(value, unit) if quantity else value
+
+    judged = () if verdict is None else judgement_lines(verdict, unit, shown)
+    for row in (*order_lines(run, unit, shown), *(_centreline(run) if centreline else ()), *judged):
         echo(f"  {row}")
-    if centreline:
-        for row in _centreline(run):
-            echo(f"  {row}")
-    if verdict is not None:
-        for row in judgement_lines(
-            verdict, unit, lambda value: to_display(value, unit) if quantity else value
-        ):
-            echo(f"  {row}")
     echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
     return code
 
@@ -441,17 +428,21 @@ def track_and_write(
 def _band(option: str, text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
+    with _option(option):
+        return to_band(text, Setting("band", option, unit="Hz"))
+
+
+@contextmanager
+def _option(option: str) -> Iterator[None]:
+    """A value that cannot be read is a fault of the option."""
     try:
-        low, high = to_band(text, Setting("band", option, unit="Hz"))
+        yield
     except UnitError as error:
         raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
-    return low, high
 
 
 def _added(texts: tuple[str, ...], since: bool) -> float:
-    """Size of the stated unbalance [kg m] that the motion answers, 0 where none or several are; ConfigError
-    for that since a baseline.
-    """
+    """Stated unbalance [kg m] that the motion answers, else 0; ConfigError since a baseline."""
     if len(texts) == 1:
         return abs(_unbalances(texts).popitem()[1])
     if since:
@@ -539,10 +530,8 @@ def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
     unbalances = {}
     for text in texts:
         plane, _, size = text.partition("=")
-        try:
+        with _option(f"--unbalance {text}"):
             unbalances[plane.strip()] = parse_phasor(size.strip(), "kg.m")
-        except UnitError as error:
-            raise ConfigError(f"--unbalance {text}: {error.what}", hint=error.hint) from None
     return unbalances
 
 
@@ -558,7 +547,5 @@ def _clearance(gap: str | None, limit: str) -> Clearance | None:
 def _value(option: str, text: str | None, unit: str) -> float | None:
     if text is None:
         return None
-    try:
+    with _option(option):
         return parse_value(text, unit)
-    except UnitError as error:
-        raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None

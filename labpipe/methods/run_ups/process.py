@@ -65,20 +65,14 @@ class SquaredExponential:
     speed: float
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s].
-
-        Equation (run-field).
-        """
+        """k (n_first, n_second) [-] of places (n, 2) [N, rad/s]. Equation (run-field)."""
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
 
 @dataclass(frozen=True)
 class SmoothField:
-    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data.
-
-    *weights* (n_place, n_mode): U / sqrt(eigenvalue).
-    """
+    """Fields of a *kernel* on data *places* (n_place, 2) [N, rad/s]; weights (n_place, n_mode)."""
 
     kernel: SquaredExponential
     places: FloatArray
@@ -100,18 +94,14 @@ class SmoothField:
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:
-        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N,
-        rad/s].
-        """
+        """Covariance (n_point, n_point) [-] beyond the basis, at places (n_point, 2) [N, rad/s]."""
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
 
 
 @dataclass(frozen=True)
 class ProcessFamily:
-    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row
-    by row.
-    """
+    """A *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) by row."""
 
     family: FilmFamily
     field: SmoothField
@@ -205,7 +195,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         around = speed + step * np.array([-1.0, 0.0, 1.0])
         number = self.rig.plane_names.index(plane) if plane else -1
         eight = self.model.coefficients(self.values, load, around)
-        response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(
+        response, slopes = self.rig.condensed(around, self.rig.known_unbalance).response_and_slopes(
             *as_matrices(eight)
         )
         size = largest_displacement(response.reshape(3, -1, 2))[:, number]
@@ -218,10 +208,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s].
-
-        None when there is none up to twice the highest speed of the search.
-        """
+        """Onset speed of instability [rad/s]; None up to twice the highest speed of the search."""
         onset = self.rig.threshold(self.at_load(load))
         if onset is None:
             return None
@@ -240,9 +227,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         )
 
     def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
-        """Standard error of a prediction with slopes *weights* (n_speed, 8) by the coefficients at *speed*
-        (n_speed,).
-        """
+        """Error of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
         eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         by_parameter = np.einsum("ni,nij->j", weights, slopes)
         by_field = weights * eight
@@ -269,11 +254,7 @@ SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 def fit_with_process(
     rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True
 ) -> ProcessFit:
-    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the
-    rotor file's bearing.
-
-    FitError when no minimum is found.
-    """
+    """With smooth factors, from a *joint* fit or the rotor file's bearing; FitError without minimum."""
     runs = list(runs)
     rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
@@ -329,10 +310,8 @@ def _carry(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray
 @dataclass(frozen=True)
 class LinearData:
     """Responses and thresholds, linear in the logarithms q (n_place, 8) [-] of the coefficients about a
-    minimum: r = A q - y.
-
-    normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place, 8, 12): q by the
-    family's parameters.
+    minimum: r = A q - y. normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place,
+    8, 12): q by the family's parameters.
     """
 
     field: SmoothField
@@ -342,9 +321,7 @@ class LinearData:
 
     @classmethod
     def at(cls, problem: Problem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
-        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s]
-        of the data.
-        """
+        """Linear about *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s] of the data."""
         n = len(PARAMETERS)
         eight, slopes = problem.model.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
@@ -357,9 +334,7 @@ class LinearData:
         return cls(problem.model.field, normal, side, by_family)
 
     def log_likelihood(self, field: SmoothField) -> float:
-        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M
-        = 1 + B^T A^T A B.
-        """
+        """b^T M^-1 b / 2 - ln det M / 2 of another field, M = 1 + B^T A^T A B."""
         basis = field.basis(field.places)
         scaled = self.by_family * PRIOR
         corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)

@@ -20,9 +20,7 @@ DIRECTIONS = ("x", "y")
 
 @dataclass(frozen=True)
 class Shaker:
-    """A force that does not turn: *plane* where it acts, its components [N] and its frequency over the
-    shaft's speed.
-    """
+    """A force that does not turn: *plane*, components [N], frequency over the shaft's speed."""
 
     plane: str
     x: float
@@ -33,10 +31,8 @@ class Shaker:
 @dataclass(frozen=True)
 class ProbeError:
     """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X =
-    (x, y).
-
-    uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the
-    number], w the frequency of the response.
+    (x, y). uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of
+    the number], w the frequency of the response.
     """
 
     uncertainty: Uncertainty
@@ -115,10 +111,7 @@ class RunUp:
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
 
     def changes(self) -> dict[str, ComplexArray]:
-        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source.
-
-        One source errs as one.
-        """
+        """Change (n_speed, n_plane, 2) [m] of the response by every source, which errs as one."""
         omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
         changes: dict[str, ComplexArray] = {}
         for error in self.uncertainties:
@@ -165,10 +158,7 @@ class Amount:
 
 @dataclass(frozen=True)
 class Motion:
-    """One direction of one plane over the speeds: phasor real + j imag (n_speed,) [m], 0-to-peak.
-
-    Errors where it was measured.
-    """
+    """A direction of a plane: phasor real + j imag (n_speed,) [m], 0-to-peak, errors if measured."""
 
     plane: str
     direction: str
@@ -180,9 +170,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Cascade:
-    """Spectra of one response, block by block of a recording: speed (n_block,) [Hz], frequency (n_line,)
-    [Hz], amplitude [m] of each.
-    """
+    """Spectra of a response: speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude [m] of each."""
 
     label: str
     speed: Column
@@ -193,10 +181,8 @@ class Cascade:
 @dataclass(frozen=True)
 class MeasuredRun:
     """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and
-    *subtracted* as text.
-
-    critical_speed, threshold [rad/s]: measured. printed_...: what a source prints (measured, original,
-    enhanced) [Hz].
+    *subtracted* as text. critical_speed, threshold [rad/s]: measured. printed_...: what a source prints
+    (measured, original, enhanced) [Hz].
     """
 
     name: str
@@ -237,9 +223,7 @@ class RunPrediction:
 
 @dataclass(frozen=True)
 class Convergence:
-    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: True if
-    ended by a limit.
-    """
+    """By iteration (n_iteration,): objective, mesh size, evaluations; *capped*: ended by a limit."""
 
     where: str
     objective: Column
@@ -251,17 +235,24 @@ class Convergence:
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Final points of several starts of one search: eight factors on the start values per start, and its
-    objective.
-    """
+    """Ends of several starts of a search: eight factors on the start values, and the objective."""
 
     where: str
     factors: tuple[Column, ...]
     objective: Column
 
 
+class Predicts:
+    """What has a prediction for every run."""
+
+    predictions: tuple[RunPrediction, ...]
+
+    def prediction(self, run: str) -> RunPrediction | None:
+        return next((prediction for prediction in self.predictions if prediction.run == run), None)
+
+
 @dataclass(frozen=True)
-class RunUpMethod:
+class RunUpMethod(Predicts):
     """One identification method: uncertainty and predictions. None where a method has no such number.
 
     rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free:
@@ -287,17 +278,12 @@ class RunUpMethod:
     spreads: tuple[StartSpread, ...] = ()
     remarks: tuple[str, ...] = ()
 
-    def prediction(self, run: str) -> RunPrediction | None:
-        return next((prediction for prediction in self.predictions if prediction.run == run), None)
-
 
 @dataclass(frozen=True)
 class RankRow:
     """Rank [1] of the eight coefficients from a set of *data* at one load and speed, *condition* [1] within
-    the rank.
-
-    *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes; *advice*
-    on the experiment, if any.
+    the rank. *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes;
+    *advice* on the experiment, if any.
     """
 
     data: str
@@ -310,9 +296,7 @@ class RankRow:
 
 @dataclass(frozen=True)
 class Surface:
-    """Eight coefficients over a grid: load (n_load,) [N], speed (n_speed,) [rad/s], values
-    [coefficient][load][speed] in SI units.
-    """
+    """Values [coefficient][load][speed] in SI over load (n_load,) [N] and speed (n_speed,) [rad/s]."""
 
     load: Column
     speed: Column
@@ -322,9 +306,7 @@ class Surface:
 @dataclass(frozen=True)
 class LeftOut:
     """Errors of a metamodel at a load outside its fit: rms over its speeds of every coefficient, relative [-]
-    (8,).
-
-    outside: the load lies beyond the others; *failed*: reason of a failed fit.
+    (8,). outside: the load lies beyond the others; *failed*: reason of a failed fit.
     """
 
     load: float
@@ -332,13 +314,16 @@ class LeftOut:
     outside: bool
     failed: str = ""
 
+    @property
+    def rms(self) -> float:
+        """Over the eight coefficients [-]."""
+        return float(np.sqrt(np.mean(np.square(self.errors))))
+
 
 @dataclass(frozen=True)
-class MetamodelResult:
+class MetamodelResult(Predicts):
     """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors,
-    predictions, statistics as text.
-
-    *model*: entries from which it is read back.
+    predictions, statistics as text. *model*: entries from which it is read back.
     """
 
     name: str
@@ -348,9 +333,6 @@ class MetamodelResult:
     predictions: tuple[RunPrediction, ...]
     remarks: tuple[str, ...] = ()
     model: dict[str, Any] = field(default_factory=dict)
-
-    def prediction(self, run: str) -> RunPrediction | None:
-        return next((prediction for prediction in self.predictions if prediction.run == run), None)
 
 
 @dataclass(frozen=True)
@@ -375,6 +357,10 @@ class RunUpResult:
     measured_rank: RankRow | None = None
     source: str = ""
     findings: tuple[Finding, ...] = ()
+
+    @property
+    def predictors(self) -> tuple[RunUpMethod | MetamodelResult, ...]:
+        return (*self.methods, *self.metamodels)
 
     def method(self, name: str) -> RunUpMethod | None:
         return next((method for method in self.methods if method.name == name), None)

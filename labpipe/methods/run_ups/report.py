@@ -8,19 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.display import with_error, written
-from labpipe.methods.run_ups.figures import (
-    RPM,
-    best_method,
-    bode_figure,
-    cascade_figure,
-    coefficient_figure,
-    convergence_figure,
-    orbit_figure,
-    polar_figure,
-    speeds_figure,
-    spread_figure,
-    surface_figures,
-)
+from labpipe.methods.run_ups import figures
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     REJECTED,
@@ -61,12 +49,12 @@ def rpm_text(amount: Amount | None) -> str:
     if amount is None or not math.isfinite(amount.value):
         return "none"
     if amount.std_error is None:
-        return f"{RPM * amount.value:.1f}"
-    return with_error(RPM * amount.value, RPM * amount.std_error)
+        return f"{figures.RPM * amount.value:.1f}"
+    return with_error(figures.RPM * amount.value, figures.RPM * amount.std_error)
 
 
 def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
-    speeds = f"{len(run.speed)} from {RPM * run.speed[0]:.0f} to {RPM * run.speed[-1]:.0f}"
+    speeds = f"{len(run.speed)} from {figures.RPM * run.speed[0]:.0f} to {figures.RPM * run.speed[-1]:.0f}"
     excitation = run.excitation + (f"; '{run.subtracted}' subtracted" if run.subtracted else "")
     return (
         run.name,
@@ -80,9 +68,7 @@ def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
 
 
 def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Critical speeds and thresholds of every method with the measurement, then values printed in a
-    source.
-    """
+    """Critical speeds and thresholds by every method and measured, then those printed in a source."""
     blocks: list[Block] = []
     for item, title in KINDS.items():
         blocks.append(_speed_table(result, item, f"{title} [rpm]: measured, and by every method"))
@@ -107,7 +93,8 @@ def _speed_table(
     for run in _runs_with(result, item):
         measured: Amount | None = getattr(run, item)
         cells = (_speed_text(column.prediction(run.name), item, measured) for column in columns)
-        rows.append((_run_name(run), _measured_text(measured), *cells))
+        text = "none" if measured is None else f"{rpm_text(measured)} rpm".replace("± ", f"±{FIXED}")
+        rows.append((_run_name(run), text, *cells))
     # Cells of two numbers are text, which may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
 
@@ -133,10 +120,6 @@ def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
 def _run_name(run: MeasuredRun) -> str:
     role = f", {HELD_OUT}" if run.role == HELD_OUT and HELD_OUT not in run.name else ""
     return f"{run.name}, {run.load:.4g} N{role}".replace(" N", f"{FIXED}N")
-
-
-def _measured_text(measured: Amount | None) -> str:
-    return "none" if measured is None else f"{rpm_text(measured)} rpm".replace("± ", f"±{FIXED}")
 
 
 def _speed_text(prediction: RunPrediction | None, item: str, measured: Amount | None) -> str:
@@ -233,6 +216,8 @@ def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
+    p = method.chi2_p
+    p_text = "p unknown" if p is None else "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"
     return (
         SHORT.get(method.name, method.title),
         method.verdict,
@@ -241,20 +226,14 @@ def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
         "" if method.share_at_bound is None else f"{100 * method.share_at_bound:.0f} %",
         str(method.n_datum),
         "" if method.n_effective is None else f"{method.n_effective:.0f}",
-        "no redundant datum"
-        if method.chi2_per_datum is None
-        else f"{method.chi2_per_datum:.2f} ({_p_text(method.chi2_p)})",
+        "no redundant datum" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} ({p_text})",
     )
-
-
-def _p_text(p_value: float | None) -> str:
-    return "p unknown" if p_value is None else "p < 1e-6" if p_value < 1e-6 else f"p = {p_value:.2g}"
 
 
 def _rank_blocks(result: RunUpResult) -> list[Block]:
     if not result.ranks:
         return []
-    place = f"{result.rank_load:.3g} N and {RPM * result.rank_speed:.0f} rpm"
+    place = f"{result.rank_load:.3g} N and {figures.RPM * result.rank_speed:.0f} rpm"
     rows = tuple((row.data, f"{row.rank} of 8", f"{row.condition:.3g}", row.words) for row in result.ranks)
     table = Table(
         ("data", "rank", "condition", "measured combinations"),
@@ -296,7 +275,8 @@ def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
     n = len(prediction.coefficient_speed)
     chosen = dict.fromkeys(np.linspace(0, n - 1, min(n, MOST_SPEEDS)).round().astype(int).tolist())
     rows = tuple(
-        (f"{RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place)) for place in chosen
+        (f"{figures.RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place))
+        for place in chosen
     )
     units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in COEFFICIENTS)
     caption = (
@@ -327,9 +307,10 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
     for model in models:
         for validation in model.left_out:
             errors = [f"{100 * error:.1f}" for error in validation.errors]
-            whole = 100 * float(np.sqrt(np.mean(np.square(validation.errors))))
             position = "outside" if validation.outside else "between"
-            rows.append((model.title, f"{validation.load:.4g}", position, *errors, f"{whole:.1f}"))
+            rows.append(
+                (model.title, f"{validation.load:.4g}", position, *errors, f"{100 * validation.rms:.1f}")
+            )
     caption = (
         f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to "
         "the others"
@@ -359,24 +340,25 @@ def cover_facts(result: RunUpResult) -> dict[str, str]:
 def run_up_sections(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
     searches: list[Block] = []
     for method in result.methods:
-        searches += [convergence_figure(method, search) for search in method.convergence]
-        searches += [spread_figure(method, spread) for spread in method.spreads]
+        searches += [figures.convergence_figure(method, search) for search in method.convergence]
+        searches += [figures.spread_figure(method, spread) for spread in method.spreads]
     return (
         Section(f"Run-ups: {result.rotor}", _measured(result)),
         Section(
-            "Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))
+            "Critical speed and threshold",
+            (figures.speeds_figure(result), *speed_blocks(result), *_cautions(result)),
         ),
         Section("Identifiability of the coefficients", (*uncertainty_blocks(result), *searches)),
         Section("Journal coefficients", _coefficients(result)),
         *([Section("Metamodels", _metamodels(result))] if result.metamodels else []),
-        Section("Response of every run", tuple(bode_figure(result, run) for run in result.runs)),
+        Section("Response of every run", tuple(figures.bode_figure(result, run) for run in result.runs)),
     )
 
 
 def _measured(result: RunUpResult) -> tuple[Block, ...]:
-    method = best_method(result)
+    method = figures.best_method(result)
     description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
-    cascades = [cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
+    cascades = [figures.cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
     header = (
         "run",
         "load [N]",
@@ -394,8 +376,8 @@ def _measured(result: RunUpResult) -> tuple[Block, ...]:
     return (
         Paragraph(description),
         Table(header, rows, caption, (1, 5, 6)),
-        polar_figure(result, method),
-        orbit_figure(result, method),
+        figures.polar_figure(result, method),
+        figures.orbit_figure(result, method),
         *cascades,
     )
 
@@ -422,10 +404,10 @@ def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[st
 
 
 def _coefficients(result: RunUpResult) -> tuple[Block, ...]:
-    method = best_method(result)
+    method = figures.best_method(result)
     blocks: list[Block] = [] if method is None or not method.parameters else [parameter_table(method)]
     for run in result.runs:
-        blocks.append(coefficient_figure(result, run))
+        blocks.append(figures.coefficient_figure(result, run))
         table = None if method is None else coefficient_table(method, run)
         blocks += [] if table is None else [table]
     return tuple(blocks)
@@ -443,5 +425,5 @@ def _metamodels(result: RunUpResult) -> tuple[Block, ...]:
     ]
     for model in result.metamodels:
         blocks += [Paragraph(f"{model.title}: {' '.join(model.remarks)}")] if model.remarks else []
-        blocks += surface_figures(model)
+        blocks += figures.surface_figures(model)
     return tuple(blocks)

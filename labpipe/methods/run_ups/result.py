@@ -34,7 +34,6 @@ from labpipe.methods.run_ups.records import (
     START,
     TRAINED,
     Amount,
-    LeftOut,
     MeasuredRun,
     MetamodelResult,
     RunPrediction,
@@ -84,11 +83,6 @@ def metamodels(
     results = []
     for name in settings.metamodels:
         model = _fit(name, grid, joint, settings.seed)
-        rows = tuple(
-            LeftOut(method.load, column(method.errors), method.beyond, method.failed)
-            for method in left_out
-            if method.kind == KINDS[name]
-        )
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
         uncertainty = (
             (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
@@ -109,7 +103,7 @@ def metamodels(
                     column(speed),
                     tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)),
                 ),
-                rows,
+                tuple(left_out[KINDS[name]]),
                 predictions,
                 (f"{model.statement}.",),
                 model.to_entries(),
@@ -301,13 +295,10 @@ MEASURED = "run_ups.measured"
 
 
 def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParameter]:
-    """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and
-    predicted.
-    """
+    """Parameters by method, and critical and threshold speeds [rad/s] by run."""
     for run in result.runs:
         yield from _speeds(MEASURED, run.name, run, ())
-    predictors: list[RunUpMethod | MetamodelResult] = [*result.methods, *result.metamodels]
-    for predictor in predictors:
+    for predictor in result.predictors:
         fit = f"run_ups.{predictor.name}"
         codes = ("model-mismatch",) if getattr(predictor, "verdict", "") == "rejected" else ()
         for parameter in getattr(predictor, "parameters", ()):

@@ -45,7 +45,7 @@ from labpipe.methods.rotor.pinned import (
 )
 from labpipe.methods.rotor.rig import BearingPlace, Unbalance
 from labpipe.methods.rotor.shaft import Rotor
-from labpipe.methods.run_ups.records import DIRECTIONS, RunUp
+from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
 from labpipe.registry import nearest
 
 COEFFICIENTS = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
@@ -95,10 +95,7 @@ class FilmFamily:
         return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table.
-
-        Equation (run-family).
-        """
+        """Eight (n_point, 8) [N/m, N s/m]; FitError outside the table. Equation (run-family)."""
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         return self._join(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
@@ -149,9 +146,7 @@ def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
 
 def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
     """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] that are given from *low* to *high*
-    [rad/s].
-
-    Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number.
+    [rad/s]. Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number.
     """
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -164,9 +159,7 @@ def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: 
 
 
 def coefficient_errors(estimate: FloatArray, true: FloatArray) -> FloatArray:
-    """rms error of *estimate* over the points, relative to the rms of the true coefficient, (8,) [-], of
-    (n_point, 8) each.
-    """
+    """rms of *estimate* - *true* over rms of *true*, (8,) [-], of (n_point, 8) each."""
     return np.sqrt(np.mean((estimate - true) ** 2, axis=0) / np.mean(true**2, axis=0))
 
 
@@ -193,9 +186,7 @@ class TabulatedCoefficients(Protocol):
 
 @dataclass(frozen=True)
 class SpeedSearch:
-    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to
-    *highest*.
-    """
+    """Critical speeds between *low* and *high* [rad/s], thresholds of instability up to *highest*."""
 
     low: float
     high: float
@@ -304,41 +295,33 @@ class RunUpRotor:
             f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:"
         )
 
-    def under_unbalance(self, speed: FloatArray, unbalance: Mapping[str, complex]) -> CondensedRotor:
-        """Condensed to the bearing at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane.
-
-        Outputs x, y of every plane.
-        """
-        forces = unbalance_forces(
-            self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed
-        )
-        return condensed_rotor(
-            self.pinned, self.place.node, speed, forces, tuple(node for _, node in self.planes)
-        )
+    def condensed(
+        self, speed: FloatArray, unbalance: Mapping[str, complex], shaker: Shaker | None = None
+    ) -> CondensedRotor:
+        """x, y of every plane at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] or a *shaker*."""
+        nodes = tuple(node for _, node in self.planes)
+        if shaker is None:
+            forces = unbalance_forces(
+                self.pinned, {self.node(plane): u for plane, u in unbalance.items()}, speed
+            )
+            return condensed_rotor(self.pinned, self.place.node, speed, forces, nodes)
+        forces = np.zeros((np.size(speed), self.pinned.n_dof), np.complex128)
+        forces[:, self.pinned.dofs(self.node(shaker.plane))] = [shaker.x, shaker.y]
+        frequency = speed * shaker.frequency_ratio
+        return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, speed)
 
     def excited(self, run: RunUp) -> CondensedRotor:
-        """Condensed at the speeds, and under the excitation, of a run.
-
-        DataError when the run has other planes.
-        """
+        """At the speeds and under the excitation of a run; DataError when it has other planes."""
         if run.planes != self.plane_names:
             raise DataError(
                 f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has "
                 f"{', '.join(self.plane_names)}",
                 hint="name the planes alike in the rotor file and the run-up, in one order",
             )
-        if run.shaker is None:
-            return self.under_unbalance(run.speed, run.unbalance)
-        forces = np.zeros((run.n_speed, self.pinned.n_dof), np.complex128)
-        forces[:, self.pinned.dofs(self.node(run.shaker.plane))] = [run.shaker.x, run.shaker.y]
-        frequency = run.speed * run.shaker.frequency_ratio
-        nodes = tuple(node for _, node in self.planes)
-        return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
+        return self.condensed(run.speed, run.unbalance, run.shaker)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld
-        number), or as *tabulated*.
-        """
+        """K [N/m], C [N s/m], (n_speed, 2, 2), of the rotor file's bearing or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
@@ -361,17 +344,15 @@ class RunUpRotor:
 
     def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:
         """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
-        outputs = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
+        outputs = self.condensed(speed, self.known_unbalance).response(*coefficients(speed))
         return outputs.reshape(np.size(speed), len(self.planes), 2)
 
     def critical_speed(
         self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = ""
     ) -> float:
         """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known
-        unbalance.
-
-        Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without a peak
-        within the search.
+        unbalance. Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without
+        a peak within the search.
         """
         number = [node for _, node in self.planes].index(self.node(plane)) if plane else -1
         search = self.search.critical
@@ -403,10 +384,7 @@ class RunUpRotor:
         return resonance_speed(self.stability, coefficients, self.search.critical[::5])
 
     def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
-        """Onset speed of instability [rad/s], up to twice the highest speed of the search.
-
-        None when there is none.
-        """
+        """Onset of instability [rad/s], up to twice the highest speed of the search, or None."""
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
@@ -419,11 +397,7 @@ def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 
 
 def largest_displacement(response: ComplexArray) -> FloatArray:
-    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of
-    phasors (..., 2).
-
-    Equation (rotor-largest).
-    """
+    """Major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...), of (..., 2). Equation (rotor-largest)."""
     return (
         np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])
     ) / 2

@@ -84,7 +84,8 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
         if key not in entries:
             faults.add(tree, key, "is missing", hint)
     pins = _nodes(entries.get("pins"), "pins", faults)
-    planes = _planes(entries.get("planes"), faults)
+    named = faults.mapping(entries["planes"], "planes") if "planes" in entries else {}
+    planes = tuple((name, _node(entry, join("planes", name), faults)) for name, entry in named.items())
     lists = {key: read_entries(LISTS[key], entries.get(key), key, faults) for key in OWN_LISTS}
     bearings = read_bearings(entries.get("bearings"), faults)
     if (
@@ -180,11 +181,6 @@ def _node(entry: Marked, key: str, faults: Faults) -> int:
         faults.add(entry, key, "the number of a node is needed", "nodes are counted from 1, from the left")
         return 0
     return entry.content
-
-
-def _planes(node: Marked | None, faults: Faults) -> tuple[tuple[str, int], ...]:
-    entries = faults.mapping(node, "planes") if node is not None else {}
-    return tuple((name, _node(entry, join("planes", name), faults)) for name, entry in entries.items())
 
 
 RUN_UP_ROTOR_FILE = FileKind(load_run_up_rotor, files_of)

@@ -19,6 +19,7 @@ import difflib
 import io
 import re
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -53,43 +54,150 @@ UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error"
 
 
 def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
-    """The run-up of a table; DataError names the file, the line or column, and the remedy.
-
-    *unbalance* [kg m] by plane, for a table without unbalance lines; empty for a run with its residual
-    unbalance only.
+    """The run-up of a table; DataError names the file, the line or column, and the remedy. *unbalance* [kg m]
+    by plane, for a table without unbalance lines; empty for a run with its residual unbalance only.
     """
     if not path.exists():
         raise DataError("no such file", where=str(path))
-    table, head = CsvTable(path), _head(path)
-    columns = _columns(table)
-    speed = _in_si(table, _speed_column(table), "Hz") * 2 * np.pi
-    planes = tuple(dict.fromkeys(plane for plane, _, _ in columns))
-    stacks = {what: _stack(table, columns, planes, what) for what in ("amplitude", "phase")}
-    amplitude, phase = stacks["amplitude"], stacks["phase"]
-    errors = [
-        _errors(table, columns, planes, head, what, amplitude) for what in ("amplitude error", "phase error")
-    ]
-    load = _value(head, "load", "N", path)
+    read = _Reader(path)
+    speed = read.in_si(read.speed_column, "Hz") * 2 * np.pi
+    amplitude, phase = read.stack("amplitude"), read.stack("phase")
+    amplitude_error = read.errors("amplitude error", amplitude, "1")
+    phase_error = read.errors("phase error", np.ones_like(phase), "rad")
+    load = read.value("load", "N")
     try:
-        response = amplitude * np.exp(1j * phase)
-        shaker, unbalances = _shaker(head, path), _unbalances(head)
+        shaker, unbalances = read.shaker(), read.unbalances()
         if not unbalances and shaker is None and unbalance is not None:
-            unbalances = dict(unbalance) or {planes[0]: 0j}
-        amplitude_error, phase_error = errors
+            unbalances = dict(unbalance) or {read.planes[0]: 0j}
         return RunUp(
             name or path.stem,
             load,
             speed,
-            planes,
-            response,
+            read.planes,
+            amplitude * np.exp(1j * phase),
             amplitude_error=amplitude_error,
             phase_error=phase_error,
             unbalance=unbalances,
             shaker=shaker,
-            threshold=_threshold(head),
+            threshold=read.threshold(),
         )
     except DataError as error:
         raise DataError(error.what, where=error.where or str(path), hint=error.hint) from None
+
+
+class _Reader:
+    """A table, its columns by plane, direction and quantity, and the lines above it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.table, self.head = path, CsvTable(path), _head(path)
+        self.columns = self._columns()
+        self.planes = tuple(dict.fromkeys(plane for plane, _, _ in self.columns))
+
+    def fault(self, what: str, hint: str) -> DataError:
+        return DataError(what, where=str(self.path), hint=hint)
+
+    def _columns(self) -> dict[tuple[str, str, str], str]:
+        names = {}
+        for column in self.table.columns:
+            if _SPEED.match(column):
+                continue
+            match = _COLUMN.match(column)
+            if match is None:
+                hint = "columns are named 'disc 1 x amplitude [um]', 'disc 1 x phase [deg]'"
+                raise self.fault(f"the column '{column}' does not belong to a run-up", hint)
+            names[(match["plane"], match["direction"], match["what"])] = column
+        if not names:
+            raise self.fault("has no plane", "for example a column 'disc 1 x amplitude [um]'")
+        return names
+
+    @property
+    def speed_column(self) -> str:
+        for column in self.table.columns:
+            if _SPEED.match(column):
+                return column
+        raise self.fault("no column 'speed'", "for example 'speed [rpm]'")
+
+    def in_si(self, column: str, si_unit: str) -> FloatArray:
+        check_columns(self.table, [column])
+        unit = self.table.units.get(column)
+        if unit is None:
+            hint = f"write it in brackets, for example [{si_unit}]"
+            raise self.fault(f"the column '{column}' has no unit", hint)
+        factor = _parse(f"1 {unit}", str(self.path), f"column '{column}'", si_unit)
+        chunks = [chunk[:, 0] for chunk in self.table.chunks([column])]
+        values = np.concatenate(chunks) if chunks else np.zeros(0)
+        if not np.all(np.isfinite(values)):
+            row = int(np.argmin(np.isfinite(values)))
+            what = f"column '{column}': a number is missing in row {row + 1} of the table"
+            raise self.fault(what, "leave out the whole row where nothing was measured")
+        return np.asarray(values * factor, np.float64)
+
+    def stack(self, what: str) -> FloatArray:
+        """(n_speed, n_plane, 2) [m, rad] of a quantity."""
+        rows = []
+        for plane, direction in product(self.planes, DIRECTIONS):
+            if (plane, direction, what) not in self.columns:
+                unit = "um" if UNITS[what] == "m" else "deg"
+                hint = f"with its unit, for example [{unit}]"
+                raise self.fault(f"no column '{plane} {direction} {what}'", hint)
+            rows.append(self.in_si(self.columns[(plane, direction, what)], UNITS[what]))
+        return np.stack(rows, -1).reshape(-1, len(self.planes), len(DIRECTIONS))
+
+    def errors(self, what: str, size: FloatArray, unit: str) -> FloatArray:
+        """Columns of their own, else the number above the table times *size*."""
+        if any(quantity == what for _, _, quantity in self.columns):
+            return self.stack(what)
+        if what not in self.head:
+            hint = (
+                "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; they weight the "
+                "fits"
+            )
+            raise self.fault(f"the {what} is missing", hint)
+        return size * self.value(what, unit)
+
+    def value(self, key: str, unit: str) -> float:
+        if key not in self.head:
+            raise self.fault(f"the {key} is missing", f"a line '# {key}: ... {unit}' above the table")
+        return _parse(*self.head[key], key, unit)
+
+    def threshold(self) -> Uncertain | None:
+        if "threshold" not in self.head:
+            return None
+        text, where = self.head["threshold"]
+        value, _, error = text.partition("+-")
+        if not error.strip():
+            hint = "for example 2772 rpm +- 6 rpm"
+            raise DataError("threshold: its uncertainty is missing", where=where, hint=hint)
+        hertz = [_parse(part.strip(), where, "threshold", "Hz") for part in (value, error)]
+        return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
+
+    def unbalances(self) -> dict[str, complex]:
+        unbalances = {}
+        for key, (text, where) in self.head.items():
+            if not key.startswith("unbalance "):
+                continue
+            match = _UNBALANCE.match(text)
+            if match is None:
+                what = f"{key}: '{text}' is not a size and an angle"
+                raise DataError(what, where=where, hint="for example 50 g.mm at 0 deg")
+            size, angle = _parse(match["size"], where, key, "kg.m"), _parse(match["angle"], where, key, "rad")
+            unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
+        return unbalances
+
+    def shaker(self) -> Shaker | None:
+        if "shaker" not in self.head:
+            return None
+        text, where = self.head["shaker"]
+        match = _SHAKER.match(text)
+        if match is None:
+            what = f"shaker: '{text}' is not a force at a plane"
+            raise DataError(what, where=where, hint="for example 2 N in x, 0 N in y at disc 1")
+        ratio = self.value("shaker frequency", "1")
+        if not ratio > 0:
+            where = self.head["shaker frequency"][1]
+            raise DataError("shaker frequency: must be positive", where=where, hint="over the shaft's speed")
+        x, y = (_parse(match[axis], where, "shaker", "N") for axis in DIRECTIONS)
+        return Shaker(match["plane"], x, y, ratio)
 
 
 def _head(path: Path) -> dict[str, tuple[str, str]]:
@@ -119,106 +227,6 @@ def _refuse_misspelt(key: str, where: str) -> None:
         raise DataError(f"unknown entry '{key}'", where=where, hint=nearest(key, PLAIN_KEYS))
 
 
-def _columns(table: CsvTable) -> dict[tuple[str, str, str], str]:
-    names = {}
-    for column in table.columns:
-        if _SPEED.match(column):
-            continue
-        match = _COLUMN.match(column)
-        if match is None:
-            hint = "columns are named 'disc 1 x amplitude [um]', 'disc 1 x phase [deg]'"
-            raise DataError(
-                f"the column '{column}' does not belong to a run-up", where=str(table.path), hint=hint
-            )
-        names[(match["plane"], match["direction"], match["what"])] = column
-    if not names:
-        raise DataError(
-            "has no plane", where=str(table.path), hint="for example a column 'disc 1 x amplitude [um]'"
-        )
-    return names
-
-
-def _speed_column(table: CsvTable) -> str:
-    for column in table.columns:
-        if _SPEED.match(column):
-            return column
-    raise DataError("no column 'speed'", where=str(table.path), hint="for example 'speed [rpm]'")
-
-
-def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
-    check_columns(table, [column])
-    unit = table.units.get(column)
-    if unit is None:
-        raise DataError(
-            f"the column '{column}' has no unit",
-            where=str(table.path),
-            hint=f"write it in brackets, for example [{si_unit}]",
-        )
-    try:
-        factor = parse_value(f"1 {unit}", si_unit)
-    except UnitError as error:
-        raise DataError(f"column '{column}': {error.what}", where=str(table.path), hint=error.hint) from None
-    chunks = [chunk[:, 0] for chunk in table.chunks([column])]
-    values = np.concatenate(chunks) if chunks else np.zeros(0)
-    if not np.all(np.isfinite(values)):
-        row = int(np.argmin(np.isfinite(values)))
-        raise DataError(
-            f"column '{column}': a number is missing in row {row + 1} of the table",
-            where=str(table.path),
-            hint="leave out the whole row where nothing was measured",
-        )
-    return np.asarray(values * factor, np.float64)
-
-
-def _stack(
-    table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str
-) -> FloatArray:
-    for plane in planes:
-        for direction in DIRECTIONS:
-            if (plane, direction, what) not in columns:
-                unit = "um" if UNITS[what] == "m" else "deg"
-                raise DataError(
-                    f"no column '{plane} {direction} {what}'",
-                    where=str(table.path),
-                    hint=f"with its unit, for example [{unit}]",
-                )
-    return np.stack(
-        [
-            np.stack([_in_si(table, columns[(p, d, what)], UNITS[what]) for d in DIRECTIONS], -1)
-            for p in planes
-        ],
-        1,
-    )
-
-
-def _errors(
-    table: CsvTable,
-    columns: dict[tuple[str, str, str], str],
-    planes: tuple[str, ...],
-    head: dict[str, tuple[str, str]],
-    what: str,
-    amplitude: FloatArray,
-) -> FloatArray:
-    if any(quantity == what for _, _, quantity in columns):
-        return _stack(table, columns, planes, what)
-    if what not in head:
-        hint = (
-            "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; they weight the fits"
-        )
-        raise DataError(f"the {what} is missing", where=str(table.path), hint=hint)
-    if what == "phase error":
-        return np.full_like(amplitude, _value(head, what, "rad", table.path))
-    return amplitude * _value(head, what, "1", table.path)
-
-
-def _value(head: dict[str, tuple[str, str]], key: str, unit: str, path: Path) -> float:
-    if key not in head:
-        raise DataError(
-            f"the {key} is missing", where=str(path), hint=f"a line '# {key}: ... {unit}' above the table"
-        )
-    return _parse(*head[key], key, unit)
-
-
 def _parse(text: str, where: str, key: str, unit: str) -> float:
     try:
         return parse_value(text, unit)
@@ -226,67 +234,8 @@ def _parse(text: str, where: str, key: str, unit: str) -> float:
         raise DataError(f"{key}: {error.what}", where=where, hint=error.hint) from None
 
 
-def _threshold(head: dict[str, tuple[str, str]]) -> Uncertain | None:
-    if "threshold" not in head:
-        return None
-    text, where = head["threshold"]
-    value, _, error = text.partition("+-")
-    if not error.strip():
-        raise DataError(
-            "threshold: its uncertainty is missing", where=where, hint="for example 2772 rpm +- 6 rpm"
-        )
-    hertz = [_parse(part.strip(), where, "threshold", "Hz") for part in (value, error)]
-    return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
-
-
-def _unbalances(head: dict[str, tuple[str, str]]) -> dict[str, complex]:
-    unbalances = {}
-    for key, (text, where) in head.items():
-        if not key.startswith("unbalance "):
-            continue
-        match = _UNBALANCE.match(text)
-        if match is None:
-            raise DataError(
-                f"{key}: '{text}' is not a size and an angle",
-                where=where,
-                hint="for example 50 g.mm at 0 deg",
-            )
-        size, angle = _parse(match["size"], where, key, "kg.m"), _parse(match["angle"], where, key, "rad")
-        unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
-    return unbalances
-
-
-def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
-    if "shaker" not in head:
-        return None
-    text, where = head["shaker"]
-    match = _SHAKER.match(text)
-    if match is None:
-        raise DataError(
-            f"shaker: '{text}' is not a force at a plane",
-            where=where,
-            hint="for example 2 N in x, 0 N in y at disc 1",
-        )
-    ratio = _value(head, "shaker frequency", "1", path)
-    if not ratio > 0:
-        raise DataError(
-            "shaker frequency: must be positive",
-            where=head["shaker frequency"][1],
-            hint="over the shaft's speed",
-        )
-    return Shaker(
-        match["plane"],
-        _parse(match["x"], where, "shaker", "N"),
-        _parse(match["y"], where, "shaker", "N"),
-        ratio,
-    )
-
-
 def write_run_up_csv(path: Path, run: RunUp) -> None:
-    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits.
-
-    Constant errors as comment lines.
-    """
+    """As `read_run_up_csv` reads it: rpm, um, degrees, six digits; constant errors as comments."""
     columns = {"speed [rpm]": run.rpm}
     relative, phase = _common_errors(run)
     for n, plane in enumerate(run.planes):

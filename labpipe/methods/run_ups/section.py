@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -57,10 +57,7 @@ def read_run(
     folder: Path,
     probes: ProbeUncertainties = NO_UNCERTAINTIES,
 ) -> ReadRun:
-    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry.
-
-    *probes*: those of tables.
-    """
+    """The run of an entry less its residual run; LabpipeError names the entry. *probes*: of tables."""
     try:
         read = run_as_measured(settings, output, folder, probes)
         rig.excited(read.run)
@@ -107,13 +104,11 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
         residual = _open(settings.subtracted, settings, output, folder)
         # Nothing was added before the residual run, where the run has its weights.
         still = dict.fromkeys(dict(settings.unbalance), 0j)
-        run = _without_residual(run, _track(residual, lines, settings, still))
+        subtracted = _track(residual, lines, settings, still)
+        ends = subtracted.speed[[0, -1]]
+        inside = run.speed[(run.speed >= ends[0]) & (run.speed <= ends[1])]
+        run = difference(run, at_speeds(subtracted, inside))
     return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
-
-
-def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
-    inside = run.speed[(run.speed >= residual.speed[0]) & (run.speed <= residual.speed[-1])]
-    return difference(run, at_speeds(residual, inside))
 
 
 def _open(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
@@ -168,9 +163,7 @@ def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
 def identify_run_ups(
     settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None
 ) -> RunUpResult:
-    """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the
-    pipeline file.
-    """
+    """All methods fitted to the trained runs, compared on every run; *folder* of the pipeline."""
     rig = settings.rig
     assert rig is not None
     probes = settings.probes.uncertainties
@@ -216,11 +209,10 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
     match = _ADDRESS.match(rule.item)
     if match is None:
         raise _fault(rule, "is no address", "write run_ups.joint[held-out].critical_speed")
-    address = _Address(match["method"], match["run"] or "", match["item"], match["attribute"] or "")
-    if address.run and address.run not in [run.name for run in result.runs]:
-        raise _fault(
-            rule, f"there is no run '{address.run}'", nearest(address.run, [run.name for run in result.runs])
-        )
+    address = _Address(*(part or "" for part in match.groups()))
+    names = [run.name for run in result.runs]
+    if address.run and address.run not in names:
+        raise _fault(rule, f"there is no run '{address.run}'", nearest(address.run, names))
     if address.item in SPEEDS:
         if address.attribute and address.attribute not in ATTRIBUTES:
             raise _fault(
@@ -240,26 +232,16 @@ def _fault(rule: Rule, what: str, hint: str) -> ConfigError:
     return ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
 
 
-def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]:
-    methods: list[RunUpMethod | MetamodelResult] = [*result.methods, *result.metamodels]
-    return {method.name: method for method in methods}
-
-
 def _of_method(
     rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
-    predictors = _predictors(result)
-    if address.method not in predictors:
-        raise _fault(
-            rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED])
-        )
-    predictor = predictors[address.method]
+    predictor = _predictor(rule, address, result)
     if isinstance(predictor, MetamodelResult):
         if address.item != "left_out":
             raise _fault(
                 rule, f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
             )
-        worst = max((_rms(validation.errors) for validation in predictor.left_out), default=None)
+        worst = max((validation.rms for validation in predictor.left_out), default=None)
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, worst, "1"))
     if address.item == "verdict":
         return RuleOutcome(rule.section, rule.text, predictor.verdict, predictor.verdict == rule.bound)
@@ -271,20 +253,18 @@ def _of_method(
     )
 
 
-def _rms(errors: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(errors))))
+def _predictor(rule: Rule, address: _Address, result: RunUpResult) -> RunUpMethod | MetamodelResult:
+    predictors = {predictor.name: predictor for predictor in result.predictors}
+    if address.method not in predictors:
+        hint = nearest(address.method, [*predictors, MEASURED])
+        raise _fault(rule, f"there is no method '{address.method}'", hint)
+    return predictors[address.method]
 
 
 def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:
     if address.method == MEASURED:
         return getattr(run, address.item)
-    predictors = _predictors(result)
-    if address.method not in predictors:
-        raise _fault(
-            rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED])
-        )
-    prediction: RunPrediction | None = predictors[address.method].prediction(run.name)
-    return None if prediction is None else getattr(prediction, address.item)
+    return getattr(_predictor(rule, address, result).prediction(run.name), address.item, None)
 
 
 def _attribute(
@@ -295,15 +275,13 @@ def _attribute(
         return compare_covers(rule, None if interval is None else (HZ * interval[0], HZ * interval[1]), "Hz")
     if address.attribute == "difference":
         measured: Amount | None = getattr(run, address.item)
-        return compare_number(
-            rule, None if amount is None or measured is None else abs(amount.value / measured.value - 1), "1"
-        )
-    if amount is None:
-        return compare_number(rule, None, "Hz")
-    error = None if amount.std_error is None else HZ * amount.std_error
+        there = None if amount is None or measured is None else abs(amount.value / measured.value - 1)
+        return compare_number(rule, there, "1")
+    value, error = (None, None) if amount is None else (HZ * amount.value, amount.std_error)
+    error = None if error is None else HZ * error
     if address.attribute == "std_error":
         return compare_number(rule, error, "Hz")
-    return compare_number(rule, HZ * amount.value, "Hz", error)
+    return compare_number(rule, value, "Hz", error)
 
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +23,7 @@ KEYPHASOR = "keyphasor"
 
 @dataclass(frozen=True)
 class ProbeUncertainties:
-    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad]
-    of the keyphasor.
-
-    None for none.
-    """
+    """Of a table's probes: gain [1], phase [rad], delay [s] of each, keyphasor [rad]; or None."""
 
     gain: Uncertain | None = None
     phase: Uncertain | None = None
@@ -34,10 +31,7 @@ class ProbeUncertainties:
     keyphasor: Uncertain | None = None
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
-        """The errors of every probe, named by plane and direction.
-
-        Each is its own, unless the uncertainty names a source.
-        """
+        """Errors of every probe by plane and direction, each its own unless a source is named."""
         errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)
@@ -69,35 +63,19 @@ METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
 SEARCHES = ("pattern", "cobyqa")
 
 
+def _file(help: str, kind: str, into: str) -> Any:
+    return setting("file", help, default="", file_kind=kind, into=into)
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
     """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place
-    of the table's.
-
-    path, subtracted: the files with their folder; recorded_by: contents of `rig`.
+    of the table's. path, subtracted: the files with their folder; recorded_by: contents of `rig`.
     """
 
-    file: str = setting(
-        "file",
-        "table of the run-up (CSV), relative to the pipeline file",
-        default="",
-        file_kind="path",
-        into="path",
-    )
-    recording: str = setting(
-        "file",
-        "time recording of the run-up with a tacho, instead of a table",
-        default="",
-        file_kind="path",
-        into="path",
-    )
-    rig: str = setting(
-        "file",
-        "rig file of a raw recording; dofs name planes: disc1.x, disc1.y",
-        default="",
-        file_kind="rig",
-        into="recorded_by",
-    )
+    file: str = _file("table of the run-up (CSV), relative to the pipeline file", "path", "path")
+    recording: str = _file("time recording of the run-up with a tacho, instead of a table", "path", "path")
+    rig: str = _file("rig file of a raw recording; dofs name planes: disc1.x, disc1.y", "rig", "recorded_by")
     tacho: str = setting("text", "channel with the tacho's pulses", default="")
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
     harmonics: int = setting("integer", "multiples of the speed fitted along", default=2)
@@ -108,12 +86,10 @@ class RunSettings(Settings):
     threshold: Uncertain | None = setting(
         "uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None
     )
-    subtract: str = setting(
-        "file",
+    subtract: str = _file(
         "run of the residual unbalance, subtracted phasor by phasor (a file of the same kind)",
-        default="",
-        file_kind="path",
-        into="subtracted",
+        "path",
+        "subtracted",
     )
     printed_critical_speed: tuple[float, ...] = setting(
         "values",
@@ -168,10 +144,7 @@ class RunSettings(Settings):
 
 @dataclass(frozen=True)
 class ProbeSettings(Settings):
-    """Standard uncertainties of the probes of all runs, each by itself.
-
-    How else they are meant stands in brackets, as in a rig file.
-    """
+    """Standard uncertainties of all probes, each by itself unless brackets say how, as in a rig file."""
 
     gain: str = setting(
         "text",

@@ -127,10 +127,7 @@ class VirtualUnbalanceRig(Settings):
 
     @property
     def nominal(self) -> RunUpRotor:
-        """The rotor file's rotor, its range of search that of the run-ups where the file has none.
-
-        ConfigError without a rotor.
-        """
+        """The rotor with the run-ups' range of search, unless it has one; ConfigError without it."""
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
         return (
@@ -158,9 +155,7 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
 
 
 def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
-    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the
-    speeds.
-    """
+    """The family about the rotor file's bearing and the middle of the loads [N] and speeds."""
     return FilmFamily(
         rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads)))))
     )
@@ -170,10 +165,8 @@ def smooth_factors(
     load: float, speed: FloatArray, loads: tuple[float, float], speeds: tuple[float, float]
 ) -> FloatArray:
     """Factors of the eight coefficients (n_speed, 8) [-] within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over
-    load and speed.
-
-    Half a wave to one wave over each range, the phases fixed by the golden ratio so that all coefficients
-    differ. Equation (sim-factors).
+    load and speed. Half a wave to one wave over each range, the phases fixed by the golden ratio so that all
+    coefficients differ. Equation (sim-factors).
     """
     u = (np.asarray(speed) - speeds[0]) / (speeds[1] - speeds[0])
     v = (load - loads[0]) / (loads[1] - loads[0])
@@ -198,9 +191,7 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    """Other grooves, and a viscosity that falls with the square of the speed, which no parameter of the
-    family describes.
-    """
+    """Other grooves, and a viscosity that falls with the square of the speed."""
     film = virtual.nominal.place.film("a virtual run-up")
     clearance = film.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]
@@ -233,28 +224,26 @@ def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> R
     if speed.size == 0:
         raise ConfigError(f"the rotor is unstable at every speed of run '{name}'", hint="lower the speeds")
     shape = (speed.size, len(rig.planes), 2)
-    ones = np.ones(shape)
-    unbalance, shaker = _excitation(virtual, name)
-    unit = RunUp(
-        name,
-        load,
-        speed,
-        rig.plane_names,
-        ones + 0j,
-        amplitude_error=ones,
-        phase_error=ones,
-        unbalance=unbalance,
-        shaker=shaker,
-    )
-    exact = rig.excited(unit).response(*coefficients(speed)).reshape(shape)
+    excitation = _excitation(virtual, name)
+    exact = rig.condensed(speed, *excitation).response(*coefficients(speed)).reshape(shape)
     noise = virtual.noise
     noisy = (
         exact
         * (1 + noise.amplitude * rng.standard_normal(shape))
         * np.exp(1j * noise.phase * rng.standard_normal(shape))
     )
-    errors = {"amplitude_error": noise.amplitude * np.abs(noisy), "phase_error": noise.phase * ones}
-    return replace(unit, response=noisy, threshold=_threshold(virtual, name, coefficients, rng), **errors)
+    return RunUp(
+        name,
+        load,
+        speed,
+        rig.plane_names,
+        noisy,
+        amplitude_error=noise.amplitude * np.abs(noisy),
+        phase_error=np.full(shape, noise.phase),
+        unbalance=excitation[0],
+        shaker=excitation[1],
+        threshold=_threshold(virtual, name, coefficients, rng),
+    )
 
 
 def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, complex], Shaker | None]:

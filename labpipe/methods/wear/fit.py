@@ -21,17 +21,10 @@ from labpipe.estimation.diagnostics import (
 from labpipe.estimation.measured import changes_by
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import (
-    Estimate,
-    derive,
-    determination,
-    estimated,
-    inflation_factors,
-    student_limit,
-)
+from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, student_limit
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.wear.model import MISFITS, Misfit, WornModel, WornReceptance, worn_model, worn_receptance
+from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.search import (
     LEAST_INFORMATION,
     Interval,
@@ -59,7 +52,6 @@ from labpipe.records.response import FrequencyResponse
 RIVAL = 9.21
 AT_BOUND = 1e-4
 PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
-DISPLAY = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg"), "Pa": (1e-5, "bar")}
 
 
 def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
@@ -152,9 +144,7 @@ NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 @dataclass(frozen=True)
 class _Solved:
-    """All minima, the best first, with its misfit in standard deviations, covariances (n, n) and the least
-    chi-square without wear.
-    """
+    """All minima, the best first, misfit [std. dev.], covariances (n, n), least chi-square unworn."""
 
     misfit: Misfit
     minima: tuple[Minimum, ...]
@@ -179,10 +169,8 @@ class _Solved:
 
 def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     """Depth and angle of wear (or, of a healthy rig, its viscosity, clearance, ...) that explain a response,
-    as one Fit.
-
-    ConfigError where settings, rotor and response do not fit together, FitError where the response cannot
-    support the fit.
+    as one Fit. ConfigError where settings, rotor and response do not fit together, FitError where the
+    response cannot support the fit.
     """
     wear: WearSettings = settings.model_settings
     measured = worn_receptance(response, settings, wear)
@@ -211,9 +199,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
 def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
     """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from
-    its minimum, C J^T r.
-
-    Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
+    its minimum, C J^T r. Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
     """
     misfit, best, objective = solved.misfit, solved.best.parameters, wear.objective
     uncertainties = misfit.model.rig.sources
@@ -337,8 +323,7 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
     if solved.healthy_chi2 is None:
         return tuple(plain), findings
     probability = healthy_probability(misfit, best, solved.healthy_chi2)
-    plain.append(derive("healthy_probability", "1", probability, 0.0, solved.dof))
-    plain[-1] = replace(plain[-1], std_error=None, ci95=None)
+    plain.append(Parameter("healthy_probability", probability, "1", derived=True))
     mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < MISMATCH_P
     return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
 
@@ -361,10 +346,7 @@ def _intervals(solved: _Solved) -> dict[str, Interval]:
 def _parameter(
     solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool
 ) -> Parameter:
-    """One parameter.
-
-    An angle that is not identifiable and a parameter at its bound have no standard error.
-    """
+    """One parameter; no standard error of an unidentifiable angle or at a bound."""
     model = solved.misfit.model
     name, scale = model.names[number], float(model.scale[number])
     value = scale * float(solved.best.parameters[number])
@@ -374,12 +356,8 @@ def _parameter(
     if interval is not None:
         parameter = replace(parameter, ci95=(scale * interval.low, scale * interval.high))
     if at_bound or (name == ANGLE and not identifiable):
-        ends = (
-            None if name == ANGLE and not identifiable else parameter.ci95 if interval is not None else None
-        )
-        parameter = replace(
-            parameter, std_error=None, t_ratio=None, significant=None, ci95=ends, at_bound=at_bound
-        )
+        ends = None if interval is None or (name == ANGLE and not identifiable) else parameter.ci95
+        parameter = Parameter(name, value, UNITS[name], vif=vif, ci95=ends, at_bound=at_bound)
     return parameter
 
 
@@ -430,7 +408,10 @@ def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
         variance = np.einsum("lii->li", receptance.covariance).real.reshape(receptance.matrix.shape)
     model, parameters = solved.misfit.model, solved.best.parameters
     fitted = model.response(parameters)[0]
-    before = None if DEPTH in model.names else _untuned(model)
+    before = None
+    if DEPTH not in model.names:
+        mean = np.array(model.prior.mean) / model.scale
+        before = model.refined(mean, with_slopes=False).response(mean)[0]
 
     def at(frequency: FloatArray) -> ComplexArray:
         return replace(model, frequency=tuple(frequency.tolist())).response(parameters)[0]
@@ -448,8 +429,3 @@ def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
         dense_frequency=dense_frequency,
         dense=dense,
     )
-
-
-def _untuned(model: WornModel) -> ComplexArray:
-    mean = np.array(model.prior.mean) / model.scale
-    return model.refined(mean, with_slopes=False).response(mean)[0]

@@ -48,10 +48,8 @@ SCALES = {DEPTH: 1e-6, ANGLE: float(np.deg2rad(1.0))}
 @dataclass(frozen=True, kw_only=True)
 class WornModel:
     """A rig's response on *frequency* [Hz]; *names* in the order of the parameters, all scaled: value [SI] =
-    scale * parameter.
-
-    low, high (n,): bounds of the scaled parameters; prior: of the nuisance parameters among them, in SI
-    units.
+    scale * parameter. low, high (n,): bounds of the scaled parameters; prior: of the nuisance parameters
+    among them, in SI units.
     """
 
     rig: RotorRig
@@ -67,26 +65,18 @@ class WornModel:
 
     @property
     def film_mesh(self) -> FilmMesh:
-        """The mesh of the films that refine a minimum: four times the tables' cells around the journal, twice
-        those across.
-
-        Around it they follow the film's front and the edges of wear.
-        """
+        """Of films that refine a minimum: 4 times the cells around, along front and edges, twice across."""
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
-        """The model with the films' coefficients and slopes at scaled parameters (n,) [1], on the films' own
-        mesh.
-        """
+        """With the films' coefficients and slopes at scaled parameters (n,) [1], on their own mesh."""
         values, mesh = self.values(parameters), self.film_mesh
         return replace(
             self, bearings=tuple(bearing.refined(values, mesh, with_slopes) for bearing in self.bearings)
         )
 
     def with_mesh_error(self, parameters: FloatArray) -> tuple[WornModel, ...]:
-        """One model for every oil film, refined before, with the error of that film's mesh at scaled
-        parameters (n,) [1] added.
-        """
+        """For every film, refined before, a model with its mesh's error at parameters (n,) [1]."""
         values = self.values(parameters)
         models = []
         for number, bearing in enumerate(self.bearings):
@@ -138,10 +128,7 @@ def _reduced_rotor(
 
 
 def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
-    """The model of a fit on its lines *frequency* (n_line,) [Hz].
-
-    FitError without a rotor, ConfigError where settings and rotor do not fit together.
-    """
+    """Of a fit on *frequency* (n_line,) [Hz]; FitError without a rotor, ConfigError where unfit."""
     if settings.rig is None:
         raise FitError("no rotor was read for this fit", hint="name it with wear.rotor")
     prior = settings.nuisance_prior
@@ -218,9 +205,7 @@ SMALL_ANGLE = 1e-5
 @dataclass(frozen=True)
 class WornReceptance:
     """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of
-    the terms used.
-
-    *errors*: what sources of systematic error do to it, in the same frame.
+    the terms used. *errors*: what sources of systematic error do to it, in the same frame.
     """
 
     measured: Measured
@@ -247,10 +232,7 @@ class WornReceptance:
 
 
 def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornReceptance:
-    """Lines, frame and terms of a fit.
-
-    ConfigError where they do not fit the response, FitError where nothing is left.
-    """
+    """Lines, frame and terms of a fit; ConfigError where unfit, FitError where nothing is left."""
     left, right = _turn(response, wear.response)
     lines = _lines(response, settings.band, wear)
     measured = measured_part(response, [0, 1], [0, 1], lines)
@@ -265,9 +247,7 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
-    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has an
-    uncertainty.
-    """
+    """Changes in the fit's frame by the direction of sensors and forces of uncertain angle."""
     errors = []
     for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
         for number, port in enumerate(ports):
@@ -321,9 +301,7 @@ def _is_directional(ports: tuple[Port, ...]) -> bool:
 
 
 def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
-    """Rows (part along y, part along z): of dofs named y and z, else by angle, from horizontal (x, 0 deg) to
-    up (y, 90 deg).
-    """
+    """Rows (along y, along z) of dofs y and z, else by angle, from horizontal (0) to up (90 deg)."""
     dofs = tuple(port.dof for port in ports)
     if set(dofs) == {"y", "z"}:
         return np.array([[dof == "y", dof == "z"] for dof in dofs], np.complex128)
@@ -367,10 +345,8 @@ Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 @dataclass
 class Misfit:
     """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once
-    *size* is known.
-
-    size: standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known.
-    The prior's rows stand last.
+    *size* is known. size: standard deviation of the residual as `compared` gives it; 1 where the noise of the
+    FRF is known. The prior's rows stand last.
     """
 
     model: WornModel
@@ -430,10 +406,8 @@ def _prior_rows(model: WornModel) -> tuple[FloatArray, FloatArray]:
 
 def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance; equal weights
-    where no noise is known.
-
-    A covariance estimated from few averages inflates the residual: it is scaled back so that its weight
-    beside the prior is right. Equation (wear-complex).
+    where no noise is known. A covariance estimated from few averages inflates the residual: it is scaled back
+    so that its weight beside the prior is right. Equation (wear-complex).
     """
     chosen = measured.chosen
     weighted = has_noise(chosen)
@@ -456,10 +430,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 
 
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017).
-
-    Equation (wear-log).
-    """
+    """log10(|H_model| / |H_measured|) of all lines (Mendes et al. 2017). Equation (wear-log)."""
     matrix = measured.chosen.matrix
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:

@@ -48,10 +48,7 @@ class Minimum:
 
 
 def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
-    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean.
-
-    That alone where wear is known before.
-    """
+    """Starts (n,), scaled [1]: depths by angles, others at their prior; that alone of known wear."""
     model = misfit.model
     mean = np.array(model.prior.mean) / model.scale[len(model.names) - misfit.n_prior :]
     if DEPTH not in model.names or DEPTH in model.prior.names:
@@ -67,9 +64,7 @@ def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
 def descend(
     misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE
 ) -> Minimum:
-    """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: indices of the parameters that move
-    (default: all).
-    """
+    """Minimum in bounds from a scaled *start* (n,) [1]; *free*: numbers that move (default: all)."""
     moving = list(range(start.size)) if free is None else list(free)
     model, whole = misfit.model, np.array(start, float)
     low, high = model.low[moving], model.high[moving]
@@ -103,10 +98,7 @@ def descend(
 
 
 def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
-    """The distinct minima of all scaled starts (n,) [1], the lowest first.
-
-    FitError when no start leads to a finite misfit.
-    """
+    """Distinct minima of scaled starts (n,) [1], the lowest first; FitError where none is finite."""
     rough = _rank([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
     candidates = _rank([_continue(misfit, minimum) for minimum in merge(rough)])
     if not np.isfinite(candidates[0].chi2):
@@ -183,9 +175,7 @@ PROFILE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Interval:
-    """Ends of a profile interval in scaled units; *open*: whether it ends at the bound only because the range
-    does.
-    """
+    """Ends of a profile interval, scaled; *open*: it ends at the bound only as the range does."""
 
     low: float
     high: float
@@ -281,10 +271,7 @@ LEAST_INFORMATION = 1e-8
 
 
 def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
-    """Minimum at zero depth, refined on the films.
-
-    No start leads there, because the slope by depth is zero.
-    """
+    """Minimum at zero depth, where the slope by depth is zero, refined on the films."""
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
     refined_misfit, healthy = refine(misfit, healthy, nuisances, best.chi2 + HOPELESS)
@@ -293,11 +280,9 @@ def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
 
 def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> float:
     """P(no wear | response), even odds before, and wear evenly likely over the whole range of depth and
-    angle.
-
-    1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other parameters
-    estimated again at every point (their spread is the same with and without wear, so it cancels). Equation
-    (wear-healthy).
+    angle. 1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other
+    parameters estimated again at every point (their spread is the same with and without wear, so it cancels).
+    Equation (wear-healthy).
     """
     gain = healthy_chi2 - best.chi2
     share = _peak_share(misfit, best) if gain > NARROW else _mean_likelihood(misfit, best)
@@ -305,9 +290,7 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
 
 
 def _peak_share(misfit: Misfit, best: Minimum) -> float:
-    """Mean over the range of exp(-(chi2 - chi2_min) / 2) for one narrow peak: 2 pi sqrt(det cov) over the
-    area.
-    """
+    """Mean of exp(-(chi2 - chi2_min) / 2) for one narrow peak: 2 pi sqrt(det cov) over the area."""
     area = float(np.prod(misfit.model.high[:2] - misfit.model.low[:2]))
     return min(float(2 * np.pi * np.sqrt(max(np.linalg.det(_spread(misfit, best)), 1e-12))) / area, 1.0)
 
@@ -318,9 +301,7 @@ def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
-    """Mean over the range of exp(-(chi2 - chi2_min) / 2) on a mesh that is dense at small depths and around
-    the best wear.
-    """
+    """Mean of exp(-(chi2 - chi2_min) / 2), dense at small depths and around the best wear."""
     low, high = misfit.model.low[:2], misfit.model.high[:2]
     widths = np.minimum(np.sqrt(np.diag(_spread(misfit, best))), (high - low) / 8)
     places = [best.parameters[number] + widths[number] * AROUND for number in (0, 1)]
@@ -345,10 +326,8 @@ def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> Flo
 
 def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:
     """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films;
-    zero where there is no film.
-
-    Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the residual by the film's
-    error; *covariance* (n, n) [1]: that of the noise. Equation (wear-film).
+    zero where there is no film. Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the
+    residual by the film's error; *covariance* (n, n) [1]: that of the noise. Equation (wear-film).
     """
     residual, jacobian = misfit.residual(parameters), misfit.jacobian(parameters)
     total = np.zeros_like(covariance)
@@ -360,9 +339,7 @@ def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArr
 
 
 def widen(interval: Interval, best: float, distance: float, low: float, high: float) -> Interval:
-    """A profile interval about *best* with each half-width w replaced by sqrt(w^2 + *distance*^2), within
-    *low* and *high*; all scaled.
-    """
+    """Half-widths w about *best* become sqrt(w^2 + *distance*^2), from *low* to *high*; scaled."""
     first, last = (
         best - np.hypot(best - interval.low, distance),
         best + np.hypot(interval.high - best, distance),
@@ -376,8 +353,6 @@ def widen(interval: Interval, best: float, distance: float, low: float, high: fl
 
 
 def widened_region(outline: FloatArray, best: FloatArray, noise: FloatArray, film: FloatArray) -> FloatArray:
-    """An outline (n, 2) about *best* (2,) for the covariance *noise* (2, 2), stretched to noise and *film*
-    (2, 2); all scaled [1].
-    """
+    """An outline (n, 2) about *best* (2,) for *noise* (2, 2), stretched to it and *film* (2, 2) [1]."""
     stretch = np.linalg.cholesky(noise + film) @ np.linalg.inv(np.linalg.cholesky(noise))
     return best + (outline - best) @ stretch.T

@@ -176,10 +176,7 @@ LEAST_SHARE = 1e-3
 
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`.
-
-    ConfigError if there is no such fit.
-    """
+    """Settings with the earlier fit that `prior` names, if any; ConfigError if there is none."""
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings
@@ -194,10 +191,8 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
     """Mean and covariance of the tuned parameters of a fit, [SI units]; of depth and angle as well where it
-    was of the *same_wear*.
-
-    Standard errors are taken as inflated where the residual exceeds the noise; ConfigError where the fit
-    tuned nothing.
+    was of the *same_wear*. Standard errors are taken as inflated where the residual exceeds the noise;
+    ConfigError where the fit tuned nothing.
     """
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
     carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)
@@ -228,25 +223,13 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     return (worn_fit(response, settings),)
 
 
-def _earlier(settings: FitSettings) -> str:
-    wear: WearSettings = settings.model_settings
-    return wear.prior
-
-
-def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    if not _earlier(settings):
-        return settings
-
-    return with_prior(settings, fits)
-
-
 WORN_BEARING = ModelKind(
     _fit,
     "wear",
     WearSettings,
     "wear: {rotor: ../configs/rotors/FILE.yaml}",
-    earlier=_earlier,
-    begin=_begin,
+    earlier=lambda settings: settings.model_settings.prior,
+    begin=with_prior,
     keys=(),
     estimators=("ml",),
 )

@@ -7,7 +7,7 @@ exact, and from the few dofs of the reduced rotor only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -27,9 +27,7 @@ from labpipe.spectra.convert import FROM_DIRECTIONAL
 
 @dataclass(frozen=True)
 class VaryingSupport:
-    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes
-    (n, 2, 2) [SI].
-    """
+    """A bearing; stiffness_slopes, damping_slopes (n, 2, 2) [SI] by *n* parameters."""
 
     support: Support
     stiffness_slopes: FloatArray
@@ -49,10 +47,8 @@ def response_with_slopes(
     rotor: ReducedRotor, bearings: Iterable[VaryingSupport], output: int, force: int
 ) -> tuple[ComplexArray, ComplexArray]:
     """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n,
-    n_line, 2, 2).
-
-    *bearings* are added to *rotor* and share their parameters; bearings, output and force are nodes of the
-    reduced rotor. Equation (rotor-slopes).
+    n_line, 2, 2). *bearings* are added to *rotor* and share their parameters; bearings, output and force are
+    nodes of the reduced rotor. Equation (rotor-slopes).
     """
     bearings = list(bearings)
     response, to_output, from_force = rotor.paths([bearing.support for bearing in bearings], output, force)
@@ -82,38 +78,8 @@ def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
 
 
 def forward_backward(matrix: ComplexArray) -> ComplexArray:
-    """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z
-    (Mendes et al. 2017, eq. 18).
-    """
+    """A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] (Mendes et al. 2017, eq. 18)."""
     return np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
-
-
-@dataclass(frozen=True)
-class WornRig:
-    """A rotor on all its bearings except the worn one; made once per speed and set of lines.
-
-    rotor: reduced to the worn bearing's *node*, *output*, the node of the sensors, and *force*, the node of
-    the exciter; bearing: coefficients of the worn bearing with their derivatives by depth [m] and angle
-    [rad], from a table or the film itself.
-    """
-
-    rotor: ReducedRotor
-    bearing: Callable[[float, float], VaryingSupport]
-    output: int
-    force: int
-
-
-def worn_response(
-    depth: float, angle: float, rig: WornRig, directional: bool = False
-) -> tuple[ComplexArray, ComplexArray]:
-    """Receptance (n_line, 2, 2) [m/N] with a wear of *depth* [m] at *angle* [rad] from the bottom, and its
-    derivatives (2, n_line, 2, 2).
-
-    The derivatives are by depth and by angle [1/N, m/(N rad)]. *directional*: forward and backward instead of
-    y and z.
-    """
-    response, slopes = response_with_slopes(rig.rotor, [rig.bearing(depth, angle)], rig.output, rig.force)
-    return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
 
 
 # Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the
@@ -143,9 +109,7 @@ STEPS = {
 
 @dataclass(frozen=True)
 class Ranges:
-    """What the tables must cover: factors of viscosity and clearance up and down, lowest cavitation pressure
-    [Pa]; wear limits.
-    """
+    """Factors of viscosity and clearance, lowest cavitation pressure [Pa], wear limits of tables."""
 
     depth: float
     angle: float
@@ -231,10 +195,8 @@ def cached_table(
 @dataclass(frozen=True)
 class Correction:
     """Film minus table near one point: *offset* (2, 2, 2) of stiffness [N/m] and damping [N s/m], and its
-    *slopes*.
-
-    point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and damping, by
-    each of them.
+    *slopes*. point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and
+    damping, by each of them.
     """
 
     point: FloatArray
@@ -242,18 +204,14 @@ class Correction:
     slopes: FloatArray
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of
-        PARAMETERS.
-        """
+        """Of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of PARAMETERS."""
         return self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
 
 
 @dataclass(frozen=True)
 class TabledBearing:
     """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in
-    *fixed*.
-
-    film: the last film that corrected it, from which the next one starts.
+    *fixed*. film: the last film that corrected it, from which the next one starts.
     """
 
     place: BearingPlace
@@ -283,9 +241,7 @@ class TabledBearing:
 
     def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
         """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around
-        them.
-
-        *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
+        them. *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
         """
         if not self.place.is_film:
             return self
@@ -321,9 +277,7 @@ class TabledBearing:
         return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
 
     def shifted(self, change: FloatArray) -> TabledBearing:
-        """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N
-        s/m].
-        """
+        """With a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N s/m]."""
         if self.fixed is not None:
             return replace(
                 self,
@@ -344,10 +298,7 @@ class TabledBearing:
 def tabulate(
     place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh
 ) -> TabledBearing:
-    """A bearing of the rig with its table.
-
-    ConfigError where a bearing with fixed wear would follow other parameters.
-    """
+    """A bearing with its table; ConfigError where fixed wear would follow other parameters."""
     if not place.is_film and not worn:
         coefficients = place.bearing.at(OperatingPoint(load, speed, speed))
         return TabledBearing(

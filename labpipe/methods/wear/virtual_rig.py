@@ -40,9 +40,7 @@ class JournalNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
-    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of
-    `rotor`.
-    """
+    """A rotor file's rotor with a model error, shaker and sensors; *rig*: contents of `rotor`."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
@@ -112,9 +110,7 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
 
 
 def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
-    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above
-    zero; (n, 2, 2) [m/N].
-    """
+    """Forces to displacements in y, z at *frequency* (n,) [Hz], above zero; (n, 2, 2) [m/N]."""
     supports = rig.supports(mesh)
     nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
     parts = [frequency[n : n + LINES_AT_ONCE] for n in range(0, frequency.size, LINES_AT_ONCE)]
@@ -124,9 +120,7 @@ def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexA
 
 @lru_cache(maxsize=8)
 def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
-    """H on every line of a run that the force excites and at the shaft speed, which comes last, (n_line + 1,
-    2, 2) [m/N].
-    """
+    """H on every excited line, at the shaft speed last, (n_line + 1, 2, 2) [m/N]."""
     rig = true_rig(virtual, wear.depth, wear.angle)
     lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
     return receptance(

@@ -36,10 +36,10 @@ def test_grooves_hold_the_ambient_pressure_and_nothing_else_does() -> None:
 
 def test_the_film_reaches_zero_at_the_edge_of_the_groove_not_at_a_cell_s_centre() -> None:
     """The face towards a groove conducts twice as well when its edge is half a cell away."""
-    film = Film.of(MESH, 2.0, groove=GROOVE)
-    np.testing.assert_allclose(np.unique(film.opening.round(9)), [1, 2])
-    assert np.count_nonzero(film.opening > 1) == 4
-    assert np.all(Film.of(MESH, 2.0).opening == 1)
+    film = Film(MESH, 2.0, groove=GROOVE)
+    np.testing.assert_allclose(np.unique(film.grooves[1].round(9)), [1, 2])
+    assert np.count_nonzero(film.grooves[1] > 1) == 4
+    assert np.all(Film(MESH, 2.0).grooves[1] == 1)
 
 
 def test_grooves_of_any_width_are_followed_smoothly() -> None:

@@ -46,7 +46,7 @@ def dense_operator(film: Film, equations) -> np.ndarray:  # type: ignore[no-unty
 def test_banded_factors_equal_dense_algebra(
     rng: np.random.Generator, cavitation: float, folded: bool
 ) -> None:
-    film = Film.of(MESH, 1.7, 0.3, 0.2, cavitation)
+    film = Film(MESH, 1.7, 0.3, 0.2, cavitation)
     pressure = np.full((48, 4), cavitation) if not folded else rng.uniform(0, 0.1, (48, 4))
     equations = film_equations(film, np.array([0.2, -0.3]), np.zeros(2), pressure)
     factors = factorise(equations, film.grid.curvature, band_room(MESH))
@@ -58,7 +58,7 @@ def test_banded_factors_equal_dense_algebra(
 
 
 def test_a_film_that_is_not_positive_definite_is_refused() -> None:
-    film = Film.of(MESH, 1.7)
+    film = Film(MESH, 1.7)
     equations = film_equations(film, np.array([0.0, -1.5]), np.zeros(2), np.zeros((48, 4)))
     with pytest.raises(FitError, match="singular"):
         factorise(equations, film.grid.curvature, band_room(MESH))
@@ -69,7 +69,7 @@ def test_residual_slopes_equal_differences(rng: np.random.Generator, axis: int) 
     """In flowing, cavitated and front cells alike: d residual / d displacement = by_displacement where the
     residual is zero.
     """
-    film = Film.of(MESH, 1.7, 0.4, 0.3, -0.001)
+    film = Film(MESH, 1.7, 0.4, 0.3, -0.001)
     state = film_equilibrium(film, np.array([0.004, -0.03]))
     step = 1e-6 * np.eye(2)[axis]
     plus, minus = (
@@ -96,7 +96,7 @@ def test_rounded_maximum_is_exact_outside_and_its_slopes_are_its_derivatives() -
 
 def test_complementarity_holds_in_the_solved_film() -> None:
     """Away from the rounded front a cell is either at the cavitation pressure or carries without surplus."""
-    film = Film.of(FilmMesh(120, 16), 1.7, 0.25, 0.19, -0.002)
+    film = Film(FilmMesh(120, 16), 1.7, 0.25, 0.19, -0.002)
     state = film_equilibrium(film, np.array([0.0, -0.03]))
     equations = film_equations(film, state.displacement, np.zeros(2), state.pressure)
     gap = state.pressure + 0.002
@@ -108,9 +108,9 @@ def test_complementarity_holds_in_the_solved_film() -> None:
 
 
 def test_coarser_meshes_and_a_neighbour_lead_to_the_same_state() -> None:
-    film, load = Film.of(FilmMesh(96, 16), 1.7, 0.45, 0.14), np.array([0.0, -0.035])
+    film, load = Film(FilmMesh(96, 16), 1.7, 0.45, 0.14), np.array([0.0, -0.035])
     cold = film_equilibrium(film, load)
-    warm = film_equilibrium(film, load, film_equilibrium(Film.of(FilmMesh(96, 16), 1.7, 0.40, 0.10), load))
+    warm = film_equilibrium(film, load, film_equilibrium(Film(FilmMesh(96, 16), 1.7, 0.40, 0.10), load))
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=1e-7)
     np.testing.assert_allclose(warm.stiffness, cold.stiffness, rtol=1e-4)
     assert warm.steps < 9
@@ -121,7 +121,7 @@ def test_a_far_neighbour_of_many_cells_is_left_by_way_of_half_the_cells() -> Non
     cells themselves.
     """
     mesh, load = FilmMesh(240, 60), np.array([0.0, -0.035])
-    healthy, worn = Film.of(mesh, 1.7), Film.of(mesh, 1.7, 0.3, 0.15)
+    healthy, worn = Film(mesh, 1.7), Film(mesh, 1.7, 0.3, 0.15)
     cold, neighbour = film_equilibrium(healthy, load), film_equilibrium(worn, load)
     near, plain = (
         film_equilibrium(healthy, load, start)
@@ -136,7 +136,7 @@ def test_a_far_neighbour_of_many_cells_is_left_by_way_of_half_the_cells() -> Non
 def test_a_start_moved_as_two_neighbours_differ_is_nearer() -> None:
     """The fourth corner of a parallelogram in load and angle: its start lies nearer than either neighbour."""
     films, loads = (
-        [Film.of(MESH, 1.7, 0.3, angle) for angle in (0.1, 0.16)],
+        [Film(MESH, 1.7, 0.3, angle) for angle in (0.1, 0.16)],
         [np.array([0.0, -w]) for w in (0.03, 0.031)],
     )
     states = [[film_equilibrium(film, load) for load in loads] for film in films]
@@ -149,14 +149,14 @@ def test_a_start_moved_as_two_neighbours_differ_is_nearer() -> None:
 
 def test_a_neighbour_that_is_none_does_no_harm() -> None:
     """Started from a state with the journal outside the bore, the film is found all the same."""
-    film, load = Film.of(MESH, 1.7, 0.45, 0.14), np.array([0.0, -0.035])
+    film, load = Film(MESH, 1.7, 0.45, 0.14), np.array([0.0, -0.035])
     cold = film_equilibrium(film, load)
     lost = dataclasses.replace(cold, displacement=np.array([0.0, 1.2]))
     np.testing.assert_array_equal(film_equilibrium(film, load, lost).displacement, cold.displacement)
 
 
 def test_the_film_around_a_held_journal_is_that_of_the_equilibrium() -> None:
-    film = Film.of(MESH, 1.7, 0.3, 0.1)
+    film = Film(MESH, 1.7, 0.3, 0.1)
     state = film_equilibrium(film, np.array([0.0, -0.03]))
     held = film_at(film, state.displacement, np.zeros(2))
     np.testing.assert_allclose(held.force, [0, 0.03], atol=1e-8)
@@ -166,7 +166,7 @@ def test_the_film_around_a_held_journal_is_that_of_the_equilibrium() -> None:
 
 def test_too_heavy_a_load_is_said() -> None:
     with pytest.raises(FitError, match=r"no equilibrium|singular"):
-        film_equilibrium(Film.of(MESH, 1.7), np.array([0.0, -1e7]))
+        film_equilibrium(Film(MESH, 1.7), np.array([0.0, -1e7]))
 
 
 def test_worn_depth_by_hand() -> None:
@@ -249,7 +249,7 @@ def exact_complementarity(film: Film, displacement: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("depth", "cavitation"), [(0.0, 0.0), (0.3, 0.0), (0.45, -0.004)])
 def test_rounding_the_front_changes_little(depth: float, cavitation: float) -> None:
     """Force and highest pressure within 1 % of exact complementarity on the same mesh of 72 x 8 cells."""
-    film, displacement = Film.of(FilmMesh(72, 8), 1.7, depth, 0.2, cavitation), np.array([0.2, -0.25])
+    film, displacement = Film(FilmMesh(72, 8), 1.7, depth, 0.2, cavitation), np.array([0.2, -0.25])
     exact = exact_complementarity(film, displacement)
     rounded = film_at(film, displacement, np.zeros(2))
     force = film.force_weights @ exact.sum(axis=1)
@@ -270,6 +270,6 @@ def test_an_equilibrium_is_found_from_light_to_heavy_loads(
     for size in (1e-3, 1e-2, 0.1, 1.0, 10.0, 30.0):
         load = np.array([0.0, -size / (1 + 0.3 * slenderness**2)])
         for cavitation in (0.0, -0.015 * np.hypot(*load)):
-            state = film_equilibrium(Film.of(FilmMesh(60, 12), slenderness, depth, angle, cavitation), load)
+            state = film_equilibrium(Film(FilmMesh(60, 12), slenderness, depth, angle, cavitation), load)
             np.testing.assert_allclose(state.force, -load, atol=1e-6 * np.hypot(*load))
             assert np.all(np.linalg.eigvalsh(state.damping) > 0)

@@ -18,7 +18,6 @@ from labpipe.methods.magnetic_bearing.loop import ControlLoop, controller, dynam
 from labpipe.methods.magnetic_bearing.loop_problem import unknown, with_unknowns
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop
 from labpipe.methods.magnetic_bearing.stability import (
-    Levitated,
     closed_loop_poles,
     sensitivity,
     sensitivity_matrix,
@@ -109,7 +108,7 @@ def test_a_notch_has_its_depth_and_width() -> None:
 
 def test_the_pid_as_a_polynomial_is_the_pid() -> None:
     """Stiffness, poles and sensitivity, with the numbers of the PID as the reference."""
-    ours, theirs = Levitated(BLOCKS, 33106.0, 0.065), Levitated(LOOP, 33106.0, 0.065)
+    ours, theirs = Suspended(BLOCKS, 33106.0, 0.065), Suspended(LOOP, 33106.0, 0.065)
     np.testing.assert_allclose(
         dynamic_stiffness(BLOCKS, 33106.0, OMEGA), dynamic_stiffness(LOOP, 33106.0, OMEGA), rtol=1e-9
     )
@@ -131,11 +130,11 @@ def test_discrete_blocks_have_the_poles_of_the_sampled_loop() -> None:
     zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, 20e3)
     numerator, denominator = signal.zpk2tf(zeros, poles, gain)
     block = ControllerBlock(form="polynomial", numerator=numerator, denominator=denominator, rate="20 kHz")
-    found = closed_loop_poles(Levitated(ControlLoop(controller=(block,)), 33106.0, 0.065))[:3]
+    found = closed_loop_poles(Suspended(ControlLoop(controller=(block,)), 33106.0, 0.065))[:3]
     z = np.linalg.eigvals(sampled_loop(Suspended(LOOP, 33106.0, 0.065)).a)
     expected = 20e3 * np.log(sorted(z.astype(complex), key=abs)[::-1][:3])
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-5)
-    assert unstable_poles(Levitated(ControlLoop(controller=(block,)), 33106.0, 0.065)) == 0
+    assert unstable_poles(Suspended(ControlLoop(controller=(block,)), 33106.0, 0.065)) == 0
     np.testing.assert_allclose(
         controller(ControlLoop(controller=(block,)), OMEGA[:3]), controller(LOOP, OMEGA[:3]), rtol=3e-3
     )
@@ -148,7 +147,7 @@ def test_an_integrator_is_stable_up_to_routh_s_limit(share: float, unstable: int
     gain = loop_stiffness(LOOP)
     limit = k_d * (gain * k_p - pull) / m
     pid = ControllerBlock(form="pid", proportional=k_p, derivative=k_d, integral=share * limit)
-    plant = Levitated(ControlLoop(controller=(pid,), delay=0.0, bandwidth=1e12), pull, m)
+    plant = Suspended(ControlLoop(controller=(pid,), delay=0.0, bandwidth=1e12), pull, m)
     assert unstable_poles(plant) == unstable
     assert np.sum(closed_loop_poles(plant).real > 0) == unstable
     assert sensitivity(plant, np.zeros(1))[0] == 0
@@ -161,7 +160,7 @@ def test_an_unstable_controller_is_counted() -> None:
     counts = []
     for gain in (3.0, 0.1):
         block = ControllerBlock(form="roots", zeros=[-300.0, -1538.0], poles=["40", "-1e5"], gain=gain * 65.0)
-        plant = Levitated(ControlLoop(controller=(block,), delay=0.0, bandwidth=1e12), 33106.0, 0.065)
+        plant = Suspended(ControlLoop(controller=(block,), delay=0.0, bandwidth=1e12), 33106.0, 0.065)
         cubic = np.polyadd(
             np.polymul([0.065, 0.0, -33106.0], np.polymul([1.0, -40.0], [1.0, 1e5])),
             46400 * gain * 65.0 * np.polymul([1.0, 300.0], [1.0, 1538.0]),
@@ -185,7 +184,7 @@ def test_cross_coupling_destabilises_beyond_damping_times_frequency(share: float
         if share
         else CrossControl()
     )
-    plant = Levitated(ControlLoop(controller=pd, cross=cross, delay=0.0, bandwidth=1e12), pull, m)
+    plant = Suspended(ControlLoop(controller=pd, cross=cross, delay=0.0, bandwidth=1e12), pull, m)
     assert unstable_poles(plant) == unstable
     assert np.sum(closed_loop_poles(plant).real > 0) == unstable
     matrix = sensitivity_matrix(plant, OMEGA)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, optimize
 
 from labpipe.artefacts.identification_file import fit_entry, read_fit
 from labpipe.errors import ConfigError, FitError
@@ -192,6 +192,25 @@ def test_a_gain_of_the_probe_is_one_of_k_i_alone() -> None:
     fit = fitted(replace(spectra, factors=(factor,)))
     assert fit.parameter("k_i").systematic == pytest.approx(0.8, rel=1e-4)
     assert (fit.parameter("k_s").systematic or 0.0) < 1.0
+
+
+def test_a_stated_delay_explains_what_the_least_sum_of_both_squares_does() -> None:
+    """Chi-square of few periods beside the minimum over the delay itself, fitted at each of its values."""
+    spectra, error = COUPLED.spectra(np.random.default_rng(2), 8), 2e-5
+    omega, vectors = 2 * np.pi * spectra.frequency[:, None, None], spectra.vectors.copy()
+    vectors[..., 2:] *= np.exp(-1j * omega * error)
+    late = UncertainFactor("delay", 0.0, error, "s", np.diag([0, 0, -1j, -1j]), power=1)
+    stated = fitted(replace(spectra, vectors=vectors, factors=(late,)))
+    dof = 4 * spectra.frequency.size * 2 - len(stated.parameters)
+
+    def squares(deviation: float) -> float:
+        early = vectors.copy()
+        early[..., 2:] *= np.exp(1j * omega * deviation * error)
+        return fitted(replace(spectra, vectors=early)).gof.chi2_reduced * dof + deviation**2
+
+    least = optimize.minimize_scalar(squares, bounds=(0.0, 2.0), method="bounded").fun
+    explained = squares(0.0) - stated.gof.chi2_reduced * dof
+    assert explained == pytest.approx(squares(0.0) - least, rel=0.03)
 
 
 def test_the_inertia_s_uncertainty_counts() -> None:

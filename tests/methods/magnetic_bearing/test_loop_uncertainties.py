@@ -216,13 +216,15 @@ def test_margins_and_singular_values_follow_the_channels() -> None:
     def computed(response: FrequencyResponse) -> np.ndarray:
         found = sensitivity_matrix(response, ("bx", "by"), ("ax", "ay"))
         margins = measured_margins(
-            FREQUENCY, found.loop_transfer(0), found.transfer_changes(0), (np.inf, 1.96)
+            FREQUENCY, found.loop(0).transfer, found.loop(0).transfer_changes, (np.inf, 1.96)
         )
         assert [one.name for one, _ in margins] == ["measured_phase_margin", "measured_delay_margin"]
         return np.array([found.largest()[0][90], *(one.value for one, _ in margins)])
 
     found = sensitivity_matrix(with_uncertainties(plain, *SIZES), ("bx", "by"), ("ax", "ay"))
-    margins = measured_margins(FREQUENCY, found.loop_transfer(0), found.transfer_changes(0), (np.inf, 1.96))
+    margins = measured_margins(
+        FREQUENCY, found.loop(0).transfer, found.loop(0).transfer_changes, (np.inf, 1.96)
+    )
     for number, error in enumerate(found.errors):
         label, _, effect = error.uncertainty.source.partition(".")
         told = [found.largest_changes()[number, 90], *(change[number] for _, change in margins)]

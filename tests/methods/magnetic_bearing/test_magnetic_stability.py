@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, controller, loop_stiffness
 from labpipe.methods.magnetic_bearing.stability import (
-    Levitated,
+    Suspended,
     closed_loop_poles,
     pade,
     sensitivity,
@@ -21,7 +21,7 @@ from labpipe.methods.magnetic_bearing.stability import (
 )
 
 # Half of the levitated rotor's 0.13 kg; the negative stiffness leaves 1694 N/m at rest.
-RIG = Levitated(ControlLoop(), 33106.0, 0.065)
+RIG = Suspended(ControlLoop(), 33106.0, 0.065)
 IDEAL = ControlLoop(derivative_time=0.0, lag=0.0, lag_time=0.0, delay=0.0, bandwidth=1e12)
 
 
@@ -41,7 +41,7 @@ def test_first_order_pade_is_the_textbook_one() -> None:
 
 def test_ideal_loop_has_the_poles_of_a_spring_and_damper() -> None:
     """m s^2 + K k_d s + K k_p - k_n = 0: quadratic formula."""
-    plant = Levitated(IDEAL, 33106.0, 0.065)
+    plant = Suspended(IDEAL, 33106.0, 0.065)
     b, c = 46400 * 6.5e-4 / 0.065, (46400 - 33106.0) / 0.065
     exact = -b / 2 + 1j * np.sqrt(c - b**2 / 4)
     slow = [pole for pole in closed_loop_poles(plant) if abs(pole) < 1e6]
@@ -85,7 +85,7 @@ def test_sensitivity_at_rest_is_the_ratio_of_stiffnesses() -> None:
 
 def test_peak_of_an_ideal_loop_is_the_one_of_its_closed_form() -> None:
     """S = (s^2 - n) / (s^2 + 2 z w0 s + w0^2) by a search over a million lines."""
-    plant = Levitated(replace(IDEAL, proportional=3.0, derivative=1e-3), 33106.0, 0.065)
+    plant = Suspended(replace(IDEAL, proportional=3.0, derivative=1e-3), 33106.0, 0.065)
     w = 2 * np.pi * np.linspace(1.0, 2000.0, 1_000_001)
     size = np.abs((-(w**2) - 33106 / 0.065) / (-(w**2) + 1j * w * 46.4 / 0.065 + (3 * 46400 - 33106) / 0.065))
     peak = sensitivity_peak(plant)

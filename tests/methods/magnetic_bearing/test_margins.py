@@ -9,13 +9,7 @@ import pytest
 
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop
-from labpipe.methods.magnetic_bearing.stability import (
-    SIGNALS,
-    Levitated,
-    open_loop,
-    sensitivity,
-    unstable_poles,
-)
+from labpipe.methods.magnetic_bearing.stability import SIGNALS, open_loop, sensitivity, unstable_poles
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock
 
 K_P, K_D, PULL = 9.0, 2.0, 4.0
@@ -59,7 +53,7 @@ def test_the_disk_is_within_gain_and_phase() -> None:
     assert 1 / found.peak >= found.disk / (1 + found.disk / 2) - 1e-9
 
 
-PLANT = Levitated(ControlLoop(proportional=1.6, derivative=1.2e-3), 33106.0, 0.065)
+PLANT = Suspended(ControlLoop(proportional=1.6, derivative=1.2e-3), 33106.0, 0.065)
 
 
 def test_margins_of_a_levitated_mass_are_where_it_becomes_unstable() -> None:
@@ -73,10 +67,10 @@ def test_margins_of_a_levitated_mass_are_where_it_becomes_unstable() -> None:
         (found.gain_upper * 1.001, True),
     ):
         changed = ControlLoop(proportional=1.6, derivative=1.2e-3, amplifier=factor)
-        assert (unstable_poles(Levitated(changed, 33106.0, 0.065)) > 0) == unstable
+        assert (unstable_poles(Suspended(changed, 33106.0, 0.065)) > 0) == unstable
     for share, unstable in ((0.999, False), (1.001, True)):
         slow = ControlLoop(proportional=1.6, derivative=1.2e-3, delay=loop.delay + share * found.delay)
-        assert (unstable_poles(Levitated(slow, 33106.0, 0.065)) > 0) == unstable
+        assert (unstable_poles(Suspended(slow, 33106.0, 0.065)) > 0) == unstable
 
 
 def test_the_open_loop_is_that_of_the_matrices() -> None:
@@ -110,5 +104,5 @@ def test_a_filtered_record_has_no_images() -> None:
 
 def test_a_gain_alone_is_sampled_without_memory() -> None:
     block = ControllerBlock(form="gain", gain=2.0)
-    plant = Levitated(ControlLoop(controller=(block,)), 33106.0, 0.065)
+    plant = Suspended(ControlLoop(controller=(block,)), 33106.0, 0.065)
     assert open_loop(plant, np.array([100.0]), 20e3).controller == pytest.approx([2.0])

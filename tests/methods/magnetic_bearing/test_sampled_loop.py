@@ -12,7 +12,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop, sampled_matrix, straight
-from labpipe.methods.magnetic_bearing.stability import Levitated, sensitivity
+from labpipe.methods.magnetic_bearing.stability import sensitivity
 
 LOOP = ControlLoop()
 PULL = inferred_negative_stiffness(LOOP, 1694.0)
@@ -46,7 +46,7 @@ def test_stiffness_and_damping_are_those_of_the_frequency_domain(loop: ControlLo
 def test_the_sensitivity_is_that_of_the_frequency_domain() -> None:
     omega = 2 * np.pi * np.array([10.0, 50.0, 100.0, 200.0, 500.0])
     _, before, after = sampled_loop(ROTOR).response(omega)[:, :3, 2].T
-    np.testing.assert_allclose(after, sensitivity(Levitated(LOOP, PULL, 0.065), omega), rtol=1e-3)
+    np.testing.assert_allclose(after, sensitivity(Suspended(LOOP, PULL, 0.065), omega), rtol=1e-3)
     np.testing.assert_allclose(after - before, 1.0, rtol=1e-9)
 
 

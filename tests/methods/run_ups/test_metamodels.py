@@ -314,22 +314,19 @@ def test_one_load_left_out_of_a_known_field() -> None:
 
     A wavy field is predicted better by the process than by the surface.
     """
-    exact = leave_one_load_out(grid_of(quadratic), ["surface"])
+    exact = leave_one_load_out(grid_of(quadratic), ["surface"])["surface"]
     assert [row.load for row in exact] == list(LOADS)
-    assert [row.beyond for row in exact] == [True, False, False, True]
+    assert [row.outside for row in exact] == [True, False, False, True]
     assert max(row.rms for row in exact) < 1e-9
     wavy = leave_one_load_out(grid_of(smooth), ["surface", "process"])
-    inner = {
-        kind: max(row.rms for row in wavy if row.kind == kind and not row.beyond)
-        for kind in ("surface", "process")
-    }
+    inner = {kind: max(row.rms for row in rows if not row.outside) for kind, rows in wavy.items()}
     assert inner["process"] < 0.01 < inner["surface"]
 
 
 def test_a_kind_that_cannot_do_without_a_load_says_so() -> None:
     grid = grid_of(quadratic)
     three = Grid(*(getattr(grid, name)[grid.load < 9] for name in ("load", "speed", "eight")))
-    rows = leave_one_load_out(three, ["surface"])
+    rows = leave_one_load_out(three, ["surface"])["surface"]
     assert all("three loads" in row.failed and np.isnan(row.rms) for row in rows)
 
 
@@ -342,9 +339,7 @@ def test_the_physical_fit_predicts_a_load_it_never_saw_best() -> None:
     joint = fit_jointly(RIG, runs)
     grid = Grid.sampled(joint, joint.loads, truth.omega)
     rows = leave_one_load_out(grid, ["surface", "process"], physical_without(RIG, runs))
-    worst = {
-        kind: max(row.rms for row in rows if row.kind == kind) for kind in ("surface", "process", "physical")
-    }
+    worst = {kind: max(row.rms for row in of_kind) for kind, of_kind in rows.items()}
     assert worst["physical"] < 0.06 < worst["process"] < worst["surface"]
     true = as_eight(*true_coefficients(truth, truth.held_out)(truth.omega))
     model = PhysicalFit.of(joint, (truth.omega[0], truth.omega[-1]))

@@ -44,7 +44,7 @@ def test_a_change_that_is_not_seen_changes_no_response(rng: np.random.Generator)
     """
     speed = np.array([150.0])
     stiffness, damping = RIG.start_coefficients(5.0, speed)
-    condensed = RIG.under_unbalance(speed, RIG.known_unbalance)
+    condensed = RIG.condensed(speed, RIG.known_unbalance)
     journal, _ = condensed.journal(stiffness, damping)
     across = np.array([-journal[0, 1], journal[0, 0]])
     rows = (
@@ -56,7 +56,7 @@ def test_a_change_that_is_not_seen_changes_no_response(rng: np.random.Generator)
     )
     changed = stiffness + rows.real, damping + rows.imag / speed
     for unbalance in (RIG.known_unbalance, {"disc 2": 5e-5j}):
-        there = RIG.under_unbalance(speed, unbalance)
+        there = RIG.condensed(speed, unbalance)
         np.testing.assert_allclose(there.response(*changed), there.response(stiffness, damping), rtol=1e-9)
     assert np.max(np.abs(changed[0] / stiffness - 1)) > 0.01
 

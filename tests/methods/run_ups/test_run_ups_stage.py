@@ -306,7 +306,7 @@ def recorded(path: Path, unbalance: dict[str, complex]) -> None:
     speed = np.linspace(900, 2100, time.size) * RPM
     revolutions = np.cumsum(speed) / 2000 / (2 * np.pi)
     grid = np.arange(880.0, 2121.0, 10.0) * RPM
-    phasors = RIG.under_unbalance(grid, unbalance).response(*RIG.start_coefficients(LOAD, grid))
+    phasors = RIG.condensed(grid, unbalance).response(*RIG.start_coefficients(LOAD, grid))
     there = np.stack(
         [np.interp(speed, grid, one.real) + 1j * np.interp(speed, grid, one.imag) for one in phasors.T]
     )

@@ -19,7 +19,8 @@ from labpipe.methods.journal_bearing.curve import journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.shaft import ALUMINIUM, Disc, Rotor, ShaftElement, Sleeve, Support, bearing_loads
-from labpipe.methods.wear.tables import VaryingSupport, WornRig, worn_response
+from labpipe.methods.wear.tables import VaryingSupport
+from tests.methods.wear.worn_cases import WornRig, worn_response
 
 SPEED = 2 * np.pi * 50
 LINES = np.concatenate([np.arange(15.9, 35.0, 1.0), np.arange(78.1, 88.0, 0.8)])

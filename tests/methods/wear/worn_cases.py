@@ -4,17 +4,21 @@ second.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from labpipe.arrays import ComplexArray
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.rotor.response import ReducedRotor
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.settings import WearSettings
+from labpipe.methods.wear.tables import VaryingSupport, forward_backward, response_with_slopes
 from labpipe.methods.wear.virtual_rig import receptance
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
@@ -93,3 +97,23 @@ def turned(
     return replace(
         response, matrix=left @ response.matrix @ right, outputs=ports, inputs=ports, covariance=None
     )
+
+
+@dataclass(frozen=True)
+class WornRig:
+    """A rotor on all its bearings except the worn one, reduced to the nodes of that one, sensors and exciter;
+    bearing: its coefficients with their derivatives by depth [m] and angle [rad].
+    """
+
+    rotor: ReducedRotor
+    bearing: Callable[[float, float], VaryingSupport]
+    output: int
+    force: int
+
+
+def worn_response(
+    depth: float, angle: float, rig: WornRig, directional: bool = False
+) -> tuple[ComplexArray, ComplexArray]:
+    """Receptance (n_line, 2, 2) [m/N] of a wear and its derivatives (2, n_line, 2, 2) by depth and angle."""
+    response, slopes = response_with_slopes(rig.rotor, [rig.bearing(depth, angle)], rig.output, rig.force)
+    return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
