@@ -116,7 +116,9 @@ def few_averages(noise: Noise) -> tuple[Finding, ...]:
 
 
 def shaft_motion(stator: Stator) -> tuple[float, float] | None:
-    """Motion of the shaft X_r = -A / w^2 - D over the relative one, r.m.s., and its standard errors."""
+    """Motion of the shaft X_r = -A / w^2 - D over the relative motion, r.m.s. over all lines by their noise,
+    and how many standard errors it is [1].
+    """
     if not stator.accelerated or not np.any(stator.to_axes[2:4]):
         return None
     absolute = stator.omega[:, None, None] ** 2

@@ -228,7 +228,10 @@ class StiffnessModel:
         return np.tensordot(values[: self.n_linear].reshape(len(self.form.matrices), -1), self.elements, 1)
 
     def stiffness(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,). Equation (ds-form)."""
+        """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s].
+
+        Equation (ds-form).
+        """
         basis = self.form.basis(values[self.n_linear :], omega)
         return np.tensordot(basis.T, self.matrices(values), 1)
 

@@ -132,7 +132,11 @@ class ErrorsInVariables:
         return self.columns(parameters)
 
     def columns(self, parameters: FloatArray) -> FloatArray:
-        """-L^-1 (dH/dp) m^ as columns (n_equation, n_parameter) [1/unit]. Equation (ds-jacobian)."""
+        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element
+        of the matrices.
+
+        Equation (ds-jacobian).
+        """
         state, model, omega = self.at(parameters), self.model, self.balance.omega
         theta = parameters[model.n_linear :]
         moved = state.whiten(times(model.elements[:, None, None], state.smoothed))
@@ -251,7 +255,7 @@ class BalanceEstimate(Generic[Model]):
 
 @dataclass(frozen=True)
 class Estimate(BalanceEstimate[StiffnessModel]):
-    """Of a dynamic stiffness; pulls: what the data say of given numbers that are uncertain."""
+    """The minimum of V of a dynamic stiffness; pulls: what the data say of given numbers that are uncertain."""
 
     pulls: Pulls | None = None
 

@@ -41,7 +41,9 @@ Respond = Callable[[ComplexArray], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Baseline:
-    """What holds the stator beside the bearing: a *model*, values (n,) [its units], *uncertainties*."""
+    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a
+    *model*, with *uncertainties*.
+    """
 
     model: StiffnessModel
     values: FloatArray

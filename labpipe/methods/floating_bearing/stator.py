@@ -181,7 +181,11 @@ ONE_DIRECTION = 1e3
 
 @dataclass(frozen=True)
 class LineStiffness:
-    """G m^-1 (n_line, 2, 2) [N/m], m^-1 (n_line, n_run, 2) [1/m]; *paired*: of two neighbouring lines."""
+    """H = G m^-1 (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s]; inverse (n_line, n_run, 2) [1/m]: rows of
+    m^-1, by run.
+
+    *paired*: the vectors of two neighbouring lines taken together, each line having one only.
+    """
 
     omega: FloatArray
     stiffness: ComplexArray
@@ -238,7 +242,11 @@ LETTERS = ("k", "c", "m")
 
 
 def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
-    """Ratios of standard errors by J *columns* (n_equation, n_parameter) [1]. Equation (ds-excitation)."""
+    """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter)
+    [1/parameter unit] of the Jacobian.
+
+    Equation (ds-excitation).
+    """
     n_line, n_run = stator.channels.shape[:2]
     rows = columns.reshape(2, n_line, 2 * n_run, -1).transpose(1, 0, 2, 3).reshape(n_line, 4 * n_run, -1)
     scale = np.linalg.norm(columns, axis=0)

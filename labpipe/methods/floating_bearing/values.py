@@ -162,7 +162,11 @@ def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
 def effective(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0
 ) -> Course:
-    """At omega (n_line,) [rad/s] of values (n_parameter,) and covariance. Equation (ds-effective)."""
+    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter,
+    n_parameter) [parameter units].
+
+    Equation (ds-effective).
+    """
     h = forward(model.stiffness(values, omega), sense)
     slopes = forward(model.jacobian(values, omega), sense)
     errors = [
@@ -174,7 +178,9 @@ def effective(
 
 @dataclass(frozen=True)
 class Crossover:
-    """w [rad/s] above which damping is positive, slopes (n_parameter,), 95 % interval (Fieller)."""
+    """Frequency w [rad/s] above which damping is positive, its slopes (n_parameter,) [per parameter unit] and
+    95 % interval (Fieller).
+    """
 
     omega: float
     slopes: FloatArray
@@ -246,7 +252,9 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Valued:
-    """A reported parameter, its *slopes* (n_parameter,) [its unit per unit] over the fitted values."""
+    """A reported parameter and its *slopes* (n_parameter,) [its unit per parameter unit] over the fitted
+    values.
+    """
 
     parameter: Parameter
     slopes: FloatArray

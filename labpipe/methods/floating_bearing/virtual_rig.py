@@ -236,7 +236,11 @@ def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, Fl
 
 
 def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
-    """K + j w C - w^2 M + relaxation + pad at *frequency* [Hz], (n, 2, 2) [N/m]. Equation (sim-film)."""
+    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator
+    is -H D.
+
+    Equation (sim-film).
+    """
     omega = 2 * np.pi * np.asarray(frequency, float)
     jw = 1j * omega[:, None, None]
     stiffness, damping, mass = coefficients(rig, condition)

@@ -45,7 +45,11 @@ def wear_edges(depth: float, angle: float) -> tuple[float, float]:
 
 
 def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
-    """max(0, depth - 1 - cos(theta - pi/2 - angle)) over c [-], (...). Equation (jour-wear)."""
+    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], same
+    shape as *theta* [rad].
+
+    Equation (jour-wear).
+    """
     return np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
 
 

@@ -87,7 +87,11 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
 
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
-    """sqrt of the F(2, 2 nu) quantile of |e|^2 / var of *count* values together. Equation (mag-radius)."""
+    """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of
+    F with 2 and 2 nu.
+
+    Equation (mag-radius).
+    """
     beyond = -np.expm1(np.log(confidence) / count)
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
 

@@ -347,7 +347,8 @@ class LevitatedLoop:
 
     def run(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Output of the controller with what is added (n_sample, n_axis) [A], motion at the sensors [m] and
-        current [A] BETWEEN times as often, of *inputs* (n_sample, n_input), from rest; ConfigError: unstable.
+        current [A] BETWEEN times as often, of *inputs* (n_sample, n_input) [N, m, m, A], from rest;
+        ConfigError where unstable.
         """
         growth = float(np.max(self.poles.real))
         if growth > ROUNDING * self.rate:

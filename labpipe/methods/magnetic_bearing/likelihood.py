@@ -37,7 +37,9 @@ REWEIGHTED = 4
 
 @dataclass(frozen=True)
 class Residual:
-    """e = B z (n_line, n_run, n) [N], L L^H = S, white = L^-1 e, channels z^ (n_line, n_run, n_channel)."""
+    """e = B z (n_line, n_run, n) [N], L L^H = S (n_line, n_run, n, n), white = L^-1 e, smoothed channels z^
+    (n_line, n_run, n_channel).
+    """
 
     plain: ComplexArray
     lower: ComplexArray
@@ -73,11 +75,15 @@ class MagnetLikelihood:
         return self._at[1]
 
     def rows(self, values: FloatArray) -> ComplexArray:
-        """B by channels (n_line, n, n_channel) [N per SI unit] at *values* (n_parameter,)."""
+        """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at *values* (n_parameter,)
+        [parameter units].
+        """
         return np.asarray(self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit and parameter unit]."""
+        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit of the channel and parameter
+        unit] there.
+        """
         return np.asarray(self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -161,7 +167,9 @@ NOISE_FREE = 1e-20
 
 @dataclass(frozen=True)
 class MagnetEstimate(BalanceEstimate[MagnetModel]):
-    """Of magnets, what given numbers do, and amplification (n_parameter,) [their units] of errors."""
+    """The minimum of V of magnets; uncertainties: what given numbers do, amplification (n_parameter,) [units
+    of the parameters]: of errors of the channels.
+    """
 
     uncertainties: tuple[GivenUncertainty, ...]
     amplification: FloatArray
@@ -270,7 +278,9 @@ class LateLikelihood(MagnetLikelihood):
         return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """dB/dp (n_parameter + 1, n_line, n, n_channel) [N per SI and parameter unit], the last by s."""
+        """Its derivatives (n_parameter + 1, n_line, n, n_channel) [N per SI unit of the channel and parameter
+        unit] there, the last one by s.
+        """
         turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
         return np.concatenate([super().slopes(values[:-1]) * self._turn(values[-1]), turned[None]])
 

@@ -131,7 +131,9 @@ def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Smooth:
-    """A smoothed response at omega (n,) [rad/s], covariance (n, n), changes (n_source, n), all [1]."""
+    """A smoothed response at omega (n_place,) [rad/s] with its covariance (n_place, n_place) and changes
+    (n_source, n_place), all [1].
+    """
 
     omega: FloatArray
     values: ComplexArray

@@ -56,7 +56,11 @@ class SampledLoop:
     rate: float
 
     def run(self, inputs: FloatArray) -> FloatArray:
-        """z (n_sample, n_direction, 5) [m, V, A] of w (..., 4) [N, m, V], from rest; ConfigError unstable."""
+        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m,
+        V], from rest.
+
+        ConfigError for an unstable loop.
+        """
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
             rate = np.log(largest) * self.rate
@@ -276,7 +280,11 @@ def _step(
 
 
 def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) [its unit] of (constant + derivative s) / (1 + s time [s]). Equation (mag-tustin)."""
+    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear
+    transform; *time*, *interval* [s].
+
+    Equation (mag-tustin).
+    """
     fast = 2 / interval
     whole = 1 + fast * time
     return (
@@ -312,7 +320,11 @@ def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
 def integrals(
     slope: FloatArray, inputs: FloatArray, time: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e^{A t} (n, n), responses (n, m) [any unit] to 1 and to a ramp t after *time* [s] (Van Loan 1978)."""
+    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time*
+    [s] (Van Loan, 1978).
+
+    *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
+    """
     n, m = inputs.shape
     joint = np.zeros((n + 2 * m, n + 2 * m))
     joint[:n, :n], joint[:n, n : n + m], joint[n : n + m, n + m :] = slope, inputs, np.eye(m)
@@ -323,7 +335,9 @@ def integrals(
 def step_matrices(
     step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C, D (n_state, n_state), ... [any unit] of a linear *step* (state, inputs) -> both."""
+    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column:
+    (n_state, n_state), ...
+    """
     still = np.zeros(n_input)
     by_state = [step(unit, still) for unit in np.eye(n_state)]
     by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]

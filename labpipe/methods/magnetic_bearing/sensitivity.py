@@ -418,8 +418,11 @@ SAME_SIGNAL = 1e-9
 
 @dataclass(frozen=True)
 class SensitivityMatrix:
-    """S of a *response*, (n_line, n, n) [1] by loops, covariance (n_line, n^2, n^2) [1] of its elements row
-    by row; errors: changes (n_line, n, n) [1] of S by one standard uncertainty of every source.
+    """S over *frequency* [Hz], (n_line, n, n) [1] by loops, covariance (n_line, n^2, n^2) [1] of its elements
+    row by row.
+
+    dof: complex degrees of freedom behind the covariance; names of the loops. errors: changes (n_line, n, n)
+    [1] of S by one standard uncertainty of every source.
     """
 
     response: FrequencyResponse

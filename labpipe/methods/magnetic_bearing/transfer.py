@@ -25,7 +25,9 @@ VANISHED, SAME = 1e-10, 1e-6
 
 @dataclass(frozen=True)
 class Transfer:
-    """gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a *rate* [Hz] v = e^{s / rate}."""
+    """G = gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a sampling *rate* [Hz] v = z =
+    e^{s / rate} [1].
+    """
 
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()

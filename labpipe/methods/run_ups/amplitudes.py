@@ -385,7 +385,9 @@ class Amplitudes:
         )
 
     def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
-        """Displacements (..., n_chosen, n_plane) [m] of coefficients (..., n_chosen, 8)."""
+        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
+        s/m] at the *chosen* speeds.
+        """
         return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
 
     @staticmethod

@@ -35,7 +35,9 @@ class Queried(Protocol):
     """A fit with coefficients (n_speed, 8) and their errors at any load and speed."""
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients, errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)."""
+        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)
+        [rad/s].
+        """
         ...
 
 
@@ -275,7 +277,10 @@ class PhysicalFit:
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Coefficients (n_point, 8) [N/m, N s/m]; FitError outside the film's table."""
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s].
+
+        FitError outside the film's table.
+        """
         return self.family.coefficients(self.values, load, speed)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:

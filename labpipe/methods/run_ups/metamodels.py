@@ -117,7 +117,9 @@ class GaussianProcess(WithinExtent):
         return np.stack([regressor.predict(coded) for regressor in self.regressors], axis=-1)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included."""
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds
+        [rad/s].
+        """
         coded = self.extent.coded(load, speed)
         return np.stack(
             [regressor.predict(coded, return_std=True)[1] for regressor in self.regressors], axis=-1
@@ -189,7 +191,11 @@ class Network(WithinExtent):
         )
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """By every repeat, (n_repeat, n_point, 8) [N/m, N s/m]. Equation (run-network)."""
+        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s]
+        (n_point,).
+
+        Equation (run-network).
+        """
         coded = self.extent.coded(load, speed)
         scaled = [
             np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
@@ -197,7 +203,9 @@ class Network(WithinExtent):
         return np.asarray(self.middle + self.deviation * np.array(scaled))
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m]: the mean of the repeats."""
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the
+        repeats.
+        """
         return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:

@@ -45,7 +45,9 @@ class ExcitedRun:
         return self._weight(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`residual` [-], its slopes (n_speed, n_equation, 8) by *coefficients* (n_speed, 8)."""
+        """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N
+        s/m].
+        """
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
         weighted = self._weight(np.moveaxis(slopes, -1, 0))
         return self._weight(response - self._measured), np.moveaxis(weighted, 0, -1)
@@ -80,7 +82,9 @@ class LoadRuns:
     runs: tuple[ExcitedRun, ...]
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual (n_speed, n_equation) [-] of all runs, slopes (n_speed, n_equation, 8)."""
+        """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by
+        *coefficients* [N/m, N s/m].
+        """
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
         residuals, slopes = zip(*parts, strict=True)
         return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)

@@ -65,7 +65,10 @@ class SquaredExponential:
     speed: float
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """k (n_first, n_second) [-] of places (n, 2) [N, rad/s]. Equation (run-field)."""
+        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s].
+
+        Equation (run-field).
+        """
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
