@@ -255,7 +255,7 @@ class BalanceEstimate(Generic[Model]):
 
 @dataclass(frozen=True)
 class Estimate(BalanceEstimate[StiffnessModel]):
-    """The minimum of V of a dynamic stiffness; pulls: what the data say of given numbers that are uncertain."""
+    """The minimum of V of a dynamic stiffness; pulls: what the data say of given numbers."""
 
     pulls: Pulls | None = None
 
