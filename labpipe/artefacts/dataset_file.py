@@ -176,9 +176,7 @@ def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
     """
     header = read_header(part.path, KIND)
     if header.parameters.get("schema") != SCHEMA:
-        raise DataError(
-            f"is not of schema {SCHEMA}", where=str(part.path), hint="read it with the version that wrote it"
-        )
+        raise DataError(f"is not of schema {SCHEMA}", part.path, "read it with the version that wrote it")
     there = open_parquet(part.path).schema_arrow.names
     with as_written(part.path):
         if lacking := set(COLUMNS).difference(there):
@@ -199,7 +197,7 @@ def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
     """
     tables = [read_part(part, columns) for part in parts(folder)]
     if not tables:
-        raise DataError("holds no dataset of results", where=str(folder))
+        raise DataError("holds no dataset of results", folder)
     return pa.concat_tables(tables, promote_options="default")
 
 

@@ -118,7 +118,7 @@ def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[Sour
     if {key: entries.get(key) for key in work} != work:
         return False
     if DIGEST not in entries:
-        raise DamagedError("carries no digest", where=str(path))
+        raise DamagedError("carries no digest", path)
     return True
 
 
@@ -133,9 +133,7 @@ def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
         entries = read_digested(path, "file of fits")
         return [read_fit(entry) for entry in entries["fits"]], str(entries.get(DIGEST, ""))
     except RECORD_FAULTS as error:
-        raise DamagedError(
-            f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN
-        ) from None
+        raise DamagedError(f"is not readable as fits ({cut(str(error))})", path, AGAIN) from None
 
 
 IDENTIFICATION_SCHEMA = "labpipe/identification/2"
@@ -190,16 +188,16 @@ def read_identification(path: Path) -> Identification:
     try:
         entries = read_digested(path, NAME)
     except FileNotFoundError:
-        raise DataError("no such file", where=str(path), hint="run `labpipe identify` first") from None
+        raise DataError("no such file", path, "run `labpipe identify` first") from None
     if entries.get("schema") not in READ_SCHEMAS:
-        raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", where=str(path))
+        raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", path)
     try:
         return _identification(_upgrade(entries))
     except RECORD_FAULTS as error:
         # Same schema, other entries: written by another version, or edited by hand.
         version = cut(str(entries.get("labpipe", "?")))
         written = f"was written by labpipe {version}, or edited ({type(error).__name__}: {cut(str(error))})"
-        raise DataError(written, where=str(path), hint="run `labpipe identify` again") from None
+        raise DataError(written, path, "run `labpipe identify` again") from None
 
 
 def _upgrade(entries: dict[str, Any]) -> dict[str, Any]:

@@ -88,9 +88,7 @@ def archive(
     day = _day(date)
     folder = results.parent if results.name == NAME else results
     if not (folder / NAME).is_file():
-        raise DataError(
-            f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`"
-        )
+        raise DataError(f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER`")
     pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
@@ -110,9 +108,7 @@ def _pipeline_of(folder: Path) -> Path:
     home = pipeline_folder(folder)
     if home is None:
         raise ConfigError(
-            f"no pipeline '{name}' is in or above the results",
-            where=str(folder),
-            hint="name it with -c PIPELINE",
+            f"no pipeline '{name}' is in or above the results", folder, "name it with -c PIPELINE"
         )
     return home / name
 
@@ -157,7 +153,7 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
         return
     record = record_of_runs(folder)
     if record is None:
-        raise DataError("has no record of runs", where=str(folder), hint="begin one by --begin")
+        raise DataError("has no record of runs", folder, "begin one by --begin")
     for line in runs_of(record):
         what = " ".join(filter(None, (line.pipeline, f"-> {line.result}" if line.result else "")))
         echo(
@@ -238,9 +234,7 @@ def verify(
         return 1 if unsigned else 0
     if is_archive(folder) and is_remote(folder):
         raise DataError(
-            "is an archive elsewhere, and is read from this machine only",
-            where=show(folder),
-            hint="copy it here",
+            "is an archive elsewhere, and is read from this machine only", show(folder), "copy it here"
         )
     if is_archive(folder):
         code = _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
@@ -272,7 +266,7 @@ def _verify_record(folder: Path, quiet: bool) -> int:
 def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet: bool) -> int:
     """Say of every signature of a file or folder whether it holds; how many do not, or are missing."""
     if path.suffix.lower() in (".pdf", DETACHED) and not path.is_file():
-        raise DataError("no such file", where=str(path), hint="name a file that `labpipe sign` wrote")
+        raise DataError("no such file", path, "name a file that `labpipe sign` wrote")
     faults: list[str] = []
     there: set[str] = set()
     for file in signed_files(path):

@@ -70,7 +70,7 @@ def check_shared(output: Path, cluster: str | None) -> None:
     """ConfigError for results that go elsewhere from a folder that the workers of a cluster do not share."""
     if is_remote(output) and cluster not in (None, LOCAL) and "TMPDIR" not in os.environ:
         what = "the workers do not see the folder of this machine in which the results are made"
-        raise ConfigError(what, where=show(output), hint="set TMPDIR to a folder that all workers share")
+        raise ConfigError(what, show(output), "set TMPDIR to a folder that all workers share")
 
 
 def executor(jobs: int, cluster: str | None) -> Execute:

@@ -91,9 +91,7 @@ def result_files(results: Sequence[Path]) -> list[Path]:
         below = without_staging(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
         if path.is_dir() and not below and not (path / NAME).exists():
             raise DataError(
-                f"holds no {NAME}, neither does a folder below it",
-                where=str(path),
-                hint="run `labpipe run` first",
+                f"holds no {NAME}, neither does a folder below it", path, "run `labpipe run` first"
             )
         files.extend(below or [path / NAME if path.is_dir() else path])
     return list(dict.fromkeys(files))

@@ -177,7 +177,7 @@ def trend(
         )
     selected = [row for series in all_series for row in series.rows]
     if not selected:
-        raise DataError("no result matches these filters", where=shown_path(folder))
+        raise DataError("no result matches these filters", shown_path(folder))
     for series in all_series:
         _echo_series(series)
     if table is not None:

@@ -290,22 +290,18 @@ def watch(
     SIGTERM or Ctrl-C end the watch after the recording in work.
     """
     if not is_remote(folder) and not folder.is_dir():
-        raise DataError("no such folder", where=str(folder), hint="name the folder that recordings arrive in")
+        raise DataError("no such folder", folder, "name the folder that recordings arrive in")
     pipeline, per_file = load_for_files_to_come(pipeline_path, overrides)
     if what := hindrance(pipeline, independent_fits(pipeline)):
         raise ConfigError(
-            f"{what}, which needs all tests at once",
-            where=str(pipeline_path),
-            hint="watch with a pipeline of fits alone",
+            f"{what}, which needs all tests at once", pipeline_path, "watch with a pipeline of fits alone"
         )
     settings = WatchSettings(settle=settle, every=every, append=append, marker=marker, names=names, once=once)
     check_shared(output, cluster)
     log_folder = logs or output
     if is_remote(log_folder):
         raise ConfigError(
-            "--log: is needed where the results are elsewhere",
-            where=show(output),
-            hint="name a folder of this machine",
+            "--log: is needed where the results are elsewhere", show(output), "name a folder of this machine"
         )
     log_folder.mkdir(parents=True, exist_ok=True)
     with only_one(log_folder / LOCK), options.asked_to_stop() as asked, results_kept(output) as mirror:

@@ -110,7 +110,7 @@ def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipelin
     """The pipeline with a single test of these recordings."""
     rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
     if rig is None:
-        raise ConfigError("rig: is missing", where=str(pipeline.path), hint="add rig: FILE")
+        raise ConfigError("rig: is missing", pipeline.path, "add rig: FILE")
     test = Test("", tuple(SourceFile(path, rig) for path in recordings))
     return replace(
         pipeline,
@@ -205,9 +205,7 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
         measured_path = folder.read_path(measured_file_name(test.name, test.frf or pipeline.frf))
         if test.recordings and not measured_path.exists():
             raise DataError(
-                "no such file",
-                where=str(measured_path),
-                hint="run `labpipe frf` first, or `labpipe run` for all stages",
+                "no such file", measured_path, "run `labpipe frf` first, or `labpipe run` for all stages"
             )
         if test.recordings:
             tests.append(load_measured(measured_path))
@@ -235,9 +233,7 @@ def calibrate(
     pipeline = load_pipeline(pipeline_path, overrides)
     calibrations = pipeline.sections.get("calibrate", ())
     if not calibrations:
-        raise ConfigError(
-            "calibrate: is missing", where=str(pipeline_path), hint="name a table with its x and y columns"
-        )
+        raise ConfigError("calibrate: is missing", pipeline_path, "name a table with its x and y columns")
     options.teller(quiet, verbose)(f"calibrate {pipeline.title}")
     names = {calibration.name for calibration in calibrations}
     rules = tuple(rule for rule in pipeline.rules if rule.fit in names)
@@ -274,9 +270,7 @@ def study(
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     if STUDY not in pipeline.sections:
-        raise ConfigError(
-            "study: is missing", where=str(pipeline_path), hint="name a virtual rig and noise levels"
-        )
+        raise ConfigError("study: is missing", pipeline_path, "name a virtual rig and noise levels")
     rules = tuple(rule for rule in pipeline.rules if rule.fit == STUDY)
     # The fits are repeated, not made.
     alone = replace(

@@ -126,7 +126,7 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
         raise click.UsageError("Missing argument 'DIR'.", click.get_current_context())
     existing = [name for name in (*SCAFFOLD, "pipelines") if (folder / name).exists()]
     if existing:
-        raise ConfigError(f"already holds {', '.join(existing)}", where=str(folder), hint="name a new folder")
+        raise ConfigError(f"already holds {', '.join(existing)}", folder, "name a new folder")
     with output_folder(folder) as output:
         if example is not None:
             _example(example, folder, output)
@@ -403,7 +403,7 @@ def _option(name: str, read: Callable[[], Value]) -> Value:
     try:
         return read()
     except UnitError as error:
-        raise ConfigError(error.what, where=name, hint=error.hint) from None
+        raise ConfigError(error.what, name, error.hint) from None
 
 
 # labpipe simulate RIG -o DIR [--seed N]

@@ -59,15 +59,13 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
     _check_same(identification, pipeline, folder)
     for artefact in verified(folder, pipeline.folder):
         if artefact.faults:
-            raise DataError(artefact.faults[0], where=str(artefact.path), hint="run `labpipe run` again")
+            raise DataError(artefact.faults[0], artefact.path, "run `labpipe run` again")
     names = _names_of_result(folder, identification, pipeline)
     reports = [f"report.{name}" for name in COMMENTS if (folder / f"report.{name}").is_file()]
     for name in reports:
         if not is_drawn(folder / name, drawn_from(folder / IDENTIFICATION)):
             hint = f"remove it or draw it again by `labpipe report {folder}`"
-            raise DataError(
-                "was not drawn from this result, or edited since", where=str(folder / name), hint=hint
-            )
+            raise DataError("was not drawn from this result, or edited since", folder / name, hint)
     recordings = [name for name in names if name.endswith(RECORDING)]
     results = [
         Member(
@@ -111,9 +109,7 @@ def _check_same(identification: Identification, pipeline: Pipeline, folder: Path
     if identification.code != code_digest():
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
         raise DataError(
-            what,
-            where=str(folder / IDENTIFICATION),
-            hint="run `labpipe run` again, or make the archive with that build",
+            what, folder / IDENTIFICATION, "run `labpipe run` again, or make the archive with that build"
         )
     stated, made = settings_entry(pipeline), dict(identification.settings)
     for entries in (stated, made):
@@ -123,9 +119,7 @@ def _check_same(identification: Identification, pipeline: Pipeline, folder: Path
     differing += ["rig"] if rig_entry(pipeline) != identification.rig else []
     if differing:
         what = f"says something else under '{differing[0]}' than the result in {folder} was made with"
-        raise DataError(
-            what, where=str(pipeline.path), hint="write into the file what --set said, and run it again"
-        )
+        raise DataError(what, pipeline.path, "write into the file what --set said, and run it again")
 
 
 def _names_of_result(folder: Path, identification: Identification, pipeline: Pipeline) -> list[str]:
@@ -176,7 +170,7 @@ def _project(
     remote = next(filter(is_remote, raw), None)
     if remote is not None and not digests_only:
         what = "lies in an object storage, and is not brought into the archive"
-        raise DataError(what, where=show(remote), hint="--digests-only keeps its digest")
+        raise DataError(what, show(remote), "--digests-only keeps its digest")
     settings, named = _named_by(pipeline.path)
     roles = dict.fromkeys(map(_absolute, (*raw, *ready)), "recording")
     roles |= {
@@ -231,7 +225,7 @@ def _is_named(node: Marked, folder: Path) -> bool:
         return False
     if address.is_absolute() and (address.is_file() or (glob.has_magic(node.text) and glob.glob(node.text))):
         what = f"'{node.text}' holds on this machine only, and not in an archive"
-        raise ConfigError(what, where=node.where, hint="name the file relative to the one that names it")
+        raise ConfigError(what, node.where, "name the file relative to the one that names it")
     try:
         return (folder / address).is_file()
     except OSError:
@@ -273,14 +267,10 @@ def is_archive(path: Path) -> bool:
 def check_output(path: Path) -> None:
     """ConfigError for the name of an archive that has another ending, or that is there already."""
     if path.suffix.lower() not in (ZIP, ELN):
-        raise ConfigError(
-            f"no archive has the ending '{path.suffix}'", where=str(path), hint=f"known: {ZIP}, {ELN}"
-        )
+        raise ConfigError(f"no archive has the ending '{path.suffix}'", path, f"known: {ZIP}, {ELN}")
     if path.exists():
         raise ConfigError(
-            "is there already",
-            where=str(path),
-            hint="name another file, or remove this one; an archive is never replaced",
+            "is there already", path, "name another file, or remove this one; an archive is never replaced"
         )
 
 
@@ -302,11 +292,7 @@ def write_archive(contents: Contents, path: Path, date: str) -> None:
                     digest.update(chunk)
                     goal.write(chunk)
             if digest.hexdigest() != member.sha256:
-                raise DataError(
-                    "changes while it is archived",
-                    where=str(member.path),
-                    hint="try again when it is finished",
-                )
+                raise DataError("changes while it is archived", member.path, "try again when it is finished")
         content = metadata(contents, date)
         with _open(archive, around + NAME, len(content)) as goal:
             goal.write(content)
@@ -362,7 +348,7 @@ class Opened:
                 while chunk := stream.read(CHUNK):
                     yield chunk
         except DAMAGE as error:
-            raise DamagedError(f"is damaged ({cut(str(error))})", where=str(self.path)) from None
+            raise DamagedError(f"is damaged ({cut(str(error))})", self.path) from None
 
 
 @contextmanager
@@ -373,14 +359,12 @@ def opened(path: Path) -> Iterator[Opened]:
     """
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
-        raise DataError(what, where=str(path), hint="name a file that `labpipe archive` wrote")
+        raise DataError(what, path, "name a file that `labpipe archive` wrote")
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
         raise DataError(
-            f"is no ZIP file, or a damaged one ({cut(str(error))})",
-            where=str(path),
-            hint="have it sent again",
+            f"is no ZIP file, or a damaged one ({cut(str(error))})", path, "have it sent again"
         ) from None
     with archive:
         members: dict[str, zipfile.ZipInfo] = {}
@@ -393,9 +377,7 @@ def opened(path: Path) -> Iterator[Opened]:
                 (str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), ""
             ):
                 raise DataError(
-                    "is a file and a folder",
-                    where=f"{path}: {cut(above)!r}",
-                    hint="labpipe writes no such archive",
+                    "is a file and a folder", f"{path}: {cut(above)!r}", "labpipe writes no such archive"
                 )
         around = _around(members, path)
         members = {name.removeprefix(around): info for name, info in members.items()}
@@ -416,7 +398,7 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
         what = "is there twice"
     else:
         return
-    raise DataError(what, where=f"{path}: {cut(name)!r}", hint="labpipe writes no such archive")
+    raise DataError(what, f"{path}: {cut(name)!r}", "labpipe writes no such archive")
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
@@ -429,18 +411,16 @@ def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
     tops = {PurePosixPath(name).parts[0] for name in members}
     if len(tops) == 1 and f"{(top := tops.pop())}/{NAME}" in members:
         return f"{top}/"
-    raise DataError(f"holds no {NAME}", where=str(path), hint="name a file that `labpipe archive` wrote")
+    raise DataError(f"holds no {NAME}", path, "name a file that `labpipe archive` wrote")
 
 
 def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> bytes:
     if info.file_size > LONGEST_METADATA:
-        raise DataError(f"has more than {LONGEST_METADATA >> 20} MB", where=f"{path}: {NAME}")
+        raise DataError(f"has more than {LONGEST_METADATA >> 20} MB", f"{path}: {NAME}")
     try:
         return archive.read(info)
     except DAMAGE as error:
-        raise DataError(
-            f"is damaged ({cut(str(error))})", where=f"{path}: {NAME}", hint="have it sent again"
-        ) from None
+        raise DataError(f"is damaged ({cut(str(error))})", f"{path}: {NAME}", "have it sent again") from None
 
 
 # An archive taken apart again: every file held against its digest, then the result where verification and

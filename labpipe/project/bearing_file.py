@@ -168,14 +168,12 @@ def parse_sweep(text: str, owner: type) -> Sweep:
     key, equals, span = (part.strip() for part in text.partition("="))
     parts = [part.strip() for part in span.split(":")]
     if not equals or len(parts) != 3:
-        raise ConfigError(
-            "not a sweep", where=where, hint="write --sweep loads.z=0:2000:50 (start, stop, step)"
-        )
+        raise ConfigError("not a sweep", where, "write --sweep loads.z=0:2000:50 (start, stop, step)")
     unit = _setting(key, owner, where).unit
     try:
         start, stop, step = (parse_value(_with_unit(part, parts[-1], unit), unit) for part in parts)
     except UnitError as error:
-        raise ConfigError(f"{key}: {error.what}", where=where, hint=error.hint) from None
+        raise ConfigError(f"{key}: {error.what}", where, error.hint) from None
     return Sweep(key, unit, _values(start, stop, step, where))
 
 
@@ -187,11 +185,11 @@ def _with_unit(part: str, last: str, unit: str) -> str:
 
 def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
     if step == 0 or (stop - start) / step < 0.5:
-        raise ConfigError("the step does not lead from start to stop", where=where)
+        raise ConfigError("the step does not lead from start to stop", where)
     # A step that misses the stop ends before it; rounding must not lose the stop itself.
     number = int((stop - start) / step * (1 + 1e-12) + 1e-9) + 1
     if number > MAX_VALUES:
-        raise ConfigError(f"{number} values are too many", where=where, hint=f"at most {MAX_VALUES}")
+        raise ConfigError(f"{number} values are too many", where, f"at most {MAX_VALUES}")
     return start + step * np.arange(number)
 
 
@@ -199,7 +197,7 @@ def _setting(key: str, owner: type, where: str) -> Setting:
     """The setting of a dotted key; ConfigError with the nearest known key."""
     sweepable = dict(_swept_keys(owner))
     if key not in sweepable:
-        raise ConfigError(f"{key}: cannot be swept", where=where, hint=nearest(key, sweepable))
+        raise ConfigError(f"{key}: cannot be swept", where, nearest(key, sweepable))
     return sweepable[key]
 
 

@@ -68,17 +68,13 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
     DataError for a missing folder or one without results.
     """
     if not folder.is_dir():
-        raise DataError(
-            "no such folder", where=str(folder), hint="name the folder that holds the results of your runs"
-        )
+        raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
     with closing(_open(folder)) as connection:
         if _bring_up_to_date(connection, folder):
             _keep(connection, folder)
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
             raise DataError(
-                f"holds no {NAME}",
-                where=str(folder),
-                hint="results appear with `labpipe run PIPELINE -o FOLDER/NAME`",
+                f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
             )
         yield connection
 

@@ -152,9 +152,7 @@ def table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheo
     columns = _si_columns(path)
     for name in over:
         if name not in columns:
-            raise DataError(
-                f"has no column of the condition '{name}'", where=str(path), hint=nearest(name, columns)
-            )
+            raise DataError(f"has no column of the condition '{name}'", path, nearest(name, columns))
     coefficients = {name: values for name, values in columns.items() if name not in over}
     places = [columns[name] for name in over]
 
@@ -188,7 +186,7 @@ def _si_columns(path: Path) -> dict[str, FloatArray]:
             if unit is not None and name.strip()[:2] in {f"{letter}_" for letter in COEFFICIENT_UNITS}:
                 _check_coefficient(name.strip(), text)
         except UnitError as error:
-            raise DataError(f"column '{column}': {error.what}", where=str(path), hint=error.hint) from None
+            raise DataError(f"column '{column}': {error.what}", path, error.hint) from None
         columns[name.strip()] = numbers if unit is None else numbers * unit.factor + unit.offset
     return columns
 

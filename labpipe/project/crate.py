@@ -183,12 +183,10 @@ def read_metadata(content: bytes, where: str) -> Crate:
         pipeline = unquote(main["mainEntity"]["@id"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise DataError(
-            f"is no RO-Crate of labpipe ({cut(f'{type(error).__name__}: {error}')})",
-            where=where,
-            hint=f"{VERSION}",
+            f"is no RO-Crate of labpipe ({cut(f'{type(error).__name__}: {error}')})", where, f"{VERSION}"
         ) from None
     if pipeline not in {file.name for file in files}:
-        raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where=where)
+        raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where)
     return Crate(files, pipeline, left_out)
 
 
@@ -215,5 +213,5 @@ def _listing(entity: Entity, where: str) -> Listed:
         and isinstance(sha256, str)
         and isinstance(day, str)
     ):
-        raise DataError(f"lists '{cut(name)}' without its size and digest", where=where)
+        raise DataError(f"lists '{cut(name)}' without its size and digest", where)
     return Listed(name, int(size), sha256, day)

@@ -62,9 +62,7 @@ def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> C
         process = _process(decision, unit)
         shown = "" if value is None else _text(decision, value, error, unit)
     except UnitError as fault:
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: {fault.what}", where=rule.place, hint=fault.hint
-        ) from None
+        raise ConfigError(f"{rule.section}.{rule.address}: {fault.what}", rule.place, fault.hint) from None
     if value is None or not math.isfinite(value):
         return None, False, "not judged: there is no value", None
     if error is None or not math.isfinite(error):

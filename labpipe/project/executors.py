@@ -132,7 +132,7 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
             ):
                 raise
             hint = "what is finished is kept; the same command goes on from there when a scheduler runs"
-            raise DataError("the scheduler was lost", where=address, hint=hint) from None
+            raise DataError("the scheduler was lost", address, hint) from None
 
     return execute
 
@@ -249,23 +249,17 @@ def _describe(path: Path) -> Any:
         or "." not in entries["class"]
     ):
         raise ConfigError(
-            "is not the description of a cluster",
-            where=str(path),
-            hint="begin with class: dask_jobqueue.SLURMCluster",
+            "is not the description of a cluster", path, "begin with class: dask_jobqueue.SLURMCluster"
         )
     unknown = [key for key in entries if key not in FILE_KEYS]
     if unknown:
-        raise ConfigError(
-            f"unknown entry '{unknown[0]}'", where=str(path), hint=f"known: {', '.join(FILE_KEYS)}"
-        )
+        raise ConfigError(f"unknown entry '{unknown[0]}'", path, f"known: {', '.join(FILE_KEYS)}")
     module, _, name = entries["class"].rpartition(".")
     try:
         make = getattr(import_module(module), name)
     except (ImportError, AttributeError):
         raise ConfigError(
-            f"class: {entries['class']} is not installed",
-            where=str(path),
-            hint=f"pip install {module.split('.')[0]}",
+            f"class: {entries['class']} is not installed", path, f"pip install {module.split('.')[0]}"
         ) from None
     try:
         cluster = make(**(entries.get("arguments") or {}))
@@ -275,7 +269,7 @@ def _describe(path: Path) -> Any:
         if "scale" in entries:
             cluster.scale(int(entries["scale"]))
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{entries['class']} does not take this ({error})", where=str(path)) from None
+        raise ConfigError(f"{entries['class']} does not take this ({error})", path) from None
     return cluster
 
 
@@ -287,14 +281,14 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
         )
     except (OSError, ValueError, TimeoutError) as error:
         hint = "start one with `dask scheduler` and workers with `dask worker`"
-        raise DataError(f"no scheduler answers ({error})", where=address, hint=hint) from None
+        raise DataError(f"no scheduler answers ({error})", address, hint) from None
     try:
         client.wait_for_workers(1, timeout=patience)
         versions = client.run(_version)
     except TimeoutError:
         client.close()
         raise DataError(
-            "the scheduler has no workers", where=address, hint=f"start some with `dask worker {address}`"
+            "the scheduler has no workers", address, f"start some with `dask worker {address}`"
         ) from None
     others = {worker: version for worker, version in versions.items() if version != _version()}
     if others:
@@ -302,7 +296,7 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
         worker, (version, _) = next(iter(others.items()))
         build = "another build of " if version == __version__ else ""
         what = f"worker {worker} has {build}labpipe {version}, this is {__version__}"
-        raise DataError(what, where=address, hint="install the same version")
+        raise DataError(what, address, "install the same version")
     return client
 
 

@@ -94,9 +94,7 @@ def write_uff58b(artefact: Path, target: Path) -> None:
 def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
-        raise DataError(
-            "parameters cannot be written as a MATLAB file", where=str(artefact), hint="known: csv, parquet"
-        )
+        raise DataError("parameters cannot be written as a MATLAB file", artefact, "known: csv, parquet")
     _refuse_tables(artefact, "a MATLAB file")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_mat(target, open_recording(artefact).in_memory())
@@ -107,7 +105,7 @@ def write_mat(artefact: Path, target: Path) -> None:
 def write_shapes(artefact: Path, target: Path) -> None:
     """The mode shapes of a result as a table: one row per mode and point."""
     if artefact.suffix != ".json":
-        raise DataError("holds no mode shapes", where=str(artefact), hint="they stand in identification.json")
+        raise DataError("holds no mode shapes", artefact, "they stand in identification.json")
     write_table_csv(shape_table(modal_fits(artefact)), target)
 
 
@@ -115,9 +113,7 @@ def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have modes; DataError where there is none."""
     fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(Modes) is not None)
     if not fits:
-        raise DataError(
-            "holds no mode shapes", where=str(artefact), hint="parameters are written as csv or parquet"
-        )
+        raise DataError("holds no mode shapes", artefact, "parameters are written as csv or parquet")
     return fits
 
 
@@ -188,9 +184,7 @@ def _refuse_tables(artefact: Path, what: str) -> None:
     named = {SPECTRA_SUFFIX: "spectra of all channels", DECAY_SUFFIX: "free decays"}
     for suffix, name in named.items():
         if artefact.name.endswith(suffix):
-            raise DataError(
-                f"{name} cannot be written as {what}", where=str(artefact), hint="known: csv, parquet"
-            )
+            raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
 
 
 def spectra_table(artefact: Path) -> pd.DataFrame:
@@ -257,10 +251,10 @@ def covariance_table(artefact: Path) -> pd.DataFrame:
     uncertainty of the source. DataError for another artefact.
     """
     if artefact.suffix != ".json":
-        raise DataError("holds no parameters", where=str(artefact), hint="they stand in identification.json")
+        raise DataError("holds no parameters", artefact, "they stand in identification.json")
     rows = [row for fit in read_identification(artefact).fits for row in _rows(fit)]
     if not rows:
-        raise DataError("no parameter of it has an uncertainty", where=str(artefact))
+        raise DataError("no parameter of it has an uncertainty", artefact)
     return pd.DataFrame(rows)
 
 
@@ -399,9 +393,7 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     if len(fits) > 1:
         named = ", ".join(f"{fit.name} {fit.test}".strip() for fit in fits)
         raise DataError(
-            f"holds {len(fits)} plants ({named}), a MATLAB file holds one",
-            where=str(artefact),
-            hint="--to band writes all",
+            f"holds {len(fits)} plants ({named}), a MATLAB file holds one", artefact, "--to band writes all"
         )
     plant = fits[0].detail(RobustPlant)
     assert plant is not None
@@ -428,15 +420,11 @@ def robust_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have a plant; DataError where there is none."""
     if artefact.suffix != ".json":
         raise DataError(
-            "holds no plant",
-            where=str(artefact),
-            hint="plants stand in identification.json, of fits of the model magnet",
+            "holds no plant", artefact, "plants stand in identification.json, of fits of the model magnet"
         )
     fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(RobustPlant) is not None)
     if not fits:
-        raise DataError(
-            "holds no plant", where=str(artefact), hint="model: magnet, with one run per axis at least"
-        )
+        raise DataError("holds no plant", artefact, "model: magnet, with one run per axis at least")
     return fits
 
 
@@ -449,9 +437,7 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
     suffix = path.suffix.lower()
     device = path.exists() and not path.is_file() and not path.is_dir()
     if suffix not in (".csv", ".parquet", ".wav") and not device:
-        raise ConfigError(
-            f"no signal format for the ending '{suffix}'", where=str(path), hint="known: .csv, .parquet, .wav"
-        )
+        raise ConfigError(f"no signal format for the ending '{suffix}'", path, "known: .csv, .parquet, .wav")
     with output_file(path) as target:
         if suffix == ".wav":
             _write_wav(target, samples, sample_rate)

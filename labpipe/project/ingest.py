@@ -83,7 +83,7 @@ def ingest(
 
 def changed_while_read(path: Path) -> DataError:
     """The fault of a file that was written to meanwhile."""
-    return DataError("changed while it was read", where=str(path), hint="run again when it is complete")
+    return DataError("changed while it was read", path, "run again when it is complete")
 
 
 def _open(source: Path, rig: Rig) -> Table:
@@ -107,7 +107,7 @@ def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
             if rig.time
             else ("cannot be joined on time: the rig file names no time column")
         )
-        raise DataError(what, where=str(untimed[0].path), hint="by: sample joins row by row")
+        raise DataError(what, untimed[0].path, "by: sample joins row by row")
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
@@ -120,7 +120,7 @@ def check_table(table: Table, rig: Rig) -> list[str]:
     check_columns(table, timed)
     if rig.time and table.units.get(rig.time) == "Hz":
         hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
-        raise DataError(f"'{rig.time}' is a frequency, no time", where=str(table.path), hint=hint)
+        raise DataError(f"'{rig.time}' is a frequency, no time", table.path, hint)
     for channel in rig.channels:
         _check_unit(table, channel)
     return timed
@@ -232,7 +232,7 @@ def stated_rate(table: Table, rig: Rig) -> float:
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
         message = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
-        raise DataError(message, where=str(table.path), hint='write sample_rate: 20 kHz or time: "t [s]"')
+        raise DataError(message, table.path, 'write sample_rate: 20 kHz or time: "t [s]"')
     if (
         rig.sample_rate is not None
         and file_rate is not None
@@ -241,9 +241,7 @@ def stated_rate(table: Table, rig: Rig) -> float:
         message = (
             f"is sampled at {file_rate:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
         )
-        raise DataError(
-            message, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it"
-        )
+        raise DataError(message, table.path, "leave sample_rate out of the rig file, or correct it")
     return float(rig.sample_rate or file_rate or 0.0)
 
 
@@ -261,9 +259,7 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
             f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by "
             "the rig file"
         )
-        raise DataError(
-            what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'"
-        )
+        raise DataError(what, table.path, f"correct the unit of channel '{channel.channel.name}'")
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:

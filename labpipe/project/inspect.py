@@ -73,7 +73,7 @@ def write_card(
     DataError for shapes, which have none.
     """
     if isinstance(content, FileShapes):
-        raise DataError("holds mode shapes alone, which have no card", where=file, hint="leave -o out")
+        raise DataError("holds mode shapes alone, which have no card", file, "leave -o out")
     from labpipe.document.render import DOCUMENTS
     from labpipe.report.card import recording_card, response_card, spectra_card
 

@@ -49,9 +49,7 @@ def compare_number(rule: Rule, value: float | None, unit: str, error: float | No
             return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text, None
         bound = parse_value(rule.bound, unit)
     except UnitError as error:
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
-        ) from None
+        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", rule.place, error.hint) from None
     if rule.kind == "=":
         return value, value is not None and value == bound, text, None
     return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text, None
@@ -82,9 +80,7 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> C
         low, high = ci95
         ends = " to ".join(found_text(rule, end, unit) for end in (low, high))
     except UnitError as error:
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
-        ) from None
+        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", rule.place, error.hint) from None
     return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends, None
 
 
@@ -188,9 +184,7 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
             numbers.extend(_limit(member, fits, records))
         except UnitError as error:
             raise ConfigError(
-                f"{member.section}.{rule.address}.{member.address}: {error.what}",
-                where=member.place,
-                hint=error.hint,
+                f"{member.section}.{rule.address}.{member.address}: {error.what}", member.place, error.hint
             ) from None
     return decided_together(rule, numbers)
 
@@ -260,7 +254,7 @@ def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
             )
         return partial.outcome
     what, hint = partial.fault or ("no such fit in the result", "")
-    raise ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
+    raise ConfigError(f"{rule.section}.{rule.address}: {what}", rule.place, hint)
 
 
 def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
@@ -380,7 +374,7 @@ def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
     except KeyError:
         hint = nearest(name, [*(amount.name for amount in comparison.amounts), "verdict", "count"])
         raise ConfigError(
-            f"{rule.section}.{rule.address}: the comparison has no '{name}'", where=rule.place, hint=hint
+            f"{rule.section}.{rule.address}: the comparison has no '{name}'", rule.place, hint
         ) from None
 
 
@@ -395,7 +389,7 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
         raise ConfigError(
-            f"{rule.section}.{rule.address}: the matrix has no '{rule.item}'", where=rule.place, hint=hint
+            f"{rule.section}.{rule.address}: the matrix has no '{rule.item}'", rule.place, hint
         ) from None
     compared = compare_number(rule, amount.value, amount.unit, stated_error(amount))
     return RuleOutcome(rule.section, rule.text, *compared)

@@ -44,9 +44,7 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
     what = hindrance(pipeline, independent)
     if what:
         raise ConfigError(
-            f"results: {what}, which needs all tests at once",
-            where=str(pipeline.path),
-            hint="write results: whole",
+            f"results: {what}, which needs all tests at once", pipeline.path, "write results: whole"
         )
     return True
 

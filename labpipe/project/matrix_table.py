@@ -40,15 +40,11 @@ def write_matrix_parquet(artefact: Path, target: Path) -> None:
 def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ...]]:
     """A result and its matrices; DataError where it has none."""
     if artefact.suffix != ".json":
-        raise DataError(
-            "holds no matrix of tests", where=str(artefact), hint="they stand in identification.json"
-        )
+        raise DataError("holds no matrix of tests", artefact, "they stand in identification.json")
     identification = read_identification(artefact)
     matrices: tuple[ConditionMatrix, ...] = identification.sections.get("matrix", ())
     if not matrices:
-        raise DataError(
-            "holds no matrix of tests", where=str(artefact), hint="the pipeline needs a section matrix:"
-        )
+        raise DataError("holds no matrix of tests", artefact, "the pipeline needs a section matrix:")
     return identification, matrices
 
 

@@ -202,7 +202,7 @@ def measure_test(
         raise
     except LinAlgError as error:
         raise DataError(
-            f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE
+            f"a matrix of spectra has no solution ({error})", where_recorded(recordings), ALIKE
         ) from error
     if isinstance(measured, FrequencyResponse):
         measured = measured.with_findings(seen())

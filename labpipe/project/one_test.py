@@ -378,9 +378,7 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
         )
     if stored:
         if job.frf is None:
-            raise ConfigError(
-                "frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs"
-            )
+            raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
         conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
         measure_test(stored, job.frf, output, job.test.name, conditions, partial(_seen_in_files, job))
@@ -414,9 +412,7 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
     """
     path = job.target / job.measured_name
     if job.test.recordings and not path.exists():
-        raise DataError(
-            "no such file", where=str(path), hint="run `labpipe frf` first, or `labpipe run` for all stages"
-        )
+        raise DataError("no such file", path, "run `labpipe frf` first, or `labpipe run` for all stages")
     recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
     if job.test.recordings and RIGS in (header := header_of(path)).parameters:
         recorded = list(header.inputs)

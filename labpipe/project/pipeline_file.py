@@ -417,7 +417,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
         """A test as each will be, so that settings are held against it."""
         per_file.append(reader.each_file())
         if reader.rig is None and not len(reader.faults):
-            raise ConfigError("no rig file is named", where=str(path), hint="add rig: FILE")
+            raise ConfigError("no rig file is named", path, "add rig: FILE")
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
         return (Test("", source, frf=per_file[0].frf),)
 

@@ -68,11 +68,11 @@ def first_look(table: Table) -> FirstLook:
     """The channels of a table with what its metadata say, its rate and time column, and its first rows."""
     names, rows = first_rows(table)
     if rows.shape[0] < 2:
-        raise DataError("holds too few samples", where=str(table.path))
+        raise DataError("holds too few samples", table.path)
     times = time_columns(names, rows)
     signal_numbers = [number for number, name in enumerate(names) if name not in times]
     if not signal_numbers:
-        raise DataError("holds no column but time", where=str(table.path))
+        raise DataError("holds no column but time", table.path)
     time = times[0] if times and table.sample_rate is None else ""
     step = step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
     rate = table.sample_rate or (1 / step if step else 0.0)

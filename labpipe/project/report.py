@@ -83,9 +83,7 @@ def format_of(path: Path) -> str:
         return "html"
     if suffix not in SUFFIX_FORMATS:
         raise ConfigError(
-            f"no report format for the ending '{suffix}'",
-            where=str(path),
-            hint=f"known: {', '.join(SUFFIX_FORMATS)}",
+            f"no report format for the ending '{suffix}'", path, f"known: {', '.join(SUFFIX_FORMATS)}"
         )
     return SUFFIX_FORMATS[suffix]
 
@@ -207,7 +205,7 @@ def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:
     """Report and figures, all or none."""
     if figures is not None and figures.exists() and not figures.is_dir():
-        raise DataError("is a file, a folder is needed", where=str(figures))
+        raise DataError("is a file, a folder is needed", figures)
     with ExitStack() as outputs:
         target = outputs.enter_context(output_file(path))
         target.write_bytes(content)

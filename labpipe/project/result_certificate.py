@@ -31,9 +31,7 @@ def write_dcc(artefact: Path, target: Path) -> None:
     bytes for the same result. DataError for an artefact that is no result.
     """
     if artefact.suffix != ".json":
-        raise DataError(
-            "cannot be written as a certificate", where=str(artefact), hint="name an identification.json"
-        )
+        raise DataError("cannot be written as a certificate", artefact, "name an identification.json")
     identification = read_identification(artefact)
     ET.register_namespace("dcc", DCC[1:-1])
     ET.register_namespace("si", SI[1:-1])

@@ -99,9 +99,7 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
     """
     names = [declared.name for declared in pipeline.tests]
     if test not in names or len(names) < MANY:
-        raise ConfigError(
-            f"no test '{test}' among several", where=str(pipeline.path), hint=nearest(test, names)
-        )
+        raise ConfigError(f"no test '{test}' among several", pipeline.path, nearest(test, names))
     with staging_folder(existing_home(target)) as scratch:
         return work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
 
@@ -191,9 +189,7 @@ def _jobs(
         other = files.setdefault(file_stem(test.name), test.name)
         if other != test.name:
             raise ConfigError(
-                f"tests '{other}' and '{test.name}' would write the same file",
-                where=str(pipeline.path),
-                hint="rename one",
+                f"tests '{other}' and '{test.name}' would write the same file", pipeline.path, "rename one"
             )
     test_names = [
         name

@@ -66,9 +66,9 @@ class Run:
 def begin(folder: Path) -> Path:
     """Begin the record of a folder; ConfigError where there is one in or above it."""
     if not folder.is_dir():
-        raise DataError("no such folder", where=str(folder), hint="name the folder that holds your results")
+        raise DataError("no such folder", folder, "name the folder that holds your results")
     if (there := record_of_runs(folder)) is not None:
-        raise ConfigError("the record was begun already", where=str(there))
+        raise ConfigError("the record was begun already", there)
     results = {name: digest for name, digest in _digests(folder).items() if digest}
     with output_file(folder / RECORD) as path:
         path.write_bytes(_next([], NOTHING, outcome=BEGUN, results=results).line)
@@ -181,7 +181,7 @@ def _read(path: Path) -> tuple[list[Run], str]:
             if runs[-1].line != line:
                 raise ValueError("another layout")
         except (*RECORD_FAULTS, UnicodeDecodeError) as error:
-            raise DataError(f"line {number} is no run ({cut(str(error))})", where=str(path)) from None
+            raise DataError(f"line {number} is no run ({cut(str(error))})", path) from None
         digest = hashlib.sha256(line).hexdigest()
     return runs, digest
 

@@ -40,7 +40,7 @@ class Faults:
     def add(self, node: Marked, key: str, message: str, hint: str = "") -> None:
         """A fault of the entry *key* at its place in the file."""
         text = f"{key}: {message}" if key else message
-        self._faults.append(ConfigError(text, where=node.place, hint=hint))
+        self._faults.append(ConfigError(text, node.place, hint))
 
     def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
         """A value that could not be read, with the hint of the unit table."""

@@ -70,12 +70,10 @@ def _signer(key: Key) -> Iterator[Any]:
     signers = _library("pyhanko.sign.signers")
     if key.file is not None:
         if not key.file.is_file():
-            raise ConfigError(
-                "no such file", where=str(key.file), hint="name your key as PKCS#12 (.p12, .pfx)"
-            )
+            raise ConfigError("no such file", key.file, "name your key as PKCS#12 (.p12, .pfx)")
         signer = signers.SimpleSigner.load_pkcs12(str(key.file), passphrase=key.secret.encode())
         if signer is None or signer.signing_cert is None:
-            raise ConfigError("is no PKCS#12 file, or its password is another", where=str(key.file))
+            raise ConfigError("is no PKCS#12 file, or its password is another", key.file)
         _check_valid(signer.signing_cert, str(key.file))
         yield signer
         return
@@ -86,13 +84,13 @@ def _signer(key: Key) -> Iterator[Any]:
         session = hardware.open_pkcs11_session(key.module, token_criteria=criteria, user_pin=key.secret)
     except (errors.PKCS11Error, RuntimeError, OSError) as error:
         what = str(error) or type(error).__name__
-        raise ConfigError(f"the token '{key.token}' cannot be opened ({what})", where=key.module) from None
+        raise ConfigError(f"the token '{key.token}' cannot be opened ({what})", key.module) from None
     with session:
         signer = hardware.PKCS11Signer(session, cert_label=key.label, key_label=key.label)
         try:
             certificate = signer.signing_cert
         except Exception as error:
-            raise ConfigError(f"no certificate '{key.label}' ({error})", where=key.token) from None
+            raise ConfigError(f"no certificate '{key.label}' ({error})", key.token) from None
         _check_valid(certificate, key.token)
         yield signer
 
@@ -103,7 +101,7 @@ def _check_valid(certificate: Any, where: str) -> None:
     if not begin <= now <= end:
         raise ConfigError(
             f"the certificate of {person(certificate)} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only",
-            where=where,
+            where,
         )
 
 
@@ -124,9 +122,7 @@ def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "")
     ConfigError for a key that cannot be used or a role that has signed; DataError for no file to sign.
     """
     if not path.is_file():
-        raise DataError(
-            "no such file", where=str(path), hint="sign a report (.pdf) or an archive (.zip, .eln)"
-        )
+        raise DataError("no such file", path, "sign a report (.pdf) or an archive (.zip, .eln)")
     timestamper = _library("pyhanko.sign.timestamps").HTTPTimeStamper(timestamp) if timestamp else None
     with _signer(key) as signer:
         try:
@@ -134,7 +130,7 @@ def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "")
                 return _sign_pdf(path, signer, role, reason, timestamper)
             return _sign_detached(path, signer, role, reason, timestamper)
         except (OSError, _library("pyhanko.sign.timestamps").TimestampRequestError) as error:
-            raise DataError(f"could not be signed ({error})", where=str(path)) from None
+            raise DataError(f"could not be signed ({error})", path) from None
 
 
 def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any) -> Path:
@@ -142,7 +138,7 @@ def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any)
     writer = _library("pyhanko.pdf_utils.incremental_writer")
     target = path if path.name.endswith(SIGNED_PDF) else path.with_name(f"{path.stem}{SIGNED_PDF}")
     if target != path and target.exists():
-        raise ConfigError("is there already", where=str(target), hint=f"sign {target.name} itself")
+        raise ConfigError("is there already", target, f"sign {target.name} itself")
     meta = signers.PdfSignatureMetadata(
         field_name=role,
         reason=f"{role}: {reason}" if reason else role,
@@ -154,10 +150,10 @@ def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any)
     try:
         document = writer.IncrementalPdfFileWriter(io.BytesIO(path.read_bytes()))
         if any(role == name for name, *_ in fields.enumerate_sig_fields(document)):
-            raise ConfigError(f"was signed as '{role}' already", where=str(path))
+            raise ConfigError(f"was signed as '{role}' already", path)
         signed = signers.PdfSigner(meta, signer, timestamper=timestamper).sign_pdf(document)
     except _library("pyhanko.pdf_utils.misc").PdfError as error:
-        raise DataError(f"is no PDF that can be signed ({error})", where=str(path)) from None
+        raise DataError(f"is no PDF that can be signed ({error})", path) from None
     with output_file(target) as temporary:
         temporary.write_bytes(signed.getvalue())
     return target
@@ -166,7 +162,7 @@ def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any)
 def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper: Any) -> Path:
     target = path.with_name(f"{path.name}.{role}{DETACHED}")
     if target.exists():
-        raise ConfigError(f"was signed as '{role}' already", where=str(target))
+        raise ConfigError(f"was signed as '{role}' already", target)
     content = path.read_bytes()
     words = {"file": path.name, "role": role, "reason": reason, "members": members_of(path)}
     settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(
@@ -285,16 +281,14 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
             roots += list(keys.load_certs_from_pemder([str(file)]))
             [root.subject.native for root in roots]  # A damaged one shows when it is read.
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"is no certificate ({cut(str(error))})", where=str(file)) from None
+            raise ConfigError(f"is no certificate ({cut(str(error))})", file) from None
     lists = []
     for file in trust.revoked:
         try:
             lists.append(crl.CertificateList.load(_unarmoured(file.read_bytes())))
             lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(
-                f"is no list of revoked certificates ({cut(str(error))})", where=str(file)
-            ) from None
+            raise ConfigError(f"is no list of revoked certificates ({cut(str(error))})", file) from None
     return _library("pyhanko_certvalidator").ValidationContext(
         trust_roots=roots,
         moment=moment,
@@ -335,7 +329,7 @@ def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
     except ConfigError:
         raise
     except Exception as error:  # A damaged PDF raises whatever its place happens to be read as.
-        raise DataError(f"its signatures cannot be read ({cut(str(error))})", where=str(path)) from None
+        raise DataError(f"its signatures cannot be read ({cut(str(error))})", path) from None
     whole = _library("pyhanko.sign.validation.status").SignatureCoverageLevel.ENTIRE_FILE
     for number, (signature, status) in enumerate(states, 1):
         faults = _faults(status, trust)
@@ -427,7 +421,7 @@ def _detach(path: Path, trust: Trust) -> Signature:
     except ConfigError:
         raise
     except Exception as error:  # Damaged DER raises whatever it happens to be read as.
-        raise DataError(f"is no readable signature ({cut(str(error))})", where=str(path)) from None
+        raise DataError(f"is no readable signature ({cut(str(error))})", path) from None
     faults = _faults(status, trust)
     if content is None:
         faults = (f"'{signed.name}', which it signs, is not there",)

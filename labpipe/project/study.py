@@ -190,9 +190,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     match = _STUDIED.match(rule.item)
     if match is None:
         raise ConfigError(
-            f"{rule.section}.{rule.address}: is no address",
-            where=rule.place,
-            hint="write study.fit[1 %].coverage",
+            f"{rule.section}.{rule.address}: is no address", rule.place, "write study.fit[1 %].coverage"
         )
     if match["item"] == "threshold":
         values = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
@@ -205,7 +203,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
         ]
         values = [_value(rule, case, match["item"]) for case in cases]
     if not values:
-        raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
+        raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", rule.place)
     outcomes = [compare_number(rule, value, "1") for value in values]
     return RuleOutcome(
         rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
@@ -215,9 +213,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
 def _value(rule: Rule, case: StudyCase, item: str) -> float | None:
     if item not in _CASE_VALUES:
         hint = nearest(item, [*_CASE_VALUES, "threshold"])
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: the study has no '{item}'", where=rule.place, hint=hint
-        )
+        raise ConfigError(f"{rule.section}.{rule.address}: the study has no '{item}'", rule.place, hint)
     return _CASE_VALUES[item](case)
 
 

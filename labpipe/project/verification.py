@@ -142,15 +142,11 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     DataError for no folder, or one without artefacts.
     """
     if not folder.is_dir():
-        raise DataError(
-            "no such folder", where=str(folder), hint="name the folder that holds the results of your runs"
-        )
+        raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
     artefacts = artefacts_below(folder)
     if not artefacts:
         raise DataError(
-            "holds no artefact of labpipe",
-            where=str(folder),
-            hint="results appear with `labpipe run PIPELINE -o FOLDER`",
+            "holds no artefact of labpipe", folder, "results appear with `labpipe run PIPELINE -o FOLDER`"
         )
     for path in artefacts:
         kind = _kind(path)

@@ -182,7 +182,7 @@ class Watch:
         before = self.results / NAME
         if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
-            raise ConfigError("holds results of other settings", where=str(self.results), hint=hint)
+            raise ConfigError("holds results of other settings", self.results, hint)
         written = parts(self.results)
         self._summary = summed(read_summary(part) for part in written)
         rows = [row for part in written for row in read_part(part, ("test", "failed")).to_pylist()]
@@ -264,8 +264,8 @@ class Watch:
         if other != test.name:
             raise DataError(
                 f"its results would have the file name of those of '{other}'",
-                where=test.name,
-                hint="rename the recording",
+                test.name,
+                "rename the recording",
             )
         return Job(
             test,
@@ -288,9 +288,7 @@ class Watch:
     def _take(self, done: Done, job: Job) -> None:
         if done.halts and done.failed is not None:
             raise DataError(
-                done.failed.message,
-                where=str(self.results),
-                hint="what was worked on is kept; start the watch again",
+                done.failed.message, self.results, "what was worked on is kept; start the watch again"
             )
         self._keep(outcome_of(done, job.test))
         for remark in done.remarks:

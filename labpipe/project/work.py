@@ -112,7 +112,7 @@ def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
         for failure in work.failed:
             if failure.name in tests:
                 what = f"it begins with '{earlier}', which has no result: {failure.message}"
-                raise FitError(what, where=where, hint="mend that one first")
+                raise FitError(what, where, "mend that one first")
     try:
         return settings.kind.begin(settings, fits)
     except LabpipeError as error:
@@ -156,9 +156,7 @@ def fits_of(
             where = f"{pipeline_path}: identify.{settings.name}{test}"
             if not isinstance(error, LabpipeError):
                 raise FitError(
-                    f"the data leave a matrix of the fit without a solution ({error})",
-                    where=where,
-                    hint=SINGULAR,
+                    f"the data leave a matrix of the fit without a solution ({error})", where, SINGULAR
                 ) from error
             error.where = error.where or where
             raise

@@ -78,9 +78,7 @@ def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
     """The columns of the greatest length; DataError when none has two values."""
     length = max((column.n_value for column in columns.values()), default=0)
     if length < 2:
-        raise DataError(
-            "holds no vector of numbers", where=str(where), hint="equally long vectors make a recording"
-        )
+        raise DataError("holds no vector of numbers", where, "equally long vectors make a recording")
     return {name: column for name, column in columns.items() if column.n_value == length}
 
 
@@ -98,7 +96,7 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
         return None
     if min(rates) <= 0 or max(rates) > min(rates) * (1 + _SAME):
         contradictions = ", ".join(f"{name}: {rate:g} Hz" for name, rate in rates_by_name.items())
-        raise DataError(f"has no valid sampling rate ({contradictions})", where=str(where))
+        raise DataError(f"has no valid sampling rate ({contradictions})", where)
     return rates[0]
 
 
@@ -191,7 +189,7 @@ class ArraysTable:
                     [self._columns[name].part(start, start + CHUNK_ROWS) for name in columns]
                 )
             except OSError as error:
-                raise DataError(f"cannot be read: {error}", where=str(self.path)) from None
+                raise DataError(f"cannot be read: {error}", self.path) from None
 
 
 # NumPy's .npy and .npz files; nothing in them is unpickled.
@@ -209,7 +207,7 @@ def load_arrays(path: Path) -> dict[str, Any]:
     DataError for a damaged file or one of pickled objects.
     """
     if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -222,7 +220,7 @@ def load_arrays(path: Path) -> dict[str, Any]:
                 return {name: stored[name] for name in stored.files}
     except _BROKEN as error:
         reason = (str(error).splitlines() or ["damaged"])[0]
-        raise DataError(f"is not a readable NumPy file of numbers ({reason[:80]})", where=str(path)) from None
+        raise DataError(f"is not a readable NumPy file of numbers ({reason[:80]})", path) from None
 
 
 def numpy_table(path: Path) -> ArraysTable:

@@ -34,9 +34,7 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     pairs = [match for column in table.columns if (match := _COLUMN.match(column))]
     if not pairs:
         raise DataError(
-            "no columns 'output/input:re' and 'output/input:im'",
-            where=str(path),
-            hint="for example 'x/f:re', 'x/f:im'",
+            "no columns 'output/input:re' and 'output/input:im'", path, "for example 'x/f:re', 'x/f:im'"
         )
     outputs = tuple(dict.fromkeys(match["output"] for match in pairs))
     inputs = tuple(dict.fromkeys(match["input"] for match in pairs))
@@ -77,9 +75,7 @@ def _form(path: Path) -> str:
                 break
             match = re.match(r"#\s*form:\s*(\S+)", line)
             if match and match[1] not in FORMS:
-                raise DataError(
-                    f"unknown form '{match[1]}'", where=f"{path}:1", hint=nearest(match[1], FORMS)
-                )
+                raise DataError(f"unknown form '{match[1]}'", f"{path}:1", nearest(match[1], FORMS))
             if match:
                 return match[1]
     return "receptance"

@@ -72,7 +72,7 @@ class TextColumns:
                 fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
                 if len(fields) != len(layout.names):
                     what = f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before"
-                    raise DataError(what, where=f"{self.path}:{number}")
+                    raise DataError(what, f"{self.path}:{number}")
                 rows.append((number, fields))
         return rows
 
@@ -88,7 +88,7 @@ class TextColumns:
             except ValueError:
                 name = self.columns[index] or str(index + 1)
                 what = f"column '{name}': '{fields[index].strip()[:40]}' is not a number"
-                raise DataError(what, where=f"{self.path}:{number}") from None
+                raise DataError(what, f"{self.path}:{number}") from None
         return values
 
     def line(self, row: int) -> str:
@@ -127,15 +127,13 @@ class DescribedColumns:
             return self.names.index(described)
         if count > 1:
             what = f"the {self.word} '{described}' appears {count} times"
-            raise DataError(what, where=str(self.path), hint="write its number, counted from 1")
+            raise DataError(what, self.path, "write its number, counted from 1")
         if described.isdigit() and self.word == "column":
             if 1 <= int(described) <= len(self.names):
                 return int(described) - 1
-            raise DataError(f"no column {described}: the table has {len(self.names)}", where=str(self.path))
+            raise DataError(f"no column {described}: the table has {len(self.names)}", self.path)
         raise DataError(
-            f"no {self.word} '{described}'",
-            where=str(self.path),
-            hint=nearest(described, [n for n in self.names if n]),
+            f"no {self.word} '{described}'", self.path, nearest(described, [n for n in self.names if n])
         )
 
     def _number(self, described: str) -> tuple[str, int] | None:
@@ -153,9 +151,7 @@ class DescribedColumns:
         matrix = np.asarray(self._read(self._index(base)))
         columns = matrix if matrix.ndim == 2 and matrix.shape[0] >= matrix.shape[1] else matrix.T
         if matrix.ndim != 2 or not 1 <= number <= columns.shape[1]:
-            raise DataError(
-                f"the variable '{base}' of size {matrix.shape} has no column {number}", where=str(self.path)
-            )
+            raise DataError(f"the variable '{base}' of size {matrix.shape} has no column {number}", self.path)
         return columns[:, number - 1]
 
     def unit(self, described: str) -> str:
@@ -174,14 +170,12 @@ class DescribedColumns:
         """
         numbers = self._numbers(described)
         if numbers.dtype.kind not in "iufc" or not numbers.size:
-            raise DataError(f"{self.word} '{described}' holds no numbers", where=str(self.path))
+            raise DataError(f"{self.word} '{described}' holds no numbers", self.path)
         numbers = numbers.astype(np.complex128)
         numbers = numbers.ravel() if numbers.size == max(numbers.shape, default=1) else numbers
         if not np.all(np.isfinite(numbers)):
             row = int(np.argmax(~np.isfinite(numbers.ravel())))
-            raise DataError(
-                f"{self.word} '{described}' has no number at value {row + 1}", where=self.place(row)
-            )
+            raise DataError(f"{self.word} '{described}' has no number at value {row + 1}", self.place(row))
         return numbers
 
     def real(self, described: str) -> FloatArray:
@@ -190,8 +184,7 @@ class DescribedColumns:
         if np.any(numbers.imag):
             row = int(np.argmax(numbers.imag.ravel() != 0))
             raise DataError(
-                f"{self.word} '{described}' holds complex numbers, real ones are needed",
-                where=self.place(row),
+                f"{self.word} '{described}' holds complex numbers, real ones are needed", self.place(row)
             )
         return np.asarray(numbers.real, np.float64)
 
@@ -199,12 +192,10 @@ class DescribedColumns:
 def columns_of_table(path: Path) -> DescribedColumns:
     """The columns of a text or another table; DataError where the file holds variables."""
     if plain_suffix(path) in VARIABLE_SUFFIXES:
-        raise DataError(
-            "holds variables, no columns", where=str(path), hint="write 'variables' in place of 'columns'"
-        )
+        raise DataError("holds variables, no columns", path, "write 'variables' in place of 'columns'")
     if plain_suffix(path) in TEXT_SUFFIXES:
         if not path.is_file():
-            raise DataError("is a folder, a file is needed", where=str(path))
+            raise DataError("is a folder, a file is needed", path)
         text = TextColumns(path)
         return DescribedColumns(path, text.columns, text.units, text.column, text.line)
     table = open_table(path)
@@ -212,9 +203,7 @@ def columns_of_table(path: Path) -> DescribedColumns:
     def read(index: int) -> FloatArray:
         if table.columns.count(table.columns[index]) > 1:
             raise DataError(
-                f"the column '{table.columns[index]}' appears several times",
-                where=str(path),
-                hint="rename one of them",
+                f"the column '{table.columns[index]}' appears several times", path, "rename one of them"
             )
         return np.concatenate(list(table.chunks([table.columns[index]])))[:, 0]
 
@@ -227,7 +216,7 @@ def columns_of_variables(path: Path) -> DescribedColumns:
     """
     if plain_suffix(path) not in VARIABLE_SUFFIXES:
         what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
-        raise DataError(what, where=str(path), hint="write 'columns' in place of 'variables'")
+        raise DataError(what, path, "write 'columns' in place of 'variables'")
     if plain_suffix(path) == ".npz":
         arrays = load_arrays(path)
         names = list(arrays)
@@ -318,9 +307,7 @@ def _labels(
     outputs, inputs = (tuple(dict.fromkeys(pair[side] for pair in elements)) for side in (0, 1))
     missing = [f"{o}/{i}" for o in outputs for i in inputs if (o, i) not in elements]
     if missing:
-        raise DataError(
-            f"'elements' do not name {missing[0]}", where=str(source.path), hint="a full matrix is required"
-        )
+        raise DataError(f"'elements' do not name {missing[0]}", source.path, "a full matrix is required")
     return outputs, inputs
 
 
@@ -337,9 +324,7 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
         values = source.values(first)
         if not np.any(values.imag):
             what = f"{source.word} '{first}' has no imaginary part anywhere"
-            raise DataError(
-                what, where=str(source.path), hint="an amplitude needs its phase: amplitude and phase_deg"
-            )
+            raise DataError(what, source.path, "an amplitude needs its phase: amplitude and phase_deg")
         return values
     size, other = source.real(first), source.real(second[0])
     if columns.given == ("re", "im"):
@@ -350,7 +335,7 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
     elif np.any(size < 0):
         row = int(np.argmax(size < 0))
         what = f"{source.word} '{first}' holds the negative amplitude {size[row]:g}"
-        raise DataError(what, where=source.place(row), hint="amplitude_db for decibels")
+        raise DataError(what, source.place(row), "amplitude_db for decibels")
     phase = np.deg2rad(other) if columns.given[1] == "phase_deg" else other
     return np.asarray(size * np.exp(1j * phase), np.complex128)
 
@@ -366,7 +351,7 @@ def _check_stated(source: DescribedColumns, column: str, layout: FrfLayout) -> N
             f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the "
             "entry under frfs"
         )
-        raise DataError(what, where=str(source.path), hint=f"write unit: {stated}")
+        raise DataError(what, source.path, f"write unit: {stated}")
 
 
 def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
@@ -376,9 +361,7 @@ def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
     if stated in ("deg", "°", "rad") and (stated == "rad") != (described == "rad"):
         other = "phase_rad" if stated == "rad" else "phase_deg"
         raise DataError(
-            f"{source.word} '{column}' is in {stated} by the file's own header",
-            where=str(source.path),
-            hint=f"write {other}",
+            f"{source.word} '{column}' is in {stated} by the file's own header", source.path, f"write {other}"
         )
 
 
@@ -395,20 +378,19 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
         unit = unit_of(stated, "Hz") if stated else parse_unit("rad/s" if table.omega else "Hz")
     except UnitError:
         what = f"{source.word} '{column}' is in {stated} by the file's own header, which is no frequency"
-        raise DataError(what, where=str(source.path)) from None
+        raise DataError(what, source.path) from None
     if table.omega and stated and not unit.dimension[5]:
         raise DataError(
             f"{source.word} '{column}' is in {stated} by the file's own header",
-            where=str(source.path),
-            hint="write frequency",
+            source.path,
+            "write frequency",
         )
     frequency = numbers * unit.factor / ((2 * np.pi) if unit.dimension[5] else 1.0)
     falling = np.flatnonzero(np.diff(frequency) <= 0)
     if falling.size:
         row = int(falling[0]) + 1
         raise DataError(
-            f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})",
-            where=source.place(row),
+            f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})", source.place(row)
         )
     return np.asarray(frequency, np.float64)
 
@@ -419,12 +401,10 @@ def _scalar(source: DescribedColumns, text: str) -> float:
         try:
             return parse_value(text, "Hz")
         except UnitError as error:
-            raise DataError(error.what, where=str(source.path), hint=error.hint) from None
+            raise DataError(error.what, source.path, error.hint) from None
     values = source.real(text)
     if values.size != 1:
-        raise DataError(
-            f"{source.word} '{text}' holds {values.size} numbers, one is needed", where=str(source.path)
-        )
+        raise DataError(f"{source.word} '{text}' holds {values.size} numbers, one is needed", source.path)
     return float(values.flat[0])
 
 
@@ -434,7 +414,7 @@ def _check_lengths(
     for (output, reference), element in values.items():
         if element.shape != frequency.shape:
             what = f"{output}/{reference} has {element.size} values, the frequency axis {frequency.size}"
-            raise DataError(what, where=str(source.path))
+            raise DataError(what, source.path)
 
 
 def _whole(
@@ -452,7 +432,7 @@ def _whole(
     needed = f"{shape[0]} frequencies, {shape[1]} outputs, {shape[2]} inputs"
     if not fitting:
         raise DataError(
-            f"the variable '{name}' has the size {values.shape}; needed are {needed}", where=str(source.path)
+            f"the variable '{name}' has the size {values.shape}; needed are {needed}", source.path
         )
     arrays = [
         values.reshape(tuple(shape[n] for n in order)).transpose(np.argsort(order)) for order in fitting
@@ -460,9 +440,7 @@ def _whole(
     if any(not np.array_equal(arrays[0], other) for other in arrays[1:]):
         hint = "name their order, for example axes: [output, input, frequency]"
         raise DataError(
-            f"the dimensions {values.shape} of '{name}' could be ordered in several ways",
-            where=str(source.path),
-            hint=hint,
+            f"the dimensions {values.shape} of '{name}' could be ordered in several ways", source.path, hint
         )
     return arrays[0]
 

@@ -107,9 +107,7 @@ class LvmTable:
         for number, line in enumerate(self._lines(), 1):
             if number == 1 and not line.startswith("LabVIEW Measurement"):
                 raise DataError(
-                    "is not a LabVIEW measurement file",
-                    where=str(self.path),
-                    hint="its first words are LabVIEW Measurement",
+                    "is not a LabVIEW measurement file", self.path, "its first words are LabVIEW Measurement"
                 )
             if line.startswith(("Separator\t", "Separator,")):
                 delimiter = "," if "Comma" in line else "\t"
@@ -126,8 +124,7 @@ class LvmTable:
             ended += fields[0].startswith(END)
             entries[fields[0]] = [field.strip() for field in fields]
         raise DataError(
-            "is cut off in its header" if ended < 2 else f"has no line of titles ('{X_VALUE} ...')",
-            where=str(self.path),
+            "is cut off in its header" if ended < 2 else f"has no line of titles ('{X_VALUE} ...')", self.path
         )
 
     def _first_row(self, titles: int) -> str:
@@ -172,7 +169,7 @@ class LvmTable:
         if X_VALUE not in self._places:
             hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
             raise DataError(
-                "a second segment begins, and no X values say when", where=f"{self.path}:{number}", hint=hint
+                "a second segment begins, and no X values say when", f"{self.path}:{number}", hint
             )
 
     def _numbers(self, line: str, places: Sequence[int], number: int) -> list[float]:
@@ -186,7 +183,7 @@ class LvmTable:
                 )
             except ValueError:
                 what = f"column '{self._header.titles[place]}': '{text[:40]}' is not a number"
-                raise DataError(what, where=f"{self.path}:{number}") from None
+                raise DataError(what, f"{self.path}:{number}") from None
         return row
 
 
@@ -209,7 +206,7 @@ def _header(
         if title and title != "Comment" and padded["Samples"][place] != "0" and (title != X_VALUE or with_x)
     ]
     if not [place for place in used if titles[place] != X_VALUE]:
-        raise DataError("holds no channel with samples", where=str(path))
+        raise DataError("holds no channel with samples", path)
     # The first field is the word Y_Unit_Label itself.
     units = ["", *(UNITS.get(unit.lower(), unit) for unit in padded["Y_Unit_Label"][1:])]
     spectrum = _is_spectrum(
@@ -267,11 +264,9 @@ def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
     try:
         numbers = {float(text) for text in texts}
     except ValueError:
-        raise DataError(f"Delta_X '{texts.pop()}' is not a number", where=str(path)) from None
+        raise DataError(f"Delta_X '{texts.pop()}' is not a number", path) from None
     if len(numbers) > 1 or min(numbers) <= 0:
-        raise DataError(
-            "not every channel has a positive step Delta_X", where=str(path), hint="one for each channel"
-        )
+        raise DataError("not every channel has a positive step Delta_X", path, "one for each channel")
     (text,), (step,) = list(texts)[:1], numbers
     mantissa, _, exponent = text.upper().partition("E")
     last_digit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))

@@ -60,7 +60,7 @@ def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
             return {name: _value(file, file[name]) for name in names if _is_own_dataset(file, name)}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
         reason = (str(error).splitlines() or ["damaged"])[0]
-        raise DataError(f"is not a readable HDF5 file ({reason[:80]})", where=str(path)) from None
+        raise DataError(f"is not a readable HDF5 file ({reason[:80]})", path) from None
 
 
 def hdf5_names(path: Path) -> tuple[str, ...]:
@@ -77,7 +77,7 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
             file.visititems(add)
     except (OSError, RuntimeError, KeyError) as error:
         reason = (str(error).splitlines() or ["damaged"])[0]
-        raise DataError(f"is not a readable HDF5 file ({reason[:80]})", where=str(path)) from None
+        raise DataError(f"is not a readable HDF5 file ({reason[:80]})", path) from None
     return tuple(names)
 
 
@@ -209,7 +209,7 @@ def is_hdf5(path: Path) -> bool:
 def load_variables(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file up to version 7; DataError for an unreadable file."""
     if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -217,7 +217,7 @@ def load_variables(path: Path) -> dict[str, Any]:
             variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
     except _BROKEN as error:
         reason = (str(error).splitlines() or ["damaged"])[0].rstrip(".")
-        raise DataError(f"is not a readable MATLAB file ({reason[:80]})", where=str(path)) from None
+        raise DataError(f"is not a readable MATLAB file ({reason[:80]})", path) from None
     return {name: value for name, value in variables.items() if not name.startswith("__")}
 
 
@@ -339,7 +339,7 @@ def hdf5_table(path: Path) -> ArraysTable:
     Links into other files are not followed.
     """
     if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     check_hdf5(path)
     try:
         file = h5py.File(path, "r")
@@ -347,9 +347,7 @@ def hdf5_table(path: Path) -> ArraysTable:
         scalars = {name: float(np.asarray(item[()]).item()) for name, item in sets.items() if item.size == 1}
         scalars |= _rate_attributes(file, sets)
     except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise DataError(
-            f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", where=str(path)
-        ) from None
+        raise DataError(f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", path) from None
     columns = {
         name: column
         for key, item in sets.items()

@@ -31,7 +31,7 @@ def mdf_table(path: Path) -> MdfTable:
     crash.
     """
     if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     load_extra("asammdf", "mdf", path)
     check_in_child(path, "MDF", touch)
     return MdfTable(path)
@@ -84,7 +84,7 @@ class MdfTable:
                 groups = [groups[group]]
             self._length, self._group = max(groups, default=(0, -1))
             if self._length < 2:
-                raise DataError("holds no group of samples", where=str(path))
+                raise DataError("holds no group of samples", path)
             self._check_amount(file.groups[self._group])
             self._others = [n for length, n in groups if n != self._group and length > 1]
             self.unused = {
@@ -133,7 +133,7 @@ class MdfTable:
                 f"is not a readable MDF file ({self._length} samples of {record} bytes are stated, "
                 f"{room} bytes are there)"
             )
-            raise DataError(what, where=str(self.path), hint="the file is cut off or damaged")
+            raise DataError(what, self.path, "the file is cut off or damaged")
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
@@ -155,8 +155,7 @@ class MdfTable:
                 except Exception as error:
                     reason = str(error)
         raise DataError(
-            f"is not a readable MDF file ({(reason.splitlines() or ['damaged'])[0][:80]})",
-            where=str(self.path),
+            f"is not a readable MDF file ({(reason.splitlines() or ['damaged'])[0][:80]})", self.path
         )
 
     def _opened(self, folder: str) -> tuple[Any, str]:
@@ -201,9 +200,7 @@ class MdfTable:
         ]
         if len(times) != count:
             raise DataError(
-                f"ends within its {self._length} samples",
-                where=str(self.path),
-                hint="the file is cut off or damaged",
+                f"ends within its {self._length} samples", self.path, "the file is cut off or damaged"
             )
         return np.column_stack([np.asarray(signal, np.float64) for signal in signals])
 

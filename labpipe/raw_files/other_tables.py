@@ -37,7 +37,7 @@ class ParquetTable:
         self.sample_rate: float | None = None
         self.n_row = open_parquet(path).metadata.num_rows
         if self.n_row == 0:
-            raise DataError("has no rows", where=str(path))
+            raise DataError("has no rows", path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
@@ -57,7 +57,7 @@ class ParquetTable:
         for name in columns:
             kind = self._schema.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                raise DataError(f"column '{name}' holds {kind}, numbers are required", where=str(self.path))
+                raise DataError(f"column '{name}' holds {kind}, numbers are required", self.path)
         for batch in batches(self.path, list(dict.fromkeys(columns)), CHUNK_ROWS):
             yield [_numbers(batch.column(name)) for name in columns]
 
@@ -82,7 +82,7 @@ class WavTable:
         self.path = path
         rate, self._samples = _read(path)
         if self._samples.shape[0] < 1:
-            raise DataError("holds no samples", where=str(path))
+            raise DataError("holds no samples", path)
         self.columns = tuple(str(n + 1) for n in range(self._samples.shape[1]))
         self.units = dict.fromkeys(self.columns, "1")
         self.sample_rate: float | None = float(rate)
@@ -97,7 +97,7 @@ class WavTable:
 def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
     if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     _check_length(path)
     try:
         with warnings.catch_warnings(record=True) as caught:
@@ -116,11 +116,11 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
         ZeroDivisionError,
     ) as error:
         reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
-        raise DataError(f"is not a readable WAV file ({reason[:80]})", where=str(path)) from None
+        raise DataError(f"is not a readable WAV file ({reason[:80]})", path) from None
     if any("EOF" in str(warning.message) for warning in caught):
-        raise DataError("ends before its last sample", where=str(path), hint="the file is truncated")
+        raise DataError("ends before its last sample", path, "the file is truncated")
     if rate <= 0:
-        raise DataError("has no sampling rate", where=str(path))
+        raise DataError("has no sampling rate", path)
     return rate, samples.reshape(samples.shape[0], -1)
 
 
@@ -143,7 +143,7 @@ def _check_length(path: Path) -> None:
     with path.open("rb") as stream:
         for name, place, length in wav_chunks(stream):
             if name == b"data" and place + length > path.stat().st_size:
-                raise DataError("ends before its last sample", where=str(path), hint="the file is truncated")
+                raise DataError("ends before its last sample", path, "the file is truncated")
 
 
 def _share(samples: NDArray[np.generic]) -> FloatArray:
@@ -184,7 +184,7 @@ class XlsxTable:
         """Name and rows of the only sheet that holds numbers."""
         openpyxl = load_extra("openpyxl", "excel", self.path)
         if self.path.stat().st_size == 0:
-            raise DataError("the file is empty", where=str(self.path))
+            raise DataError("the file is empty", self.path)
         try:
             with warnings.catch_warnings():
                 # Of styles and extensions that are no numbers.
@@ -195,9 +195,7 @@ class XlsxTable:
         # The library has errors of many kinds for a damaged file.
         except Exception as error:
             reason = (str(error).splitlines() or ["damaged"])[0]
-            raise DataError(
-                f"is not a readable Excel workbook ({reason[:80]})", where=str(self.path)
-            ) from None
+            raise DataError(f"is not a readable Excel workbook ({reason[:80]})", self.path) from None
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
         if len(numeric) != 1:
             what = (
@@ -205,7 +203,7 @@ class XlsxTable:
                 if not numeric
                 else (f"several sheets hold numbers: {', '.join(numeric)}")
             )
-            raise DataError(what, where=str(self.path), hint="a workbook with one table is needed")
+            raise DataError(what, self.path, "a workbook with one table is needed")
         return next(iter(numeric.items()))
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
@@ -228,7 +226,7 @@ class XlsxTable:
                 values[number] = np.nan if cell is None else cell
             else:
                 what = f"column '{self._names[place]}': '{str(cell)[:40]}' is not a number"
-                raise DataError(what, where=f"{self.path}: sheet {self._sheet}, row {row_number}")
+                raise DataError(what, f"{self.path}: sheet {self._sheet}, row {row_number}")
         return values
 
 

@@ -51,7 +51,7 @@ class TdmsTable:
         # Suppresses npTDMS's log of a damaged file: there is one error message.
         log_manager.set_level(logging.ERROR)
         if path.stat().st_size == 0:
-            raise DataError("the file is empty", where=str(path))
+            raise DataError("the file is empty", path)
         try:
             with path.open("rb") as stream, TdmsFile.open(stream) as file:
                 _check_whole(file, path)
@@ -65,7 +65,7 @@ class TdmsTable:
     def _keep(self, candidates: list[Any]) -> None:
         length = max((len(channel) for channel in candidates), default=0)
         if length < 1:
-            raise DataError("holds no channel of numbers", where=str(self.path))
+            raise DataError("holds no channel of numbers", self.path)
         channels = [channel for channel in candidates if len(channel) == length]
         names = [channel.name for channel in channels]
         self.columns = unique(
@@ -128,7 +128,7 @@ class TdmsTable:
 
     def _damaged(self, error: Exception) -> DataError:
         reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
-        return DataError(f"is not a readable TDMS file ({reason[:80]})", where=str(self.path))
+        return DataError(f"is not a readable TDMS file ({reason[:80]})", self.path)
 
 
 def growing_rows(
@@ -163,9 +163,7 @@ def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:
 def _check_whole(file: TdmsFile, path: Path) -> None:
     if file.file_status.incomplete_final_segment:
         raise DataError(
-            "its last segment is truncated",
-            where=str(path),
-            hint="the logger was interrupted, or the copy is incomplete",
+            "its last segment is truncated", path, "the logger was interrupted, or the copy is incomplete"
         )
 
 
@@ -197,9 +195,7 @@ def _rate(channels: list[Any], path: Path) -> float | None:
     low, high = min(steps.values()), max(steps.values())
     if low <= 0 or high > low * (1 + _SAME):
         raise DataError(
-            f"its channels have time steps from {low:g} s to {high:g} s",
-            where=str(path),
-            hint="one rate is required",
+            f"its channels have time steps from {low:g} s to {high:g} s", path, "one rate is required"
         )
     rate = 1 / low
     return float(round(rate)) if abs(round(rate) / rate - 1) < _SAME else rate

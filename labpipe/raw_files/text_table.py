@@ -49,9 +49,7 @@ def open_unpacked(path: Path) -> BinaryIO:
 def damaged(path: Path, error: Exception) -> DataError:
     """The error of a compressed file that cannot be decompressed."""
     return DataError(
-        f"cannot be unpacked ({str(error).splitlines()[0][:80]})",
-        where=str(path),
-        hint="the file is damaged or cut off",
+        f"cannot be unpacked ({str(error).splitlines()[0][:80]})", path, "the file is damaged or cut off"
     )
 
 
@@ -241,11 +239,7 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
         layouts, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3])
     )
     if not rows:
-        raise DataError(
-            "no row of numbers in it",
-            where=str(path),
-            hint="a table of numbers below one header line is needed",
-        )
+        raise DataError("no row of numbers in it", path, "a table of numbers below one header line is needed")
     first = next(
         n
         for n, line in enumerate(lines)
@@ -263,11 +257,11 @@ def _head(path: Path) -> tuple[str, list[str]]:
     except OSError as error:
         raise damaged(path, error) if path.suffix.lower() in PACKED else error from None
     if not head.strip():
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encoding = "utf-16"
     elif b"\0" in head:
-        raise DataError("is not a text file", where=str(path))
+        raise DataError("is not a text file", path)
     else:
         encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else _utf8_or_latin(head)
     # Not splitlines(): pyarrow, which skips the header by its number of lines, counts line feeds only.
@@ -411,7 +405,7 @@ class CsvTable:
             raise self._locate(columns, str(error)) from None
         except UnicodeError as error:
             what = f"is not {self.layout.encoding.upper()} text as its first bytes say ({cut(str(error))})"
-            raise DataError(what, where=str(self.path), hint="the file is damaged or cut off") from None
+            raise DataError(what, self.path, "the file is damaged or cut off") from None
         except OSError as error:
             raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
 
@@ -427,9 +421,7 @@ class CsvTable:
             batches = list(self._open(source, fields, 0))
         except pa.ArrowInvalid as error:
             reason = cut(str(error).splitlines()[0])
-            raise DataError(
-                f"a line that was appended cannot be read: {reason}", where=str(self.path)
-            ) from None
+            raise DataError(f"a line that was appended cannot be read: {reason}", self.path) from None
         rows = [
             np.array([self._numbers(batch.column(field), self._clocks.get(field)) for field in fields]).T
             for batch in batches
@@ -494,12 +486,11 @@ class CsvTable:
                 where = f"{self.path}:{number + 1}"
                 if len(fields) != len(layout.names):
                     return DataError(
-                        f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before",
-                        where=where,
+                        f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before", where
                     )
                 for index, name in zip(indices, columns, strict=True):
                     if not is_number_or_missing(fields[index], layout.decimal):
                         return DataError(
-                            f"column '{name}': '{fields[index].strip()[:40]}' is not a number", where=where
+                            f"column '{name}': '{fields[index].strip()[:40]}' is not a number", where
                         )
-        return DataError(f"cannot be read: {reason.splitlines()[0]}", where=str(self.path))
+        return DataError(f"cannot be read: {reason.splitlines()[0]}", self.path)

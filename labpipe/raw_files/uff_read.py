@@ -240,9 +240,7 @@ class UffTable:
             if record.function == TIME or (record.function, record.abscissa.kind) == (0, 17)
         ]
         if not records:
-            raise DataError(
-                "holds no time records", where=str(path), hint="FRFs belong under frfs: in a pipeline"
-            )
+            raise DataError("holds no time records", path, "FRFs belong under frfs: in a pipeline")
         _check_alike(records, path)
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
@@ -257,7 +255,7 @@ class UffTable:
                     np.asarray(read_numbers(buffer, self._records[name].layout)[1], float) for name in columns
                 ]
             except ValueError as error:
-                raise DataError(f"a time record cannot be read: {error}", where=str(self.path)) from None
+                raise DataError(f"a time record cannot be read: {error}", self.path) from None
         factors = np.array([time_unit(self._records[name])[1] for name in columns])
         for start in range(0, len(table[0]), CHUNK_ROWS):
             yield np.column_stack([column[start : start + CHUNK_ROWS] for column in table]) * factors
@@ -267,15 +265,15 @@ def _check_alike(records: list[UffRecord], path: Path) -> None:
     first = records[0]
     for record in records:
         if not record.even or not record.step > 0:
-            raise DataError(f"{record.where}: its samples are not evenly spaced", where=str(path))
+            raise DataError(f"{record.where}: its samples are not evenly spaced", path)
         if record.layout.parts != 1:
-            raise DataError(f"{record.where}: a time record of complex values", where=str(path))
+            raise DataError(f"{record.where}: a time record of complex values", path)
         if (record.n_value, record.step) != (first.n_value, first.step):
             what = (
                 f"{record.where} has {record.n_value} values, {record.step:g} s apart; {first.where} "
                 f"{first.n_value}, {first.step:g} s"
             )
-            raise DataError(what, where=str(path), hint="one file is one recording: split it")
+            raise DataError(what, path, "one file is one recording: split it")
 
 
 def channel_name(record: UffRecord) -> str:

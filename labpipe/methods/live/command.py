@@ -88,7 +88,7 @@ def live(
     pipeline = load_for_stream(pipeline_path, overrides)
     rig = pipeline.rig
     if rig is None:
-        raise ConfigError("rig: is missing", where=str(pipeline_path), hint="name the rig file")
+        raise ConfigError("rig: is missing", pipeline_path, "name the rig file")
     goals = [Goal.of(text) for rule in rules for text in rule.split(",")]
     if not goals and "live" in pipeline.sections:
         goals = pipeline.sections["live"].goals

@@ -108,7 +108,7 @@ def read_plan(path: Path) -> Plan:
     """The plan of an excitation from its plan.json; DataError when the file is none."""
     plan = read_any_plan(path)
     if not isinstance(plan, Plan):
-        raise DataError("plans runs, not an excitation", where=str(path))
+        raise DataError("plans runs, not an excitation", path)
     return plan
 
 
@@ -121,10 +121,10 @@ def read_any_plan(path: Path) -> Plan | RunPlan:
             raise ValueError(f"schema {cut(repr(entries['schema']))}")
         plan: Plan | RunPlan = record_of(entries, kinds[entries["schema"]])
     except FileNotFoundError:
-        raise DataError("no such file", where=str(path), hint="run `labpipe plan` first") from None
+        raise DataError("no such file", path, "run `labpipe plan` first") from None
     except RECORD_FAULTS as error:
         raise DataError(
-            f"is not a readable plan ({cut(str(error))})", where=str(path), hint="run `labpipe plan` again"
+            f"is not a readable plan ({cut(str(error))})", path, "run `labpipe plan` again"
         ) from None
     return plan
 
