@@ -14,7 +14,7 @@ import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -32,6 +32,7 @@ from labpipe.project.crate import EXPERIMENT, NAME, Contents, Listed, Member, me
 from labpipe.project.identify import rig_entry, settings_entry
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.measured import files_of_test
+from labpipe.project.one_test import change_day, files_of
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.report import COMMENTS, drawn_from, is_drawn
 from labpipe.project.result_certificate import write_dcc
@@ -67,13 +68,9 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
             hint = f"remove it or draw it again by `labpipe report {folder}`"
             raise DataError("was not drawn from this result, or edited since", folder / name, hint)
     recordings = [name for name in names if name.endswith(RECORDING)]
+    left = recordings if digests_only else ()
     results = [
-        Member(
-            f"{RESULTS}/{name}",
-            _role_of_result(name),
-            folder / name,
-            kept=not (digests_only and name in recordings),
-        )
+        Member(f"{RESULTS}/{name}", _role_of_result(name), folder / name, kept=name not in left)
         for name in (*names, *reports)
     ]
     write_dcc(folder / IDENTIFICATION, scratch / CERTIFICATE)
@@ -84,12 +81,10 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
     digests = {reference.path: reference.sha256 for reference in noted} | {
         source["path"]: source["sha256"] for source in identification.sources
     }
-    main, files = _project(
-        pipeline, digests, dated=identification.dataset is not None, digests_only=digests_only
-    )
-    return Contents(
-        identification, main, tuple(map(_digest, files)), tuple(map(_digest, results)), tuple(left_out)
-    )
+    dated = identification.dataset is not None
+    main, files = _project(pipeline, digests, dated=dated, digests_only=digests_only)
+    of, of_results = (tuple(map(_digest, members)) for members in (files, results))
+    return Contents(identification, main, of, of_results, tuple(left_out))
 
 
 def _digest(member: Member) -> Member:
@@ -99,9 +94,8 @@ def _digest(member: Member) -> Member:
     """
     if is_remote(member.path):
         return member
-    return replace(
-        member, sha256=source_ref(member.path, member.path.parent).sha256, size=member.path.stat().st_size
-    )
+    digest = source_ref(member.path, member.path.parent).sha256
+    return replace(member, sha256=digest, size=member.path.stat().st_size)
 
 
 def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
@@ -133,7 +127,7 @@ def _names_of_result(folder: Path, identification: Identification, pipeline: Pip
     recordings = [
         f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs
     ]
-    return sorted({IDENTIFICATION, *files_there, *(name for name in recordings if (folder / name).is_file())})
+    return sorted({IDENTIFICATION, *files_there, *filter(lambda name: (folder / name).is_file(), recordings)})
 
 
 def _role_of_result(name: str) -> str:
@@ -145,11 +139,9 @@ def _role_of_result(name: str) -> str:
         RECORDING: "calibrated recording",
         ".results.parquet": "results of many tests",
         ".json": "fits of a test",
+        "": "measured response, decays or spectra of a test",
     }
-    return next(
-        (role for suffix, role in kinds.items() if name.endswith(suffix)),
-        "measured response, decays or spectra of a test",
-    )
+    return next(role for suffix, role in kinds.items() if name.endswith(suffix))
 
 
 def _project(
@@ -160,19 +152,13 @@ def _project(
     digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings
     were last changed.
     """
-    raw = [
-        path
-        for test in pipeline.tests
-        for source in test.recordings
-        for path in (source.path, *source.joined)
-    ]
-    ready = [path for test in pipeline.tests for frf in test.frfs for path in frf.paths]
+    raw = [path for test in pipeline.tests for path in files_of(test)]
     remote = next(filter(is_remote, raw), None)
     if remote is not None and not digests_only:
         what = "lies in an object storage, and is not brought into the archive"
         raise DataError(what, show(remote), "--digests-only keeps its digest")
     settings, named = _named_by(pipeline.path)
-    roles = dict.fromkeys(map(_absolute, (*raw, *ready)), "recording")
+    roles = dict.fromkeys(map(_absolute, raw), "recording")
     roles |= {
         path: "table or file that the settings name"
         for path in map(_absolute, (*pipeline.side_files, *named))
@@ -185,7 +171,7 @@ def _project(
     for path, role in roles.items():
         kept = not (digests_only and role == "recording")
         name = show(path) if is_remote(path) else f"{PROJECT}/{path.relative_to(home).as_posix()}"
-        day = _day(path) if dated and role == "recording" and not is_remote(path) else ""
+        day = change_day(path) if dated and role == "recording" and not is_remote(path) else ""
         members.append(Member(name, role, path, digests.get(name, ""), kept=kept, day=day))
     return f"{PROJECT}/{_absolute(pipeline.path).relative_to(home).as_posix()}", members
 
@@ -193,11 +179,6 @@ def _project(
 def _absolute(path: Path) -> Path:
     """The path without '..', links as they are; a URL as it is."""
     return path if is_remote(path) else Path(os.path.abspath(path))
-
-
-def _day(path: Path) -> str:
-    """The day [UTC] on which a file was last changed: that of a test of a dataset that states none."""
-    return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
@@ -234,16 +215,11 @@ def _is_named(node: Marked, folder: Path) -> bool:
 
 def _texts(node: Marked) -> Iterator[Marked]:
     """The texts in a tree."""
-    parts: Sequence[Marked] = (
-        tuple(node.content.values())
-        if isinstance(node.content, dict)
-        else node.content
-        if isinstance(node.content, list)
-        else ()
-    )
-    if node.text and not parts:
-        yield node
-    for part in parts:
+    content = list(node.content.values()) if isinstance(node.content, dict) else node.content
+    if not isinstance(content, list):
+        yield from [node] if node.text else []
+        return
+    for part in content:
         yield from _texts(part)
 
 
@@ -255,6 +231,7 @@ EPOCH = (1980, 1, 1, 0, 0, 0)
 CHUNK = 1 << 20
 LONGEST_METADATA = 1 << 28
 ENCRYPTED = 0x1
+NOT_OURS, NAME_ONE = "labpipe writes no such archive", "name a file that `labpipe archive` wrote"
 # What reading a damaged member raises.
 DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, ValueError)
 
@@ -332,11 +309,8 @@ class Opened:
                     goal.write(chunk)
         except DamagedError as error:
             return error.what
-        return (
-            ""
-            if digest.hexdigest() == listed.sha256
-            else ("is not the file that the archive lists: its SHA-256 is another")
-        )
+        same = digest.hexdigest() == listed.sha256
+        return "" if same else "is not the file that the archive lists: its SHA-256 is another"
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
         """The content of a member; DamagedError where it cannot be read.
@@ -359,7 +333,7 @@ def opened(path: Path) -> Iterator[Opened]:
     """
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
-        raise DataError(what, path, "name a file that `labpipe archive` wrote")
+        raise DataError(what, path, NAME_ONE)
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
@@ -373,12 +347,9 @@ def opened(path: Path) -> Iterator[Opened]:
             if not info.is_dir():
                 members[info.filename] = info
         for name in members:
-            if above := next(
-                (str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), ""
-            ):
-                raise DataError(
-                    "is a file and a folder", f"{path}: {cut(above)!r}", "labpipe writes no such archive"
-                )
+            for above in map(str, PurePosixPath(name).parents):
+                if above in members:
+                    raise DataError("is a file and a folder", f"{path}: {cut(above)!r}", NOT_OURS)
         around = _around(members, path)
         members = {name.removeprefix(around): info for name, info in members.items()}
         yield Opened(path, archive, members, _metadata(archive, members.pop(NAME), path))
@@ -398,7 +369,7 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
         what = "is there twice"
     else:
         return
-    raise DataError(what, f"{path}: {cut(name)!r}", "labpipe writes no such archive")
+    raise DataError(what, f"{path}: {cut(name)!r}", NOT_OURS)
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
@@ -411,7 +382,7 @@ def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
     tops = {PurePosixPath(name).parts[0] for name in members}
     if len(tops) == 1 and f"{(top := tops.pop())}/{NAME}" in members:
         return f"{top}/"
-    raise DataError(f"holds no {NAME}", path, "name a file that `labpipe archive` wrote")
+    raise DataError(f"holds no {NAME}", path, NAME_ONE)
 
 
 def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> bytes:
@@ -446,18 +417,15 @@ def unpack(path: Path, folder: Path) -> Unpacked:
     with opened(path) as archive:
         crate = read_metadata(archive.metadata, f"{path}: {NAME}")
         listed = {file.name: file for file in crate.files}
-        faults = [
-            (name, "is not listed among the metadata") for name in archive.members if name not in listed
-        ]
+        faults = [(name, "is not listed among the metadata") for name in archive.members.keys() - listed]
         for file in listed.values():
             fault = archive.unpack(file, folder)
             if fault:
                 faults.append((file.name, fault))
             else:
                 _date(file, folder)
-    return Unpacked(
-        folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults))
-    )
+    whole = folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out
+    return Unpacked(*whole, tuple(sorted(faults)))
 
 
 def _date(file: Listed, folder: Path) -> None:

@@ -127,9 +127,7 @@ def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
         return None
     name = entries["kind"].text
     if name not in BEARINGS.names():
-        faults.add(
-            entries["kind"], join(key, "kind"), f"unknown bearing '{name}'", nearest(name, BEARINGS.names())
-        )
+        faults.add_at(entries, key, "kind", f"unknown bearing '{name}'", nearest(name, BEARINGS.names()))
         return None
     kind: BearingKind = BEARINGS.load(name)
     for entry, unit in kind.bare_units.items():

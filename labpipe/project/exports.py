@@ -44,31 +44,31 @@ def write_csv(artefact: Path, target: Path) -> None:
     """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name
     [unit]", results as parameters.
     """
-    if artefact.suffix == ".json":
-        write_table_csv(parameter_table(artefact), target)
-    elif artefact.name.endswith(DECAY_SUFFIX):
-        write_table_csv(decay_table(artefact), target)
-    elif artefact.name.endswith(SPECTRA_SUFFIX):
-        write_table_csv(spectra_table(artefact), target)
-    elif artefact.name.endswith(RECORDING_SUFFIX):
-        write_table_csv(recording_table(artefact), target)
-    else:
+    table = _table(artefact)
+    if table is None:
         write_frf_csv(target, read_response(artefact))
+    else:
+        write_table_csv(table, target)
 
 
 def write_parquet(artefact: Path, target: Path) -> None:
     """The same tables as Parquet, without labpipe's header."""
-    if artefact.suffix == ".json":
-        parameter_table(artefact).to_parquet(target, index=False)
-    elif artefact.name.endswith(DECAY_SUFFIX):
-        decay_table(artefact).to_parquet(target, index=False)
-    elif artefact.name.endswith(SPECTRA_SUFFIX):
-        spectra_table(artefact).to_parquet(target, index=False)
-    elif artefact.name.endswith(RECORDING_SUFFIX):
-        recording_table(artefact).to_parquet(target, index=False)
-    else:
+    table = _table(artefact)
+    if table is None:
         read_response(artefact)  # DataError for a file that is no response
-        open_parquet(artefact).read().to_pandas().to_parquet(target, index=False)
+        table = open_parquet(artefact).read().to_pandas()
+    table.to_parquet(target, index=False)
+
+
+def _table(artefact: Path) -> pd.DataFrame | None:
+    """An artefact as a table by the ending of its name; None for an FRF."""
+    tables = {
+        ".json": parameter_table,
+        DECAY_SUFFIX: decay_table,
+        SPECTRA_SUFFIX: spectra_table,
+        RECORDING_SUFFIX: recording_table,
+    }
+    return next((table(artefact) for suffix, table in tables.items() if artefact.name.endswith(suffix)), None)
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
@@ -132,31 +132,18 @@ def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
         )
         for mode, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
             for n, point in enumerate(modes.points):
+                head = {"fit": fit.name, "test": fit.test, "mode": mode + 1}
+                head |= {"frequency_hz": frequency, "damping_ratio": ratio, "point": point}
                 place = dict(zip(("x_m", "y_m", "z_m"), places[n], strict=True)) if places is not None else {}
                 value, error = modes.shapes[n, mode], modes.shape_std_errors[n, mode]
-                shape = {
-                    "point": point,
-                    "dof": modes.dofs[n],
-                    **place,
-                    "real": value.real,
-                    "imaginary": value.imag,
-                    "std_error": error,
-                }
-                head = {
-                    "fit": fit.name,
-                    "test": fit.test,
-                    "mode": mode + 1,
-                    "frequency_hz": frequency,
-                    "damping_ratio": ratio,
-                }
-                rows.append({**head, **shape})
+                shape = {"real": value.real, "imaginary": value.imag, "std_error": error}
+                rows.append({**head, "dof": modes.dofs[n], **place, **shape})
     return pd.DataFrame(rows)
 
 
 def recording_table(artefact: Path) -> pd.DataFrame:
     """Time in seconds and the channels in SI units."""
-    recording = open_recording(artefact)
-    record = recording.in_memory()
+    record = open_recording(artefact).in_memory()
     names = [f"{channel.name} [{channel.unit}]" for channel in record.channels]
     table = pd.DataFrame(record.samples, columns=names)
     table.insert(0, "t [s]", [n / record.sample_rate for n in range(record.n_sample)])
@@ -181,8 +168,7 @@ def decay_table(artefact: Path) -> pd.DataFrame:
 
 def _refuse_tables(artefact: Path, what: str) -> None:
     """DataError for spectra of all channels and for decays, of which there are tables only."""
-    named = {SPECTRA_SUFFIX: "spectra of all channels", DECAY_SUFFIX: "free decays"}
-    for suffix, name in named.items():
+    for suffix, name in ((SPECTRA_SUFFIX, "spectra of all channels"), (DECAY_SUFFIX, "free decays")):
         if artefact.name.endswith(suffix):
             raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
 
@@ -264,12 +250,9 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
     head = {"test": fit.test, "fit": fit.name, "term": fit.term, "band_low_hz": low, "band_high_hz": high}
     for source, matrix, changes in _by_source(fit):
         for row, column in zip(*np.nonzero(np.triu(np.isfinite(matrix) & (matrix != 0))), strict=True):
-            pair = {
-                "parameter_1": names[row],
-                "parameter_2": names[column],
-                "covariance": matrix[row, column],
-            }
-            yield {**head, "source": source, **pair, "change_1": changes[row], "change_2": changes[column]}
+            pair = {"source": source, "parameter_1": names[row], "parameter_2": names[column]}
+            size = {"covariance": matrix[row, column], "change_1": changes[row], "change_2": changes[column]}
+            yield {**head, **pair, **size}
 
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
@@ -277,13 +260,8 @@ def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
 
     Noise has no change with a sign.
     """
-    errors = np.array(
-        [
-            np.nan if (error := random_error(fit, parameter)) is None else error
-            for parameter in fit.parameters
-        ],
-        np.float64,
-    )
+    # None becomes not-a-number.
+    errors = np.array([random_error(fit, parameter) for parameter in fit.parameters], np.float64)
     correlation = np.eye(errors.size)
     n = min(fit.correlation.shape[0], errors.size)
     correlation[:n, :n] = fit.correlation[:n, :n]
@@ -296,44 +274,21 @@ def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
 # A study as one table: a row for every parameter of every fit at every noise level.
 
 HEADER = (
-    "fit",
-    "estimator",
-    "noise",
-    "lines",
-    "repeats",
-    "failed",
-    "parameter",
-    "unit",
-    "truth",
-    "mean",
-    "rmse",
-    "cramer_rao_bound",
-    "mean_std_error",
-    "coverage",
+    "fit,estimator,noise,lines,repeats,failed,parameter,unit,truth,mean,rmse,cramer_rao_bound,mean_std_error,"
+    "coverage\n"
 )
 
 
 def write_study_csv(path: Path, study: Study) -> None:
     """Write the table; unknown values are left empty."""
     with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(HEADER)
         table = csv.writer(stream, lineterminator="\n")
-        table.writerow(HEADER)
         for case in study.cases:
             head = (case.fit, case.estimator, case.noise, case.lines, case.repeats, case.failed)
             for p in case.parameters:
-                table.writerow(
-                    (
-                        *map(cell, head),
-                        cell(p.name),
-                        p.unit,
-                        p.truth,
-                        p.mean,
-                        p.rmse,
-                        p.bound,
-                        p.std_error,
-                        p.coverage,
-                    )
-                )
+                numbers = (p.unit, p.truth, p.mean, p.rmse, p.bound, p.std_error, p.coverage)
+                table.writerow((*map(cell, (*head, p.name)), *numbers))
 
 
 # Plants for robust control design as files: the band over frequency as CSV, nominal model and weight as a
@@ -344,7 +299,7 @@ def write_band_csv(artefact: Path, target: Path) -> None:
     """One row per fit, line, output and input: nominal plant, radius of the band around it, weight and its
     overbound.
     """
-    rows = []
+    tables = []
     for fit in robust_fits(artefact):
         plant = fit.detail(RobustPlant)
         assert plant is not None
@@ -353,33 +308,12 @@ def write_band_csv(artefact: Path, target: Path) -> None:
                 gain, zero, pole = plant.overbound[row, column]
                 bound = gain * np.abs((1 + 1j * plant.frequency / zero) / (1 + 1j * plant.frequency / pole))
                 values = plant.nominal[:, row, column]
-                part = {
-                    "fit": fit.name,
-                    "test": fit.test,
-                    "output": output,
-                    "input": input_name,
-                    "unit": plant.unit,
-                }
-                lines = zip(
-                    plant.frequency,
-                    values,
-                    plant.radius[:, row, column],
-                    plant.weight[:, row, column],
-                    bound,
-                    strict=True,
-                )
-                for frequency, value, radius, weight, over in lines:
-                    numbers = {
-                        "re": value.real,
-                        "im": value.imag,
-                        "radius": radius,
-                        "weight": weight,
-                        "overbound": over,
-                    }
-                    rows.append(
-                        {**part, "frequency_hz": frequency, **numbers, "confidence": plant.confidence}
-                    )
-    write_table_csv(pd.DataFrame(rows), target)
+                head = {"fit": fit.name, "test": fit.test, "output": output, "input": input_name}
+                columns = {"unit": plant.unit, "frequency_hz": plant.frequency, "re": values.real}
+                columns |= {"im": values.imag, "radius": plant.radius[:, row, column]}
+                columns |= {"weight": plant.weight[:, row, column], "overbound": bound}
+                tables.append(pd.DataFrame({**head, **columns, "confidence": plant.confidence}))
+    write_table_csv(pd.concat(tables, ignore_index=True), target)
 
 
 def write_plant_mat(artefact: Path, target: Path) -> None:
@@ -397,23 +331,11 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
         )
     plant = fits[0].detail(RobustPlant)
     assert plant is not None
-    scipy.io.savemat(
-        target,
-        {
-            "A": plant.a,
-            "B": plant.b,
-            "C": plant.c,
-            "D": plant.d,
-            "frequency_hz": plant.frequency,
-            "nominal": plant.nominal,
-            "radius": plant.radius,
-            "weight": plant.weight,
-            "overbound": plant.overbound,
-            "confidence": plant.confidence,
-            "outputs": np.array(plant.outputs, object),
-            "inputs": np.array(plant.inputs, object),
-        },
-    )
+    same = ("nominal", "radius", "weight", "overbound", "confidence")
+    content = {letter: getattr(plant, letter.lower()) for letter in "ABCD"}
+    content |= {"frequency_hz": plant.frequency} | {name: getattr(plant, name) for name in same}
+    content |= {name: np.array(getattr(plant, name), object) for name in ("outputs", "inputs")}
+    scipy.io.savemat(target, content)
 
 
 def robust_fits(artefact: Path) -> tuple[Fit, ...]:
@@ -440,7 +362,12 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
         raise ConfigError(f"no signal format for the ending '{suffix}'", path, "known: .csv, .parquet, .wav")
     with output_file(path) as target:
         if suffix == ".wav":
-            _write_wav(target, samples, sample_rate)
+            # 32-bit floats with peak 1; the file's rate is a whole number of hertz.
+            if sample_rate != round(sample_rate):
+                what = f"a WAV file cannot hold the sampling rate {sample_rate:g} Hz"
+                raise ConfigError(what, hint="choose a whole number of hertz")
+            full = (samples / np.max(np.abs(samples))).astype(np.float32)
+            scipy.io.wavfile.write(target, round(sample_rate), full)
             return
         table = pa.table(
             {"t [s]": arrow_array(np.arange(samples.size) / sample_rate), column: arrow_array(samples)}
@@ -449,13 +376,3 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
             pq.write_table(table, target)
         else:
             pc.write_csv(table, target, pc.WriteOptions(quoting_style="none"))
-
-
-def _write_wav(path: Path, samples: FloatArray, sample_rate: float) -> None:
-    """32-bit float WAV with peak 1; the file's rate is a whole number of hertz."""
-    if sample_rate != round(sample_rate):
-        raise ConfigError(
-            f"a WAV file cannot hold the sampling rate {sample_rate:g} Hz",
-            hint="choose a whole number of hertz",
-        )
-    scipy.io.wavfile.write(path, round(sample_rate), (samples / np.max(np.abs(samples))).astype(np.float32))

@@ -7,7 +7,7 @@ configuration, which reports faults at the marks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,10 @@ class Marked:
         whole file).
         """
         return self.key_where or self.where
+
+    def without(self, *keys: str) -> Marked:
+        """A mapping without these entries."""
+        return replace(self, content={key: node for key, node in self.content.items() if key not in keys})
 
     def plain(self) -> Any:
         """The node as ordinary dicts, lists and scalars."""

@@ -389,7 +389,7 @@ def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, C
         return node, None
     if certified.response and "response" in node.content:
         what = "the certificate states it"
-        faults.add(node.content["response"], join(key, "response"), what, "leave it out")
+        faults.add_at(node.content, key, "response", what, "leave it out")
     number = Marked(certified.text, entry.where, entry.key_where, certified.text)
     return Marked({**node.content, "sensitivity": number}, node.where, node.key_where), certified
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import asyncio
 import datetime
+import glob
 import hashlib
 import io
 import json
 import logging
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -250,12 +252,7 @@ def signed_files(path: Path) -> list[Path]:
         return sorted(file for end in (SIGNED_PDF, DETACHED) for file in path.rglob(f"*{end}"))
     if path.suffix.lower() in (".pdf", DETACHED):
         return [path]
-    return sorted(path.parent.glob(f"{glob_of(path.name)}.*{DETACHED}"))
-
-
-def glob_of(name: str) -> str:
-    """A name as a pattern that matches nothing else."""
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
+    return sorted(path.parent.glob(f"{glob.escape(path.name)}.*{DETACHED}"))
 
 
 def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
@@ -282,10 +279,13 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
             [root.subject.native for root in roots]  # A damaged one shows when it is read.
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ConfigError(f"is no certificate ({cut(str(error))})", file) from None
-    lists = []
+    lists, pem = [], _library("asn1crypto.pem")
     for file in trust.revoked:
         try:
-            lists.append(crl.CertificateList.load(_unarmoured(file.read_bytes())))
+            content = file.read_bytes()
+            lists.append(
+                crl.CertificateList.load(pem.unarmor(content)[2] if pem.detect(content) else content)
+            )
             lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ConfigError(f"is no list of revoked certificates ({cut(str(error))})", file) from None
@@ -299,14 +299,17 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
     )
 
 
-def _unarmoured(content: bytes) -> bytes:
-    pem = _library("asn1crypto.pem")
-    return bytes(pem.unarmor(content)[2]) if pem.detect(content) else content
-
-
-def _usage() -> Any:
+def _status(validate: Callable[..., Any], trust: Trust) -> Any:
+    """The state of a signature now, or where a time stamp says when it was made, at that time."""
     constraints = _library("pyhanko.sign.validation.settings").KeyUsageConstraints
-    return constraints(key_usage=USAGES, match_all_key_usages=False)
+    usage = constraints(key_usage=USAGES, match_all_key_usages=False)
+    moment = None
+    for _ in range(2):
+        status = validate(_context(trust, moment), _context(trust), key_usage_settings=usage)
+        moment = _time_of_stamp(status)
+        if moment is None:
+            break
+    return status
 
 
 def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
@@ -315,17 +318,8 @@ def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
     content = path.read_bytes()
     try:
         embedded = list(reader.PdfFileReader(io.BytesIO(content), strict=False).embedded_signatures)
-        states = []
-        for signature in embedded:
-            moment = None
-            for _ in range(2):
-                status = validation.validate_pdf_signature(
-                    signature, _context(trust, moment), _context(trust), key_usage_settings=_usage()
-                )
-                moment = _time_of_stamp(status)
-                if moment is None:
-                    break
-            states.append((signature, status))
+        validate = validation.validate_pdf_signature
+        states = [(one, _status(partial(validate, one), trust)) for one in embedded]
     except ConfigError:
         raise
     except Exception as error:  # A damaged PDF raises whatever its place happens to be read as.
@@ -404,20 +398,8 @@ def _detach(path: Path, trust: Trust) -> Signature:
         data = info["content"]
         words = _words(data["signer_infos"][0])
         content = signed.read_bytes() if signed.is_file() else None
-        moment = None
-        for _ in range(2):
-            status = asyncio.run(
-                validation.async_validate_detached_cms(
-                    content or b"",
-                    data,
-                    _context(trust, moment),
-                    _context(trust),
-                    key_usage_settings=_usage(),
-                )
-            )
-            moment = _time_of_stamp(status)
-            if moment is None:
-                break
+        validate = partial(validation.async_validate_detached_cms, content or b"", data)
+        status = _status(lambda *contexts, **more: asyncio.run(validate(*contexts, **more)), trust)
     except ConfigError:
         raise
     except Exception as error:  # Damaged DER raises whatever it happens to be read as.
@@ -444,11 +426,9 @@ def _changes(path: Path, members: dict[str, str]) -> Sequence[str]:
     """The files of an archive that are not those that were signed, by their names."""
     now = members_of(path)
     changed = [name for name in members if name in now and now[name] != members[name]]
-    gone = [name for name in members if name not in now]
-    added = [name for name in now if name not in members]
     kinds = (
         (changed, "is not the file that was signed"),
-        (gone, "was signed, and is gone"),
-        (added, "was added"),
+        ([name for name in members if name not in now], "was signed, and is gone"),
+        ([name for name in now if name not in members], "was added"),
     )
     return [f"{cut(name)}: {what}" for names, what in kinds for name in names]

@@ -119,11 +119,8 @@ def _name(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults)
         if matched is None
         else ("holds more than {output} and {input}")
     )
-    faults.add(
-        node.content["pattern"],
-        join(key, "pattern"),
-        what,
-        "for example 'H_{output}_{input}'; {} stands for any other part",
+    faults.add_at(
+        node.content, key, "pattern", what, "for example 'H_{output}_{input}'; {} stands for any other part"
     )
     return {"output": "?", "input": "?"}
 
@@ -240,11 +237,8 @@ class RecordingReader:
                 )
             ]
         if "by" in entry.content:
-            self.faults.add(
-                entry.content["by"],
-                join(key, "by"),
-                "belongs to files that are joined",
-                "write join: [a.csv, b.csv]",
+            self.faults.add_at(
+                entry.content, key, "by", "belongs to files that are joined", "write join: [a.csv, b.csv]"
             )
         sources = []
         before = len(self.faults)
@@ -419,7 +413,7 @@ class TestReader:
             try:
                 test = per_file.test(source)
             except ConfigError as error:
-                self.faults.add(entries["pattern"], join(key, "pattern"), error.what, error.hint)
+                self.faults.add_at(entries, key, "pattern", error.what, error.hint)
                 test = Test(source.path.name)
             conditions = {
                 part: text for part, text in per_file.named(source.path).items() if part not in together
@@ -467,11 +461,8 @@ class TestReader:
         parts = [node.text for node in listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
-                self.faults.add(
-                    entries["together"],
-                    join(key, "together"),
-                    f"the pattern has no part '{{{part}}}'",
-                    f"pattern: {pattern}",
+                self.faults.add_at(
+                    entries, key, "together", f"the pattern has no part '{{{part}}}'", f"pattern: {pattern}"
                 )
         return parts
 
@@ -490,9 +481,7 @@ class TestReader:
         conditions, recorded = self._conditions(entries, key)
         if frfs and recorded:
             what = "a ready FRF has no channels to take conditions from"
-            self.faults.add(
-                entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN"
-            )
+            self.faults.add_at(entries, key, "conditions", what, "write the amount, e.g. load: 1 kN")
         repeats = entries["repeats"].content if "repeats" in entries else ""
         if "repeats" in entries and repeats not in REPEATS:
             place = join(key, "repeats")
