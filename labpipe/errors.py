@@ -41,6 +41,13 @@ class ConfigError(LabpipeError):
         self.field = field
 
 
+class SettingError(ConfigError):
+    """A fault of the entry *field* of settings, which whoever reads them knows the place of."""
+
+    def __init__(self, field: str, what: str, hint: str = "") -> None:
+        super().__init__(what, "", hint, field)
+
+
 class ConfigErrors(ConfigError):
     """All faults of a file, found in one pass; one line each."""
 

@@ -178,23 +178,15 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
 
 @click.command()
 @click.argument("bearing_path", metavar="BEARING", type=options.PATH)
-@click.option(
-    "--json",
-    "json_path",
-    type=options.PATH,
-    metavar="FILE",
-    help="Write the coefficients as JSON; - for standard output.",
-)
+@options.path("--json", "json_path", help="Write the coefficients as JSON; - for standard output.")
 @click.option(
     "--sweep",
     "sweep_text",
     metavar="KEY=START:STOP:STEP",
     help="Vary one entry over a range of values, e.g. loads.z=0:2000:50.",
 )
-@click.option("-o", "--output", type=options.PATH, metavar="DIR", help="Folder for table and figures.")
-@options.overrides
-@options.quiet
-@options.verbose
+@options.path("-o", "--output", metavar="DIR", help="Folder for table and figures.")
+@options.usual
 def bearing(
     bearing_path: Path,
     json_path: Path | None,

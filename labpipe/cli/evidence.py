@@ -42,19 +42,11 @@ from labpipe.project.verification import Verified, differences, pipeline_folder,
 
 @click.command()
 @click.argument("results", type=options.PATH)
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    required=True,
-    metavar="FILE",
-    help="File to write: .zip, or .eln for notebooks.",
-)
-@click.option(
+@options.path("-o", "--output", required=True, help="File to write: .zip, or .eln for notebooks.")
+@options.path(
     "-c",
     "--config",
     "pipeline_path",
-    type=options.PATH,
     metavar="PIPELINE",
     help="The pipeline that made the results; by default a file of its name in or above them.",
 )
@@ -171,38 +163,25 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
 
 @click.command()
 @click.argument("folder", type=options.PLACE)
-@click.option(
+@options.path(
     "-c",
     "--config",
     "pipeline_path",
-    type=options.PATH,
     metavar="PIPELINE",
     help="The pipeline that made the results: its raw files are compared as well.",
 )
 @click.option(
     "--again", is_flag=True, help="Run the pipeline again, aside, and compare every artefact byte for byte."
 )
-@click.option(
-    "--trust",
-    type=options.PATH,
-    multiple=True,
-    metavar="FILE",
-    help="Certificate (PEM, DER) that vouches for signers (repeatable).",
-)
-@click.option(
-    "--crl",
-    type=options.PATH,
-    multiple=True,
-    metavar="FILE",
-    help="List of revoked certificates (repeatable); without it none is looked for.",
+@options.path("--trust", multiple=True, help="Certificate (PEM, DER) that vouches for signers (repeatable).")
+@options.path(
+    "--crl", multiple=True, help="List of revoked certificates (repeatable); without it none is looked for."
 )
 @click.option(
     "--signed", type=click.Choice(ROLES), multiple=True, help="Somebody must have signed so (repeatable)."
 )
 @options.jobs
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def verify(
     folder: Path,
     pipeline_path: Path | None,
@@ -390,9 +369,7 @@ SECRET = "LABPIPE_SIGN_PASSWORD"
 
 @click.command()
 @click.argument("file", type=options.PATH)
-@click.option(
-    "--key", type=options.PATH, metavar="FILE", help="Your key and certificate as PKCS#12 (.p12, .pfx)."
-)
+@options.path("--key", help="Your key and certificate as PKCS#12 (.p12, .pfx).")
 @click.option(
     "--pkcs11", default="", metavar="LIBRARY", help="Library of a token or card, in place of --key."
 )

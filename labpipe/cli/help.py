@@ -117,9 +117,7 @@ def _temporary_folder() -> Check:
 
 @click.command()
 @click.argument("kind", type=click.Choice(list(SCHEMAS)), default="pipeline")
-@click.option(
-    "-o", "--output", type=options.PATH, metavar="FILE", help="File to write; default: standard output."
-)
+@options.path("-o", "--output", help="File to write; default: standard output.")
 def schema(kind: str, output: Path | None) -> None:
     """Print the JSON schema of a pipeline, rig, bearing or plan file.
 

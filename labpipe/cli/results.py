@@ -143,13 +143,7 @@ LEVEL = 0.05
 )
 @options.catalogue_filters
 @click.option("--csv", "table", type=options.PATH, help="Write the values, in SI units, to this file.")
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    metavar="FILE",
-    help="Also write the campaign report of these results (.html, .pdf, .md).",
-)
+@options.path("-o", "--output", help="Also write the campaign report of these results (.html, .pdf, .md).")
 def trend(
     folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object
 ) -> None:

@@ -45,9 +45,7 @@ from labpipe.records.identification import RuleOutcome
     metavar="TEST",
     help="Work on this test alone, up to its fits; a run without --only then finishes.",
 )
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def run(
     pipeline_path: Path,
     output: Path,
@@ -96,23 +94,16 @@ def run(
 @click.command()
 @click.argument("pipelines", nargs=-1, required=True, metavar="PIPELINE...", type=options.PATH)
 @click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(min=0),
-    default=1,
-    help="Pipelines at the same time; 0: one per processor.",
+    "-j", "--jobs", type=options.COUNT, default=1, help="Pipelines at the same time; 0: one per processor."
 )
-@click.option(
+@options.path(
     "-o",
     "--output",
-    type=options.PATH,
     metavar="DIR",
     help="Keep the results, those of each pipeline in DIR/NAME of its file; what is up to date there is not "
     "made again.",
 )
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def check(
     pipelines: tuple[Path, ...],
     jobs: int,
@@ -249,19 +240,13 @@ class _Seconds(click.ParamType[float]):
 @click.option(
     "--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names."
 )
-@click.option(
-    "--log",
-    "logs",
-    type=options.PATH,
-    metavar="DIR",
-    help="Folder of watch.prom and watch.log.jsonl; default: RESULTS.",
+@options.path(
+    "--log", "logs", metavar="DIR", help="Folder of watch.prom and watch.log.jsonl; default: RESULTS."
 )
 @click.option("--once", is_flag=True, help="Work on what is complete now, then end.")
 @options.jobs
 @options.cluster
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def watch(
     folder: Path,
     pipeline_path: Path,

@@ -41,9 +41,7 @@ from labpipe.records.spectra import ChannelSpectra, FreeDecays
 @click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=options.PATH)
 @click.option("-r", "--rig", "rig_path", required=True, type=options.PATH, help="Rig file (YAML).")
 @options.out_folder
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def ingest(
     sources: tuple[Path, ...],
     rig_path: Path,
@@ -76,9 +74,7 @@ def ingest(
 @options.out_folder
 @options.jobs
 @options.cluster
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def frf(
     recordings: tuple[Path, ...],
     pipeline_path: Path,
@@ -149,9 +145,7 @@ def _line(measured: MeasuredTest) -> str:
 @click.argument("frfs", nargs=-1, metavar="[FRF...]", type=options.PATH)
 @options.pipeline_file
 @options.out_folder
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def identify(
     frfs: tuple[Path, ...],
     pipeline_path: Path,
@@ -219,9 +213,7 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
 @click.command()
 @options.pipeline_file
 @options.out_folder
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def calibrate(
     pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool
 ) -> int:
@@ -253,12 +245,8 @@ STUDY = "study"
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @options.out_folder
-@click.option(
-    "-j", "--jobs", type=click.IntRange(min=0), default=0, help="Processes; default: one per processor."
-)
-@options.overrides
-@options.quiet
-@options.verbose
+@click.option("-j", "--jobs", type=options.COUNT, default=0, help="Processes; default: one per processor.")
+@options.usual
 def study(
     pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool
 ) -> int:

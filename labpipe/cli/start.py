@@ -174,13 +174,7 @@ def _next(pipeline: Path, folder: Path) -> None:
 @click.option(
     "-r", "--rig", "rig_path", type=options.PATH, help="Rig file to compare names, units and rate with."
 )
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    metavar="CARD",
-    help="Also write a card with small plots (.html, .pdf, .md).",
-)
+@options.path("-o", "--output", metavar="CARD", help="Also write a card with small plots (.html, .pdf, .md).")
 def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
     """Show the content of a recording, an FRF or spectra: channels, units, rate, length, gaps, clipping,
     levels.
@@ -279,14 +273,7 @@ Value = TypeVar("Value")
 
 
 @click.command()
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    required=True,
-    metavar="FILE",
-    help="Signal file: .csv, .parquet or .wav.",
-)
+@options.path("-o", "--output", required=True, help="Signal file: .csv, .parquet or .wav.")
 @click.option("--band", default="1-100 Hz", show_default=True, help="Excited band.")
 @click.option(
     "--spacing",
@@ -309,14 +296,14 @@ Value = TypeVar("Value")
 @click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
 @click.option(
     "--leave-out",
-    type=click.IntRange(min=0),
+    type=options.COUNT,
     default=0,
     metavar="N",
     help="Leave out one line of every N: these show odd distortion.",
 )
 @click.option(
     "--seed",
-    type=click.IntRange(min=0),
+    type=options.COUNT,
     default=0,
     show_default=True,
     help="Seed of random phases and of the lines left out.",
@@ -414,7 +401,7 @@ def _option(name: str, read: Callable[[], Value]) -> Value:
 @options.out_folder
 @click.option(
     "--seed",
-    type=click.IntRange(min=0),
+    type=options.COUNT,
     default=1,
     show_default=True,
     help="Seed of the noise; the same seed, the same bytes.",
@@ -422,9 +409,7 @@ def _option(name: str, read: Callable[[], Value]) -> Value:
 @click.option(
     "--run", "runs", multiple=True, metavar="NAME", help="Simulate this run only (repeatable); default: all."
 )
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def simulate(
     rig_path: Path,
     output: Path,

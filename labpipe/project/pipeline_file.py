@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.json_file import read_digested
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.rules import Rule, read_rules
@@ -53,10 +53,10 @@ class RepeatSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.file and (self.parameter or self.size):
-            raise ConfigError(
+            raise SettingError(
+                "file",
                 "'file' says which parameter scatters and by how much",
-                hint="leave 'parameter' and 'size' out",
-                field="file",
+                "leave 'parameter' and 'size' out",
             )
         if not self.file and not (self.parameter and self.size):
             raise ConfigError(
@@ -64,10 +64,8 @@ class RepeatSettings(Settings):
                 hint="parameter: k, size: 0.5 %",
             )
         if bool(self.file) != bool(self.comparison):
-            raise ConfigError(
-                "'file' and 'comparison' go together",
-                hint="comparison: the name under `compare`",
-                field="comparison",
+            raise SettingError(
+                "comparison", "'file' and 'comparison' go together", "comparison: the name under `compare`"
             )
 
 
@@ -97,12 +95,10 @@ class UncertaintySettings(Settings):
 
     def __post_init__(self) -> None:
         if not 0 < self.coverage < 1:
-            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
+            raise SettingError("coverage", "'coverage' must lie between 0 and 100 %")
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
-            raise ConfigError(
-                "'draws' are of method monte-carlo",
-                hint="method: monte-carlo, or leave it out",
-                field="draws",
+            raise SettingError(
+                "draws", "'draws' are of method monte-carlo", "method: monte-carlo, or leave it out"
             )
 
     def of(self, fit: FitSettings, repeats: tuple[RepeatSource, ...] = ()) -> FitSettings:
@@ -314,9 +310,7 @@ class ReportSettings(Settings):
     def __post_init__(self) -> None:
         for name in self.formats:
             if name not in REPORT_FORMATS:
-                raise ConfigError(
-                    f"unknown format '{name}'", hint=nearest(name, REPORT_FORMATS), field="formats"
-                )
+                raise SettingError("formats", f"unknown format '{name}'", nearest(name, REPORT_FORMATS))
 
 
 @dataclass(frozen=True)

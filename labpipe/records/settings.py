@@ -20,7 +20,7 @@ from numbers import Complex, Integral, Real
 from pathlib import Path
 from typing import Any
 
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
@@ -473,7 +473,7 @@ def _convert(settings: Any) -> None:
                 value = _note(settings, name, parse_uncertain(value, declared.unit))
             object.__setattr__(settings, name, CONVERTERS[declared.kind](value, declared))
         except UnitError as error:
-            raise ConfigError(f"{name}: {error.what}", hint=error.hint, field=name) from None
+            raise SettingError(name, f"{name}: {error.what}", error.hint) from None
 
 
 # The declared fields of a class, looked up once: a fit makes its loop anew ten thousand times.
@@ -550,7 +550,7 @@ def require_positive(settings: Any, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
         if value is not None and not value > 0:
-            raise ConfigError(f"{name} must be positive", field=name)
+            raise SettingError(name, f"{name} must be positive")
 
 
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:

@@ -20,7 +20,7 @@ from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.document.render import DOCUMENTS
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.planning.campaigns import Multisines
 from labpipe.methods.planning.campaigns import Rig as LimitedRig
@@ -84,9 +84,7 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
     and every response once.
     """
     if rig.derived:
-        raise ConfigError(
-            "sums of channels are not planned with", hint="a rig file with what is recorded", field="rig"
-        )
+        raise SettingError("rig", "sums of channels are not planned with", "a rig file with what is recorded")
     axes = settings.kind.axes
     needed = ("displacement", "acceleration") if settings.kind.floating else ("displacement",)
     outputs = [channel.channel for channel in rig.channels if channel.channel.role == "output"]
@@ -95,18 +93,20 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
         for axis in axes:
             if not dofs or (len(axes) > 1 and axis not in dofs):
                 what = f"the rig has no {quantity} in {axis}"
-                raise ConfigError(what, hint="a channel with `dof`", field="rig")
+                raise SettingError("rig", what, "a channel with `dof`")
     for channel in outputs:
         if channel.quantity not in needed:
             what = f"{channel.name} is no response that this model takes"
-            raise ConfigError(what, hint="role: reference, or a rig file without it", field="rig")
+            raise SettingError("rig", what, "role: reference, or a rig file without it")
     forces = forces_of(rig)
     if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):
-        raise ConfigError(
-            f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers "
-            f"({', '.join(shakers)})",
-            hint="one force that is moved, or one for every shaker",
-            field="rig",
+        raise SettingError(
+            "rig",
+            (
+                f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers "
+                f"({', '.join(shakers)})"
+            ),
+            "one force that is moved, or one for every shaker",
         )
 
 
@@ -318,9 +318,7 @@ def _expected(file: PlanFile) -> Expected:
     fits = {fit.name: fit for fit in read_identification(path).fits}
     name = settings.fit or next(iter(fits), "")
     if name not in fits or (not settings.fit and len(fits) > 1):
-        raise ConfigError(
-            f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit"
-        )
+        raise SettingError("fit", f"name the fit of {path.name}", nearest(settings.fit, tuple(fits)))
     coefficients = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
     return Expected(theory | coefficients | typed, earlier_uncertainties(fits[name], typed))
 
@@ -363,20 +361,20 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
         bearing = open_bearing(folder / theory.bearing)
         for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
             if value is not None and name not in settings_of(bearing.kind.settings):
-                raise ConfigError(
+                raise SettingError(
+                    "theory",
                     f"a file of a {bearing.kind_name} has no '{name}'",
-                    hint="state it in the bearing file",
-                    field="theory",
+                    "state it in the bearing file",
                 )
             if value is not None:
                 set_entry(bearing.tree, f"{name}={value!r} {unit}")
         (whole,) = bearing.coefficients([bearing.settings()])
         coefficients = whole.lateral(*bearing.kind.lateral)
     if not np.any(coefficients.damping):
-        raise ConfigError(
+        raise SettingError(
+            "theory",
             "this theory has no damping",
-            hint="a journal or a magnetic bearing has; or state all under `expected`",
-            field="theory",
+            "a journal or a magnetic bearing has; or state all under `expected`",
         )
     matrices = {"k": coefficients.stiffness, "c": coefficients.damping}
     return {

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 
 AXES = ("x", "y")
 UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg"}
@@ -134,8 +134,8 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
     ConfigError without it.
     """
     if mass is None:
-        raise ConfigError(
-            "model rotor-2dof needs the mass of the rotor", hint="for example mass: 0.92 kg", field="mass"
+        raise SettingError(
+            "mass", "model rotor-2dof needs the mass of the rotor", "for example mass: 0.92 kg"
         )
     names, inertia = _matrix_names("kc"), np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
     return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), inertia)
@@ -148,10 +148,8 @@ def floating(expected: Mapping[str, float], mass: float | None = None) -> Planne
     ConfigError without the stator's mass, or for unknown coefficients.
     """
     if mass is None:
-        raise ConfigError(
-            "model dynamic-stiffness needs the mass of the stator",
-            hint="for example mass: 60 kg",
-            field="mass",
+        raise SettingError(
+            "mass", "model dynamic-stiffness needs the mass of the stator", "for example mass: 60 kg"
         )
     letters = "kcm" if any(name.startswith("m") for name in expected) else "kc"
     names = _matrix_names(letters)
@@ -194,15 +192,15 @@ def _matrix_elements(letters: str) -> FloatArray:
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:
     missing = [name for name in names if name not in expected]
     if missing:
-        raise ConfigError(
+        raise SettingError(
+            "expected",
             f"no value is expected for {', '.join(missing)}",
-            hint="expected: {NAME: VALUE} of every coefficient",
-            field="expected",
+            "expected: {NAME: VALUE} of every coefficient",
         )
     unknown = [name for name in expected if name not in names]
     if unknown:
         hint = "leave `mass` out to estimate m" if unknown == ["m"] else f"known: {', '.join(names)}"
-        raise ConfigError(f"the model has no coefficient {', '.join(unknown)}", hint=hint, field="expected")
+        raise SettingError("expected", f"the model has no coefficient {', '.join(unknown)}", hint)
     return np.array([expected[name] for name in names])
 
 
@@ -218,12 +216,12 @@ class Noise:
 
     def __post_init__(self) -> None:
         if min(self.force, self.displacement, self.acceleration) < 0:
-            raise ConfigError("a noise is negative", field="noise")
+            raise SettingError("noise", "a noise is negative")
         if max(self.force, self.displacement) == 0:
-            raise ConfigError(
+            raise SettingError(
+                "noise",
                 "no sensor has noise, any excitation would do",
-                hint="state the noise of force and displacement",
-                field="noise",
+                "state the noise of force and displacement",
             )
 
     @classmethod

@@ -9,7 +9,7 @@ from math import ceil
 import numpy as np
 
 from labpipe.arrays import FloatArray, IntArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
     Campaign,
@@ -169,9 +169,7 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
         )
     if first is None and np.any(np.isfinite(goals.expanded)):
         what = "nothing but noise is uncertain, so that no expanded uncertainty is known"
-        raise ConfigError(
-            what, hint="rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g", field="goal"
-        )
+        raise SettingError("goal", what, "rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g")
     if settings.combine_earlier:
         assert expected.earlier is not None
         common = () if first is None else tuple(source.source for source in first.sources)
@@ -195,8 +193,8 @@ def _scheme(settings: PlanSettings) -> str:
     if len(forces) != 1 or len(settings.shakers) == 1 or len(settings.kind.axes) == 1:
         return settings.scheme
     if settings.scheme not in (BEST, ONE_BY_ONE):
-        raise ConfigError(
-            "the rig has one force", hint=f"scheme: {ONE_BY_ONE}, or a force for every shaker", field="scheme"
+        raise SettingError(
+            "scheme", "the rig has one force", f"scheme: {ONE_BY_ONE}, or a force for every shaker"
         )
     return ONE_BY_ONE
 
@@ -273,10 +271,8 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     low, high = settings.band
     if (high - low) * settings.period > MOST_LINES or settings.sample_rate * settings.period > MOST_SAMPLES:
         what = f"a period of {settings.period:g} s has {(high - low) * settings.period:.3g} lines in the band"
-        raise ConfigError(
-            what,
-            hint=f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period",
-            field="period",
+        raise SettingError(
+            "period", what, f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period"
         )
     lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
     frequency = lines / settings.period
@@ -291,10 +287,10 @@ def planned_lines(settings: PlanSettings) -> IntArray:
             > MAINS_WIDTH
         )
     if np.count_nonzero(kept) < 2:
-        raise ConfigError(
+        raise SettingError(
+            "band",
             f"{np.count_nonzero(kept)} lines are left in the band",
-            hint="widen `band` or lengthen `period`",
-            field="band",
+            "widen `band` or lengthen `period`",
         )
     return np.asarray(lines[kept])
 
@@ -318,12 +314,12 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
     """
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
-        raise ConfigError(
-            f"{len(names)} shakers for {model.n_dof} directions", hint="one or two, x and y", field="shakers"
+        raise SettingError(
+            "shakers", f"{len(names)} shakers for {model.n_dof} directions", "one or two, x and y"
         )
     directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
-        raise ConfigError("both shakers push in one direction", hint="x and y", field="shakers")
+        raise SettingError("shakers", "both shakers push in one direction", "x and y")
     if settings.noise_density is not None:
         density = settings.noise_density
         noise = Noise(density.force, density.displacement, density.acceleration)
@@ -343,8 +339,8 @@ def _direction(name: str) -> tuple[float, float]:
         try:
             angle = parse_value(name, "rad")
         except UnitError:
-            raise ConfigError(
-                f"'{name}' is no direction", hint="x, y, or an angle from x such as 45 deg", field="shakers"
+            raise SettingError(
+                "shakers", f"'{name}' is no direction", "x, y, or an angle from x such as 45 deg"
             ) from None
     return (float(np.cos(angle)), float(np.sin(angle)))
 
@@ -354,10 +350,8 @@ def _check_identifiable(rig: Rig, lines: IntArray) -> None:
         rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions)
     )
     if not identified.full:
-        raise ConfigError(
-            f"with forces along {', '.join(rig.shakers)} {identified.words}",
-            hint=identified.remedy,
-            field="shakers",
+        raise SettingError(
+            "shakers", f"with forces along {', '.join(rig.shakers)} {identified.words}", identified.remedy
         )
 
 
@@ -370,7 +364,7 @@ def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
             f"{settings.duration:g} s leave {min(periods)} periods for a test, the noise is known from "
             f"{FEWEST_PERIODS} or more"
         )
-        raise ConfigError(what, hint=f"a duration of {needed:g} s, or a shorter period", field="duration")
+        raise SettingError("duration", what, f"a duration of {needed:g} s, or a shorter period")
     return periods
 
 

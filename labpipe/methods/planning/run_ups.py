@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.records import RunPlan
@@ -139,21 +139,18 @@ class RunUpPlanSettings(Settings):
     def __post_init__(self) -> None:
         self._check_signs()
         if len(self.omega) < 2 * max(self.stretches, 1):
-            raise ConfigError(
-                f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more",
-                field="stretches",
+            raise SettingError(
+                "stretches", f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more"
             )
         if not self.trials:
-            raise ConfigError(
-                "there is no way to excite the rotor",
-                hint="{trial-1: {unbalance: {disc 1: 50 g.mm}}}",
-                field="trials",
+            raise SettingError(
+                "trials", "there is no way to excite the rotor", "{trial-1: {unbalance: {disc 1: 50 g.mm}}}"
             )
         for field, names in (("known", self.known), ("expected", tuple(dict(self.expected)))):
             for name in names:
                 if name not in PARAMETERS:
                     what = f"the film has no parameter {name}"
-                    raise ConfigError(what, hint=nearest(name, PARAMETERS), field=field)
+                    raise SettingError(field, what, nearest(name, PARAMETERS))
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -166,20 +163,18 @@ class RunUpPlanSettings(Settings):
         require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
         require_positive(self, "displacement_limit", "journal_limit")
         if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
-            raise ConfigError("loads are positive, and so is the time between runs", field="loads")
+            raise SettingError("loads", "loads are positive, and so is the time between runs")
         if self.speeds[0] <= 0 or self.stretches < 1:
-            raise ConfigError(
-                "speeds begin above zero, and there is one stretch of them at least", field="speeds"
-            )
+            raise SettingError("speeds", "speeds begin above zero, and there is one stretch of them at least")
 
     def _check_expected(self, name: str, values: tuple[float, ...]) -> None:
         if len(values) != 1 or (name not in EXPONENTS and values[0] <= 0):
-            raise ConfigError(f"{name} is one factor above zero", hint=f"{name}: 0.9", field="expected")
+            raise SettingError("expected", f"{name} is one factor above zero", f"{name}: 0.9")
         if abs(logarithm(name, values[0])) > BOUND[PARAMETERS.index(name)]:
-            raise ConfigError(
+            raise SettingError(
+                "expected",
                 f"{name} of {values[0]:g} is beyond what a joint fit looks for",
-                hint="change the rotor file",
-                field="expected",
+                "change the rotor file",
             )
 
     def _check_goals(self) -> None:
@@ -195,17 +190,17 @@ class RunUpPlanSettings(Settings):
                     if name in (*SPEEDS, *COEFFICIENTS)
                     else nearest(name, names)
                 )
-                raise ConfigError(f"no {name} is predicted", hint=hint, field="goal")
+                raise SettingError("goal", f"no {name} is predicted", hint)
             if name in self.known:
-                raise ConfigError(f"{name} is known", hint="leave one of goal and known out", field="goal")
+                raise SettingError("goal", f"{name} is known", "leave one of goal and known out")
         check_relative(self.goal)
 
     @staticmethod
     def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
         for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
             if plane not in rig.plane_names:
-                raise ConfigError(
-                    f"trial {name}: no plane '{plane}'", hint=nearest(plane, rig.plane_names), field="trials"
+                raise SettingError(
+                    "trials", f"trial {name}: no plane '{plane}'", nearest(plane, rig.plane_names)
                 )
 
     @property
@@ -273,8 +268,8 @@ def _earlier(file: PlanFile) -> dict[str, float]:
     result = read_identification(path).sections.get("run_ups")
     methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
     if not methods:
-        raise ConfigError(
-            f"{path.name} holds no joint fit of run-ups", hint="run_ups: {methods: [joint]}", field="earlier"
+        raise SettingError(
+            "earlier", f"{path.name} holds no joint fit of run-ups", "run_ups: {methods: [joint]}"
         )
     return {parameter.name: parameter.value for parameter in methods[0].parameters}
 
@@ -363,10 +358,10 @@ def _admit(
         full = allowed is not None and allowed.speed.size == candidate.speed.size
         cut, whole = cut + (not full), whole + full
     if not kept:
-        raise ConfigError(
+        raise SettingError(
+            "trials",
             "no run keeps within the limits and above the noise",
-            hint="other trial unbalances, or other speeds",
-            field="trials",
+            "other trial unbalances, or other speeds",
         )
     words = (
         f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable, beyond "
@@ -445,8 +440,8 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
             goal = None if name not in goals else goals[name] * value
             yield Quantity(name, "rad/s", value, row, goal, value)
         elif name in goals:
-            raise ConfigError(
-                f"no {name} is expected under {settings.at_load:g} N", hint="leave its goal out", field="goal"
+            raise SettingError(
+                "goal", f"no {name} is expected under {settings.at_load:g} N", "leave its goal out"
             )
     if settings.at_speed is not None:
         place = np.array([2 * np.pi * settings.at_speed])

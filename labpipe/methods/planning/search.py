@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
     SCHEMES,
@@ -97,13 +97,13 @@ class Wanted:
 
     def __post_init__(self) -> None:
         if not 0 <= self.floor < 1:
-            raise ConfigError(
+            raise SettingError(
+                "floor",
                 f"a floor of {100 * self.floor:g} % of the power leaves nothing to plan",
-                hint="20 % is usual",
-                field="floor",
+                "20 % is usual",
             )
         if not np.any(np.isfinite(self.goals)):
-            raise ConfigError("no coefficient is wanted", field="goal")
+            raise SettingError("goal", "no coefficient is wanted")
 
 
 @dataclass(frozen=True)
@@ -163,9 +163,7 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
         ]
         if not allowed:
             hint = f"the lowest reached is {min(crests):.2f}; allow that, or a larger floor"
-            raise ConfigError(
-                f"no design has a crest factor of {limit:g} or less", hint=hint, field="crest_factor"
-            )
+            raise SettingError("crest_factor", f"no design has a crest factor of {limit:g} or less", hint)
         close = allowed
     return min(
         close, key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals)

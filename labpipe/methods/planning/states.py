@@ -16,7 +16,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import BearingCoefficients
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, Rig
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
@@ -110,19 +110,19 @@ class StatePlanSettings(Settings):
 
     def __post_init__(self) -> None:
         if min((*self.loads, *self.speeds), default=0.0) <= 0 or not (self.loads and self.speeds):
-            raise ConfigError("loads and speeds are positive", field="loads")
+            raise SettingError("loads", "loads and speeds are positive")
         if self.changeover < 0 or self.duration <= 0:
-            raise ConfigError("times are positive", field="duration")
+            raise SettingError("duration", "times are positive")
         if self.periods < FEWEST_PERIODS:
-            raise ConfigError(
+            raise SettingError(
+                "run",
                 f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}",
-                hint=f"a run of {FEWEST_PERIODS * self.period:g} s or more",
-                field="run",
+                f"a run of {FEWEST_PERIODS * self.period:g} s or more",
             )
         for name, _ in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
                 allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
-                raise ConfigError(f"no {name} is predicted", hint=allowed, field="goal")
+                raise SettingError("goal", f"no {name} is predicted", allowed)
         check_relative(self.goal)
         self.at(self.speeds[0])
 
@@ -306,10 +306,8 @@ def plan_states(
     bearing = open_bearing(folder / settings.bearing)
     for name in ("load", "speed"):
         if name not in settings_of(bearing.kind.settings):
-            raise ConfigError(
-                f"a file of a {bearing.kind_name} has no '{name}'",
-                hint="a journal bearing has",
-                field="bearing",
+            raise SettingError(
+                "bearing", f"a file of a {bearing.kind_name} has no '{name}'", "a journal bearing has"
             )
     common = [_common(bearing, name) for name in settings.estimate]
     tests = [state_test(settings, state) for state in _states(settings, bearing, common)]
@@ -328,12 +326,12 @@ def _common(bearing: BearingFile, name: str) -> Common:
             for key, (declaration, _) in declared.items()
             if declaration.kind == "value" and key not in ("load", "speed")
         )
-        raise ConfigError(
-            f"'{name}' is no number of a {bearing.kind_name}", hint=nearest(name, numbers), field="estimate"
+        raise SettingError(
+            "estimate", f"'{name}' is no number of a {bearing.kind_name}", nearest(name, numbers)
         )
     value = getattr(bearing.settings(), name)
     if not value:
-        raise ConfigError(f"the bearing file gives no {name}", hint="state it there", field="estimate")
+        raise SettingError("estimate", f"the bearing file gives no {name}", "state it there")
     uncertainty = bearing.uncertainties.get(name)
     return Common(
         name, float(value), declared[name][0].unit, None if uncertainty is None else uncertainty.std_error

@@ -25,7 +25,7 @@ from scipy import fft
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import difference_in, shown_unit
 from labpipe.distributions import coverage_factor
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import (
     Campaign,
     EarlierInformation,
@@ -205,10 +205,10 @@ class Earlier:
         there = [number for number, _ in self.places(model)]
         part = covariance[np.ix_(there, there)]
         if not there or not np.all(np.isfinite(part)) or np.any(np.diagonal(part) <= 0):
-            raise ConfigError(
+            raise SettingError(
+                "combine_earlier",
                 "the earlier result states no errors of its coefficients",
-                hint="combine_earlier: false",
-                field="combine_earlier",
+                "combine_earlier: false",
             )
         root = np.sqrt(np.diagonal(part))
         information = np.zeros_like(covariance)
@@ -356,10 +356,10 @@ def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
         return np.asarray(along)
     if channel.quantity == "acceleration":
         return np.asarray(-(rig.omega(test) ** 2) * along)
-    raise ConfigError(
+    raise SettingError(
+        "rig",
         f"the plan states no noise of {channel.name}, a {channel.quantity}",
-        hint="displacement or acceleration",
-        field="rig",
+        "displacement or acceleration",
     )
 
 
@@ -401,10 +401,8 @@ def goals_of(settings: PlanSettings, model: PlannedModel) -> Goals:
     for name, (value,) in settings.goal:
         coefficient = name.removesuffix(EXPANDED)
         if coefficient not in model.names:
-            raise ConfigError(
-                f"the model has no coefficient {coefficient}",
-                hint=nearest(coefficient, model.names),
-                field="goal",
+            raise SettingError(
+                "goal", f"the model has no coefficient {coefficient}", nearest(coefficient, model.names)
             )
         goals[name.endswith(EXPANDED)][model.names.index(coefficient)] = value
     return Goals(goals[False], goals[True])

@@ -18,7 +18,7 @@ import yaml
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import OperatingPoint
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.journal_bearing.kind import Wear
@@ -124,25 +124,23 @@ class WearPlanSettings(Settings):
     def __post_init__(self) -> None:
         require_positive(self, "duration", "sample_rate", "force", "run", "block")
         if min(self.speeds, default=0.0) <= 0:
-            raise ConfigError("speeds are positive", field="speeds")
+            raise SettingError("speeds", "speeds are positive")
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
-            raise ConfigError("bands lie between 0 and half the sampling rate", field="bands")
+            raise SettingError("bands", "bands lie between 0 and half the sampling rate")
         if self.run < 2 * self.block or self.changeover < 0:
-            raise ConfigError(
-                "a run holds two blocks or more, and no time between tests is negative", field="run"
-            )
+            raise SettingError("run", "a run holds two blocks or more, and no time between tests is negative")
         if self.expected.depth < 0 or abs(self.expected.angle) > self.angle_limit:
-            raise ConfigError(
+            raise SettingError(
+                "expected",
                 "the expected wear is beyond its limits",
-                hint="a depth of zero or more, within angle_limit",
-                field="expected",
+                "a depth of zero or more, within angle_limit",
             )
         for name, given in self.nuisances.items():
             if not given.std_error > 0:
-                raise ConfigError(
+                raise SettingError(
+                    name,
                     f"{name} has no uncertainty",
-                    hint="90 um +- 2 %; what is certain belongs into the rotor file",
-                    field=name,
+                    "90 um +- 2 %; what is certain belongs into the rotor file",
                 )
         if self.rig is not None:
             worn_place(self.rig, self.bearing)
