@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -15,10 +14,10 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.arrays_table import load_arrays
-from labpipe.raw_files.frf_csv import port_of
+from labpipe.raw_files.frf_csv import cube, port_of
 from labpipe.raw_files.mat_table import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
-from labpipe.raw_files.text_table import fields_of, find_layout, open_unpacked, plain_suffix
+from labpipe.raw_files.text_table import fields_of, find_layout, open_text, plain_suffix
 from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout
 from labpipe.records.response import FORMS, FrequencyResponse
 from labpipe.registry import nearest
@@ -62,10 +61,7 @@ class TextColumns:
     def _read(self) -> list[tuple[int, list[str]]]:
         """(line number from 1, fields) of every row; DataError for a row of another length."""
         layout, rows = self.layout, []
-        with (
-            open_unpacked(self.path) as stream,
-            io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines,
-        ):
+        with open_text(self.path, layout.encoding) as lines:
             for number, line in enumerate(lines, 1):
                 if number <= layout.first_line or not line.strip():
                     continue
@@ -132,9 +128,8 @@ class DescribedColumns:
             if 1 <= int(described) <= len(self.names):
                 return int(described) - 1
             raise DataError(f"no column {described}: the table has {len(self.names)}", self.path)
-        raise DataError(
-            f"no {self.word} '{described}'", self.path, nearest(described, [n for n in self.names if n])
-        )
+        names = [name for name in self.names if name]
+        raise DataError(f"no {self.word} '{described}'", self.path, nearest(described, names))
 
     def _number(self, described: str) -> tuple[str, int] | None:
         """The variable and the column (or row) of a matrix that is named as `inspect` does: H_2."""
@@ -183,9 +178,8 @@ class DescribedColumns:
         numbers = self.values(described)
         if np.any(numbers.imag):
             row = int(np.argmax(numbers.imag.ravel() != 0))
-            raise DataError(
-                f"{self.word} '{described}' holds complex numbers, real ones are needed", self.place(row)
-            )
+            what = f"{self.word} '{described}' holds complex numbers, real ones are needed"
+            raise DataError(what, self.place(row))
         return np.asarray(numbers.real, np.float64)
 
 
@@ -202,9 +196,8 @@ def columns_of_table(path: Path) -> DescribedColumns:
 
     def read(index: int) -> FloatArray:
         if table.columns.count(table.columns[index]) > 1:
-            raise DataError(
-                f"the column '{table.columns[index]}' appears several times", path, "rename one of them"
-            )
+            what = f"the column '{table.columns[index]}' appears several times"
+            raise DataError(what, path, "rename one of them")
         return np.concatenate(list(table.chunks([table.columns[index]])))[:, 0]
 
     return DescribedColumns(path, table.columns, table.units, read, lambda row: f"{path}: row {row + 1}")
@@ -261,25 +254,25 @@ def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespon
     source = columns_of_table(path) if layout.columns is not None else columns_of_variables(path)
     if table.matrix:
         frequency = _frequency(source, table, None)
-        matrix = _whole(
-            source.values(table.matrix),
-            (frequency.size, len(dofs.outputs), len(dofs.inputs)),
-            layout.axes,
-            source,
-            table.matrix,
-        )
-        coherence = _whole_coherence(source, table, matrix.shape, layout.axes)
         outputs, inputs = dofs.outputs, dofs.inputs
+        shape = (frequency.size, len(outputs), len(inputs))
+        matrix = _whole(source.values(table.matrix), shape, layout.axes, source, table.matrix)
+        coherence = None
+        if table.coherence:
+            coherence = _whole(source.real(table.coherence), shape, layout.axes, source, table.coherence)
     else:
         elements = _elements(layout, table, dofs)
         values = {pair: _element(source, columns, layout) for pair, columns in elements.items()}
         outputs, inputs = _labels(elements, source)
         frequency = _frequency(source, table, next(iter(values.values())).size)
-        _check_lengths(source, values, frequency)
-        matrix = _cube(outputs, inputs, lambda pair: values[pair])
+        for (output, reference), element in values.items():
+            if element.shape != frequency.shape:
+                what = f"{output}/{reference} has {element.size} values, the frequency axis {frequency.size}"
+                raise DataError(what, source.path)
+        matrix = cube(outputs, inputs, lambda o, i: values[o, i])
         coherence = None
         if all(columns.coherence for columns in elements.values()):
-            coherence = _cube(outputs, inputs, lambda pair: source.real(elements[pair].coherence))
+            coherence = cube(outputs, inputs, lambda o, i: source.real(elements[o, i].coherence))
     return FrequencyResponse(
         frequency,
         (matrix.conj() if layout.conjugate else matrix) * scale,
@@ -311,14 +304,10 @@ def _labels(
     return outputs, inputs
 
 
-def _cube(outputs: tuple[str, ...], inputs: tuple[str, ...], values: Callable[[tuple[str, str]], Any]) -> Any:
-    return np.stack([np.stack([values((o, i)) for i in inputs], -1) for o in outputs], 1)
-
-
 def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayout) -> ComplexArray:
     """One element (n_frequency,) [unit of the file]."""
     first, *second = (getattr(columns, name) for name in columns.given)
-    if columns.given[0] not in ("amplitude_db",):
+    if columns.given[0] != "amplitude_db":
         _check_stated(source, first, layout)
     if not second:
         values = source.values(first)
@@ -380,18 +369,14 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
         what = f"{source.word} '{column}' is in {stated} by the file's own header, which is no frequency"
         raise DataError(what, source.path) from None
     if table.omega and stated and not unit.dimension[5]:
-        raise DataError(
-            f"{source.word} '{column}' is in {stated} by the file's own header",
-            source.path,
-            "write frequency",
-        )
+        what = f"{source.word} '{column}' is in {stated} by the file's own header"
+        raise DataError(what, source.path, "write frequency")
     frequency = numbers * unit.factor / ((2 * np.pi) if unit.dimension[5] else 1.0)
     falling = np.flatnonzero(np.diff(frequency) <= 0)
     if falling.size:
         row = int(falling[0]) + 1
-        raise DataError(
-            f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})", source.place(row)
-        )
+        what = f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})"
+        raise DataError(what, source.place(row))
     return np.asarray(frequency, np.float64)
 
 
@@ -408,15 +393,6 @@ def _scalar(source: DescribedColumns, text: str) -> float:
     return float(values.flat[0])
 
 
-def _check_lengths(
-    source: DescribedColumns, values: dict[tuple[str, str], ComplexArray], frequency: FloatArray
-) -> None:
-    for (output, reference), element in values.items():
-        if element.shape != frequency.shape:
-            what = f"{output}/{reference} has {element.size} values, the frequency axis {frequency.size}"
-            raise DataError(what, source.path)
-
-
 def _whole(
     values: Any, shape: tuple[int, int, int], axes: tuple[str, ...], source: DescribedColumns, name: str
 ) -> Any:
@@ -431,30 +407,16 @@ def _whole(
     ]
     needed = f"{shape[0]} frequencies, {shape[1]} outputs, {shape[2]} inputs"
     if not fitting:
-        raise DataError(
-            f"the variable '{name}' has the size {values.shape}; needed are {needed}", source.path
-        )
+        what = f"the variable '{name}' has the size {values.shape}; needed are {needed}"
+        raise DataError(what, source.path)
     arrays = [
         values.reshape(tuple(shape[n] for n in order)).transpose(np.argsort(order)) for order in fitting
     ]
     if any(not np.array_equal(arrays[0], other) for other in arrays[1:]):
-        hint = "name their order, for example axes: [output, input, frequency]"
-        raise DataError(
-            f"the dimensions {values.shape} of '{name}' could be ordered in several ways", source.path, hint
-        )
+        what = f"the dimensions {values.shape} of '{name}' could be ordered in several ways"
+        raise DataError(what, source.path, "name their order, for example axes: [output, input, frequency]")
     return arrays[0]
 
 
 def _squeeze(shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(length for length in shape if length != 1)
-
-
-def _whole_coherence(
-    source: DescribedColumns, table: FrfColumns, shape: tuple[int, ...], axes: tuple[str, ...]
-) -> FloatArray | None:
-    if not table.coherence:
-        return None
-    values: FloatArray = _whole(
-        source.real(table.coherence), (shape[0], shape[1], shape[2]), axes, source, table.coherence
-    )
-    return values

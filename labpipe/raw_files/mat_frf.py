@@ -78,18 +78,9 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     sizes = {"covariance": (shape[0], n, n), "coherence": shape}
     # MATLAB drops trailing dimensions of 1.
     optional = {key: _shape(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
-    dof = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
-    matrix = _shape(variables, "H", shape, path)
-    return FrequencyResponse(
-        frequency,
-        matrix,
-        outputs,
-        inputs,
-        form=text_of(variables["form"]),
-        **optional,
-        covariance_dof=dof,
-        name=name,
-    )
+    optional["covariance_dof"] = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
+    matrix, form = _shape(variables, "H", shape, path), text_of(variables["form"])
+    return FrequencyResponse(frequency, matrix, outputs, inputs, form=form, **optional, name=name)
 
 
 def _numbers(variables: dict[str, Any], key: str, path: Path) -> Any:
@@ -139,10 +130,5 @@ def write_recording_mat(path: Path, recording: Recording) -> None:
         )
     variables: dict[str, Any] = {name: recording.samples[:, n : n + 1] for n, name in enumerate(names)}
     units = {name: channel.unit for name, channel in zip(names, recording.channels, strict=True)}
-    scipy.io.savemat(
-        path,
-        {**variables, "fs": recording.sample_rate, "units": units},
-        do_compression=True,
-        long_field_names=True,
-        appendmat=False,
-    )
+    variables |= {"fs": recording.sample_rate, "units": units}
+    scipy.io.savemat(path, variables, do_compression=True, long_field_names=True, appendmat=False)

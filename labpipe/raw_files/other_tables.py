@@ -19,7 +19,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import batches, numpy_array, open_parquet
 from labpipe.errors import DataError
 from labpipe.raw_files.table import load_extra
-from labpipe.raw_files.text_table import StampClock, bracketed_unit, header_of
+from labpipe.raw_files.text_table import StampClock, bracketed_unit, check_filled, header_of, not_readable
 
 CHUNK_ROWS = 1 << 17
 # Integers of up to so many bits are exact as float64; of longer ones pyarrow refuses those that are not.
@@ -75,6 +75,9 @@ def _numbers(column: pa.Array) -> FloatArray:
 # WAV files: one column per track, 1 at full scale; the rig's sensitivity converts full scale.
 
 
+_BROKEN = ValueError, TypeError, OSError, EOFError, struct.error, UnboundLocalError, ZeroDivisionError
+
+
 class WavTable:
     """The tracks "1", "2", ... of a WAV file as shares of full scale. Satisfies Table."""
 
@@ -96,8 +99,7 @@ class WavTable:
 
 def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
-    if path.stat().st_size == 0:
-        raise DataError("the file is empty", path)
+    check_filled(path)
     _check_length(path)
     try:
         with warnings.catch_warnings(record=True) as caught:
@@ -106,17 +108,8 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
                 rate, samples = wavfile.read(str(path), mmap=True)
             except ValueError:
                 rate, samples = wavfile.read(str(path))
-    except (
-        ValueError,
-        TypeError,
-        OSError,
-        EOFError,
-        struct.error,
-        UnboundLocalError,
-        ZeroDivisionError,
-    ) as error:
-        reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
-        raise DataError(f"is not a readable WAV file ({reason[:80]})", path) from None
+    except _BROKEN as error:
+        raise not_readable(path, "WAV file", str(error) or "cut off") from None
     if any("EOF" in str(warning.message) for warning in caught):
         raise DataError("ends before its last sample", path, "the file is truncated")
     if rate <= 0:
@@ -183,8 +176,7 @@ class XlsxTable:
     def _rows_of_numbers(self) -> tuple[str, list[Row]]:
         """Name and rows of the only sheet that holds numbers."""
         openpyxl = load_extra("openpyxl", "excel", self.path)
-        if self.path.stat().st_size == 0:
-            raise DataError("the file is empty", self.path)
+        check_filled(self.path)
         try:
             with warnings.catch_warnings():
                 # Of styles and extensions that are no numbers.
@@ -194,15 +186,11 @@ class XlsxTable:
                 book.close()
         # The library has errors of many kinds for a damaged file.
         except Exception as error:
-            reason = (str(error).splitlines() or ["damaged"])[0]
-            raise DataError(f"is not a readable Excel workbook ({reason[:80]})", self.path) from None
+            raise not_readable(self.path, "Excel workbook", error) from None
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
         if len(numeric) != 1:
-            what = (
-                "no sheet holds a row of numbers"
-                if not numeric
-                else (f"several sheets hold numbers: {', '.join(numeric)}")
-            )
+            what = f"several sheets hold numbers: {', '.join(numeric)}"
+            what = what if numeric else "no sheet holds a row of numbers"
             raise DataError(what, self.path, "a workbook with one table is needed")
         return next(iter(numeric.items()))
 

@@ -79,7 +79,7 @@ class UffScale:
     force: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class UffRecord:
     """One record 58 or 58b.
 
@@ -238,22 +238,9 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", lines.path) from None
     lines.position = layout.end
-    return UffRecord(
-        number=number,
-        title=title,
-        function=function,
-        response=response,
-        reference=reference,
-        n_value=n_value,
-        even=even,
-        start=start,
-        step=step,
-        abscissa=abscissa,
-        ordinate=ordinate,
-        denominator=denominator,
-        scale=scale,
-        layout=layout,
-    )
+    points = function, response, reference
+    axes = abscissa, ordinate, denominator
+    return UffRecord(number, title, *points, n_value, even, start, step, *axes, scale, layout)
 
 
 def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
@@ -263,9 +250,10 @@ def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bo
         codes = kind[kind.lower().index("b") + 1 :].split()
         return _binary_layout(lines.buffer, lines.position, codes, ordinate_type, n_value, even)
     mark = lines.mark()
-    return _text_layout(
-        lines.position, len(lines.buffer) if mark is None else mark.start(), ordinate_type, n_value, even
-    )
+    end = len(lines.buffer) if mark is None else mark.start()
+    _check_type(ordinate_type)
+    parts, width = _PARTS[ordinate_type], _TEXT_WIDTH[ordinate_type]
+    return NumberLayout(lines.position, end, n_value, parts, even, width)
 
 
 def _cut(line: str, widths: tuple[int, ...]) -> list[str]:
@@ -298,12 +286,6 @@ def _point(fields: list[str]) -> UffPoint:
 
 def _axis(fields: list[str]) -> UffAxis:
     return UffAxis(_integer(fields[0]), _name(fields[4]), _name(fields[5]))
-
-
-def _text_layout(begin: int, end: int, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
-    """The layout of numbers as text; ValueError for an unknown ordinate type."""
-    _check_type(ordinate_type)
-    return NumberLayout(begin, end, n_value, _PARTS[ordinate_type], even, _TEXT_WIDTH[ordinate_type])
 
 
 def _binary_layout(
@@ -343,10 +325,8 @@ def read_numbers(
         abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
     else:
         values = np.frombuffer(buffer[layout.begin : layout.end], layout.dtype)
-        abscissa, ordinate = (
-            (None if layout.even else values["x"].astype(np.float64)),
-            values["y"].astype(np.float64),
-        )
+        abscissa = None if layout.even else values["x"].astype(np.float64)
+        ordinate = values["y"].astype(np.float64)
     return abscissa, ordinate[:, 0] if layout.parts == 1 else ordinate[:, 0] + 1j * ordinate[:, 1]
 
 
@@ -366,15 +346,8 @@ def _split(text: bytes, layout: NumberLayout) -> FloatArray:
     try:
         return np.array(text.split(), dtype=np.float64)
     except ValueError:
-        widths = [] if layout.even else [_ABSCISSA_WIDTH]
-        return np.array(
-            [
-                field
-                for line in text.splitlines()
-                for field in _fields(line, [*widths, *[layout.width] * layout.parts])
-            ],
-            float,
-        )
+        widths = [*([] if layout.even else [_ABSCISSA_WIDTH]), *[layout.width] * layout.parts]
+        return np.array([field for line in text.splitlines() for field in _fields(line, widths)], float)
 
 
 def _fields(line: bytes, widths: list[int]) -> list[bytes]:
