@@ -35,7 +35,6 @@ from labpipe.project.measured import files_of_test
 from labpipe.project.one_test import change_day, files_of
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.report import COMMENTS, drawn_from, is_drawn
-from labpipe.project.result_certificate import write_dcc
 from labpipe.project.verification import artefacts_below, verified
 from labpipe.records.identification import Identification
 
@@ -73,6 +72,9 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
         Member(f"{RESULTS}/{name}", _role_of_result(name), folder / name, kept=name not in left)
         for name in (*names, *reports)
     ]
+    # Loads pandas.
+    from labpipe.project.exports import write_dcc
+
     write_dcc(folder / IDENTIFICATION, scratch / CERTIFICATE)
     role = "result as XML after the Digital Calibration Certificate"
     results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))

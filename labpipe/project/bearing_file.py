@@ -66,9 +66,7 @@ class BearingFile:
 
 def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
     """The bearing file with its kind known; ConfigError where the file or its kind cannot be read."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     kind = kind_of(tree, "", faults)
     faults.raise_any()

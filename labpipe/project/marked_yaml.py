@@ -7,6 +7,7 @@ configuration, which reports faults at the marks.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -69,8 +70,10 @@ MOST_NODES, MOST_BYTES = 200_000, 1 << 24
 MOST_KEPT = 1 << 15
 
 
-def load_marked(path: Path) -> Marked:
-    """The marked tree of a YAML file; ConfigError with the place of a fault."""
+def load_marked(path: Path, overrides: Iterable[str] = ()) -> Marked:
+    """The marked tree of a YAML file with the entries of *overrides*; ConfigError with the place of a
+    fault.
+    """
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise ConfigError("is no regular file", path)
@@ -87,7 +90,10 @@ def load_marked(path: Path) -> Marked:
         raise ConfigError(f"is not UTF-8 text (byte {error.start})", path) from None
     except OSError as error:
         raise ConfigError(error.strerror or str(error), path) from None
-    return parse_marked(text, str(path))
+    tree = parse_marked(text, str(path))
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    return tree
 
 
 def parse_marked(text: str, name: str) -> Marked:

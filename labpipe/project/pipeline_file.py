@@ -12,7 +12,7 @@ from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults, Reading, join, named_files, read_settings
 from labpipe.project.tests import EachFile, SourceFile, Test, TestReader, read_rig
@@ -399,9 +399,7 @@ def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
 def _load(
     path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]
 ) -> Pipeline:
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     if entries:

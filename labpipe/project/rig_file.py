@@ -18,7 +18,7 @@ from labpipe.project.calibrations import (
     read_sensor_response,
 )
 from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.records.recording import ROLES, Channel, Term
@@ -110,9 +110,7 @@ class ChannelSettings(Settings):
 
 def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
     """The rig of a rig file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults()
     rig = read_rig(tree, faults)
     faults.raise_any()

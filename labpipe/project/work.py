@@ -14,9 +14,10 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.settings import FitSettings
 from labpipe.project.measured import MeasuredTest
-from labpipe.project.pipeline_file import Pipeline
+from labpipe.project.pipeline_file import Pipeline, read_fit
 from labpipe.records.identification import Failed, Fit
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.sections import PipelineSection
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 
@@ -171,3 +172,13 @@ def check_tested(settings: FitSettings, test_names: Sequence[str]) -> None:
             raise ConfigError(
                 f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, test_names)
             )
+
+
+IDENTIFY = PipelineSection(
+    words="One entry per fit, under a name of your choice.",
+    settings=FitSettings,
+    named=True,
+    read=read_fit,
+    run=run_fits,
+    fits=True,
+)

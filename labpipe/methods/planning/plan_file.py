@@ -17,7 +17,7 @@ from labpipe.errors import ConfigError, DataError, LabpipeError, cut
 from labpipe.methods.planning.records import Plan, RunPlan
 from labpipe.methods.planning.report import run_plan_document, runs_csv, runs_table
 from labpipe.methods.planning.settings import PLANS, PlanKind
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.schema import of_kinds
 from labpipe.project.settings_reader import DECIDE, Faults, read_settings
 from labpipe.registry import nearest
@@ -51,9 +51,7 @@ class PlanFile:
 
 def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
     """The content of a plan file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     if entries:
