@@ -100,14 +100,9 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
             raise SettingError("rig", what, "role: reference, or a rig file without it")
     forces = forces_of(rig)
     if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):
-        raise SettingError(
-            "rig",
-            (
-                f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers "
-                f"({', '.join(shakers)})"
-            ),
-            "one force that is moved, or one for every shaker",
-        )
+        named = ", ".join(force.dof for force in forces)
+        what = f"the rig's forces ({named}) are not those of the shakers ({', '.join(shakers)})"
+        raise SettingError("rig", what, "one force that is moved, or one for every shaker")
 
 
 def forces_of(rig: Rig) -> list[Channel]:
@@ -119,11 +114,9 @@ def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
     its unit.
     """
     shakers, settings = evaluation.shakers, evaluation.settings
-    forces = (
-        [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
-        if evaluation.side_by_side
-        else [("f", "force", shakers[0])]
-    )
+    forces = [("f", "force", shakers[0])]
+    if evaluation.side_by_side:
+        forces = [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
     motions = [(axis, "displacement", axis) for axis in settings.kind.axes]
     moved = [(f"a_{axis}", "acceleration", axis) for axis in settings.kind.axes if settings.kind.floating]
     return {
@@ -235,14 +228,12 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
         return None
 
     def budget(rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Budget | None:
-        planned = tuple(
-            planned_test(rig, test, number, 1) for test, number in zip(tests, periods, strict=True)
-        )
+        pairs = zip(tests, periods, strict=True)
+        planned = tuple(planned_test(rig, test, number, 1) for test, number in pairs)
         with_masses = any(name[0] == "m" for name in rig.model.names)
+        evaluation = Evaluation(settings, file.title, planned, with_masses, rig_path(file))
         with tempfile.TemporaryDirectory() as folder:
-            pipeline = _load(
-                Evaluation(settings, file.title, planned, with_masses, rig_path(file)), Path(folder)
-            )
+            pipeline = _load(evaluation, Path(folder))
         return _of_coefficients(_rehearsed_fit(pipeline, rig, tests, periods), rig.model.names)
 
     return budget
@@ -264,17 +255,11 @@ def _rehearsed_fit(
     (whole,), settings = pipeline.tests, pipeline.frf
     assert settings is not None
     highest = max(int(test.lines[-1]) for test in tests)
-    recordings = [
-        rehearse(
-            rig,
-            test,
-            [channel.channel for channel in source.rig.channels if channel.channel.role != "reference"],
-            number / rig.spacing,
-            settings.skip,
-            highest,
-        )
-        for source, test, number in zip(whole.recordings, tests, periods, strict=True)
-    ]
+    recordings = []
+    for source, test, number in zip(whole.recordings, tests, periods, strict=True):
+        channels = [part.channel for part in source.rig.channels if part.channel.role != "reference"]
+        seconds = number / rig.spacing
+        recordings.append(rehearse(rig, test, channels, seconds, settings.skip, highest))
     make = channel_spectra if settings.result == "spectra" else measure
     (fit,) = identify(make(recordings, settings), pipeline.fits[0], judging=False)
     return fit
@@ -285,9 +270,8 @@ def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
         return None
     whole = fit.budget
     columns = [whole.names.index(name) for name in names]
-    return Budget(
-        tuple(names), whole.random[columns], whole.random_dof, whole.sources, whole.changes[:, columns]
-    )
+    random, changes = whole.random[columns], whole.changes[:, columns]
+    return Budget(tuple(names), random, whole.random_dof, whole.sources, changes)
 
 
 def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:

@@ -178,18 +178,12 @@ class RunUpPlanSettings(Settings):
             )
 
     def _check_goals(self) -> None:
-        names = (
-            *PARAMETERS,
-            *(SPEEDS if self.at_load else ()),
-            *(COEFFICIENTS if self.at_load and self.at_speed else ()),
-        )
+        names = (*PARAMETERS, *(SPEEDS if self.at_load else ()))
+        names += COEFFICIENTS if self.at_load and self.at_speed else ()
         for name, _ in self.goal:
             if name not in names:
-                hint = (
-                    "at_load and at_speed say where"
-                    if name in (*SPEEDS, *COEFFICIENTS)
-                    else nearest(name, names)
-                )
+                predicted = name in (*SPEEDS, *COEFFICIENTS)
+                hint = "at_load and at_speed say where" if predicted else nearest(name, names)
                 raise SettingError("goal", f"no {name} is predicted", hint)
             if name in self.known:
                 raise SettingError("goal", f"{name} is known", "leave one of goal and known out")
@@ -251,9 +245,8 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
     names = []
     for run in planned.plan.runs:
         name = f"expected/{run.name}.csv"
-        write_run_up_csv(
-            output.write_path(name), expected_run(planned.expected, planned.candidates[run.name])
-        )
+        expected = expected_run(planned.expected, planned.candidates[run.name])
+        write_run_up_csv(output.write_path(name), expected)
         names.append(name)
     rotor = (file.path.parent / settings.rotor).read_text(encoding="utf-8")
     pipeline = pipeline_entries(planned.plan, settings)
@@ -291,26 +284,18 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     rig: RunUpRotor = settings.rig
     if rig.speeds is None:
         rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
-    film = rig.place.film("a plan of run-ups")
-    family = FilmFamily(
-        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
-    )
+    usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
+    family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
     noise = settings.noise
     reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
     expected = ExpectedRig(rig, family, settings.values(earlier), reading)
     candidates, notes = _admit(expected, _candidates(settings, expected, settings.loads), settings)
     given = settings.known
+    spreads = np.where(np.isin(PARAMETERS, given), KNOWN, PRIOR)
     question = RunQuestion(
         parameters=PARAMETERS,
         units=PRIOR,
-        prior=(
-            np.diag(
-                [
-                    (KNOWN if name in given else float(spread)) ** -2.0
-                    for name, spread in zip(PARAMETERS, PRIOR, strict=True)
-                ]
-            )
-        ),
+        prior=np.diag(spreads**-2.0),
         conditions=tuple(_condition(settings, expected, candidate) for candidate in candidates),
         quantities=tuple(_quantities(settings, expected)),
         duration=settings.duration,
@@ -329,9 +314,8 @@ def _candidates(
     for place, load in enumerate(loads, 1):
         for name, trial in settings.trials:
             for number, speed in enumerate(stretches, 1):
-                stem = f"load-{place}-{name.replace(' ', '-')}" + (
-                    f"-{number}" if settings.stretches > 1 else ""
-                )
+                stem = f"load-{place}-{name.replace(' ', '-')}"
+                stem += f"-{number}" if settings.stretches > 1 else ""
                 candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), _shaker(trial))
                 yield candidate
                 if (
@@ -399,10 +383,8 @@ def _remedies(
         "a measured clearance (known: clearance)": ((), ("clearance",))
     }
     if not any(trial.shaker for _, trial in settings.trials):
-        changes["a run under a shaker whose force does not turn"] = (
-            _extra(with_shaker, expected, settings.loads[:1]),
-            (),
-        )
+        extra = _extra(with_shaker, expected, settings.loads[:1])
+        changes["a run under a shaker whose force does not turn"] = (extra, ())
     if len(set(settings.loads)) == 1:
         changes["a second load"] = (_extra(settings, expected, other), ())
     for size in (1, 2):
@@ -416,9 +398,8 @@ def _extra(
     settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
 ) -> tuple[Condition, ...]:
     try:
-        allowed, _ = _admit(
-            expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings
-        )
+        candidates = _candidates(replace(settings, to_threshold=False), expected, loads)
+        allowed, _ = _admit(expected, candidates, settings)
     except (ConfigError, FitError):
         return ()
     return tuple(_condition(settings, expected, candidate) for candidate in allowed)

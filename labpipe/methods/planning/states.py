@@ -226,9 +226,8 @@ def question_of(
         prior = np.zeros((len(parameters),) * 2)
     conditions = tuple(_condition(settings, test, slope) for test, slope in zip(tests, slopes, strict=True))
     quantities = tuple(_quantities(settings, tests, slopes, common))
-    return RunQuestion(
-        parameters, units, prior, conditions, quantities, settings.duration, settings.criterion
-    )
+    time = settings.duration, settings.criterion
+    return RunQuestion(parameters, units, prior, conditions, quantities, *time)
 
 
 def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray) -> Condition:
@@ -256,9 +255,8 @@ def _quantities(
         model = test.state.model
         for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):
             goal = goals[name] * float(scale) if name in goals else None
-            yield Quantity(
-                f"{name}[{test.state.name}]", UNITS[name[0]], float(value), row, goal, float(scale)
-            )
+            label = f"{name}[{test.state.name}]"
+            yield Quantity(label, UNITS[name[0]], float(value), row, goal, float(scale))
 
 
 STEP = 1e-2
@@ -279,15 +277,10 @@ def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[s
             names.append(f"signals/{run.name}-{axis}.csv")
             whole = np.tile(samples, settings.periods + settings.skip)
             write_signal(output.write_path(names[-1]), whole, settings.sample_rate, "f [N]")
-    evaluations = {
-        run: Evaluation(
-            settings.at(tests[run.name].state.speed),
-            file.title,
-            (tests[run.name].planned,),
-            with_masses=False,
-        )
-        for run in answered.plan.runs
-    }
+    evaluations = {}
+    for run in answered.plan.runs:
+        at, planned = settings.at(tests[run.name].state.speed), tests[run.name].planned
+        evaluations[run] = Evaluation(at, file.title, (planned,), with_masses=False)
     entries = {
         RIG: rig_entries(next(iter(evaluations.values()))),
         PIPELINE: _pipeline(file.title, evaluations, tests, output.target.absolute()),
@@ -321,11 +314,8 @@ def plan_states(
 def _common(bearing: BearingFile, name: str) -> Common:
     declared = settings_of(bearing.kind.settings)
     if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
-        numbers = tuple(
-            key
-            for key, (declaration, _) in declared.items()
-            if declaration.kind == "value" and key not in ("load", "speed")
-        )
+        values = (key for key, (declaration, _) in declared.items() if declaration.kind == "value")
+        numbers = tuple(key for key in values if key not in ("load", "speed"))
         raise SettingError(
             "estimate", f"'{name}' is no number of a {bearing.kind_name}", nearest(name, numbers)
         )
@@ -333,9 +323,8 @@ def _common(bearing: BearingFile, name: str) -> Common:
     if not value:
         raise SettingError("estimate", f"the bearing file gives no {name}", "state it there")
     uncertainty = bearing.uncertainties.get(name)
-    return Common(
-        name, float(value), declared[name][0].unit, None if uncertainty is None else uncertainty.std_error
-    )
+    std_error = None if uncertainty is None else uncertainty.std_error
+    return Common(name, float(value), declared[name][0].unit, std_error)
 
 
 def _states(
@@ -347,23 +336,16 @@ def _states(
         *((number, sign) for number in common for sign in (1.0, -1.0)),
     ]
     wanted = [_settings(bearing, load, speed, change) for load, speed in points for change in changes]
-    values = np.array([_eight(bearing, state) for state in bearing.coefficients(wanted)]).reshape(
-        len(points), len(changes), -1
-    )
+    eights = [_eight(bearing, state) for state in bearing.coefficients(wanted)]
+    values = np.array(eights).reshape(len(points), len(changes), -1)
     states = []
     for (load, speed), coefficients in zip(points, values, strict=True):
         steps = np.array([2 * STEP * number.value for number in common])
-        slopes = (
-            ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T
-            if common
-            else np.zeros((len(COEFFICIENTS), 0))
-        )
-        model = MODELS[FLOATING].model(
-            dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass
-        )
-        states.append(
-            BearingState(f"{load:g}N-{60 * speed:g}rpm".replace(".", "p"), load, speed, model, slopes)
-        )
+        slopes = ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T
+        expected = dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True))
+        model = MODELS[FLOATING].model(expected, settings.mass)
+        name = f"{load:g}N-{60 * speed:g}rpm".replace(".", "p")
+        states.append(BearingState(name, load, speed, model, slopes))
     return states
 
 
@@ -401,13 +383,8 @@ def _pipeline(
                 "frf": entries["frf"],
             }
         )
-    return {
-        "title": title,
-        "rig": RIG,
-        "tests": listed,
-        "frf": entries["frf"],
-        "identify": entries["identify"],
-    }
+    same = {name: entries[name] for name in ("frf", "identify")}
+    return {"title": title, "rig": RIG, "tests": listed, **same}
 
 
 STATES_PLAN = PlanKind(StatePlanSettings, state_files)

@@ -347,20 +347,13 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
         (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
     )
     noise = settings.noise
-    testing = ResponseTest(
-        settings.force,
-        settings.run,
-        1 / settings.block,
-        noise.displacement * density,
-        noise.force * density,
-        exclude,
-    )
+    densities = noise.displacement * density, noise.force * density
+    testing = ResponseTest(settings.force, settings.run, 1 / settings.block, *densities, exclude)
     points = tuple(_points(settings))
     conditions = _conditions(settings, expected, testing, points)
-    units = _units(settings, expected)
     question = RunQuestion(
         parameters=tuple(expected.values),
-        units=units,
+        units=_units(settings, expected),
         prior=_prior(settings),
         conditions=conditions,
         quantities=tuple(_quantities(settings, expected)),
@@ -380,11 +373,8 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
 
 def _expected(settings: WearPlanSettings, bearing: str, wear: Wear) -> ExpectedWear:
     assert settings.rig is not None
-    values = {
-        DEPTH: wear.depth,
-        ANGLE: wear.angle,
-        **{name: given.value for name, given in settings.nuisances.items()},
-    }
+    values = {DEPTH: wear.depth, ANGLE: wear.angle}
+    values |= {name: given.value for name, given in settings.nuisances.items()}
     return ExpectedWear(settings.rig, bearing, values)
 
 
@@ -392,13 +382,10 @@ def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
     for speed in settings.speeds:
         for place, force in enumerate(settings.static_forces, 1):
             for number, band in enumerate(settings.bands, 1):
-                name = f"{speed:g}Hz" + (f"-load-{place}" if len(settings.static_forces) > 1 else "")
-                yield WearPoint(
-                    name.replace(".", "p") + (f"-band-{number}" if len(settings.bands) > 1 else ""),
-                    speed,
-                    force,
-                    band,
-                )
+                name = f"{speed:g}Hz".replace(".", "p")
+                name += f"-load-{place}" if len(settings.static_forces) > 1 else ""
+                name += f"-band-{number}" if len(settings.bands) > 1 else ""
+                yield WearPoint(name, speed, force, band)
 
 
 def _conditions(
@@ -423,13 +410,8 @@ def _prior(settings: WearPlanSettings) -> FloatArray:
 
 
 def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
-    return np.array(
-        [
-            1e-6,
-            np.deg2rad(1.0),
-            *(settings.nuisances[name].std_error for name in expected.values if name not in (DEPTH, ANGLE)),
-        ]
-    )
+    others = (name for name in expected.values if name not in (DEPTH, ANGLE))
+    return np.array([1e-6, np.deg2rad(1.0), *(settings.nuisances[name].std_error for name in others)])
 
 
 def _quantities(settings: WearPlanSettings, expected: ExpectedWear) -> Iterator[Quantity]:
@@ -518,13 +500,8 @@ def pipeline_entries(planned: WearPlanned, settings: WearPlanSettings) -> dict[s
             f"{folder}/worn-y.parquet",
             {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}},
         ]
-        tests.append(
-            {
-                "name": run.name,
-                "recordings": recordings,
-                "conditions": {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"},
-            }
-        )
+        conditions = {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"}
+        tests.append({"name": run.name, "recordings": recordings, "conditions": conditions})
         wear: dict[str, Any] = {"rotor": _rotor_name(run), "bearing": planned.expected.bearing}
         if last:
             wear |= {"prior": last, "same_wear": True}
