@@ -60,12 +60,8 @@ def in_processes(count: int) -> Execute:
                 del open_jobs[done.test]
                 yield done
         for name in open_jobs:
-            yield Done(
-                name,
-                failed=Failed(
-                    name, "its process was killed, perhaps for lack of memory; use fewer processes"
-                ),
-            )
+            why = "its process was killed, perhaps for lack of memory; use fewer processes"
+            yield Done(name, failed=Failed(name, why))
 
     return execute
 
@@ -125,11 +121,8 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
                 yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
         except (distributed.CancelledError, asyncio.CancelledError, OSError) as error:
             # Dask's own errors of a connection; those of files have a number.
-            if (
-                isinstance(error, OSError)
-                and not isinstance(error, distributed.comm.core.CommClosedError)
-                and LOST not in str(error)
-            ):
+            of_connection = isinstance(error, distributed.comm.core.CommClosedError) or LOST in str(error)
+            if isinstance(error, OSError) and not of_connection:
                 raise
             hint = "what is finished is kept; the same command goes on from there when a scheduler runs"
             raise DataError("the scheduler was lost", address, hint) from None
@@ -227,10 +220,8 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
             )
             scheduler = started.enter_context(cluster).scheduler_address
         elif Path(address).suffix.lower() in (".yaml", ".yml"):
-            scheduler, patience = (
-                started.enter_context(_describe(Path(address))).scheduler_address,
-                START_SECONDS,
-            )
+            scheduler = started.enter_context(_describe(Path(address))).scheduler_address
+            patience = START_SECONDS
         else:
             scheduler = address
         client = _connect(distributed, scheduler, patience)
@@ -258,9 +249,8 @@ def _describe(path: Path) -> Any:
     try:
         make = getattr(import_module(module), name)
     except (ImportError, AttributeError):
-        raise ConfigError(
-            f"class: {entries['class']} is not installed", path, f"pip install {module.split('.')[0]}"
-        ) from None
+        hint = f"pip install {module.split('.')[0]}"
+        raise ConfigError(f"class: {entries['class']} is not installed", path, hint) from None
     try:
         cluster = make(**(entries.get("arguments") or {}))
         if "adapt" in entries:
@@ -276,9 +266,8 @@ def _describe(path: Path) -> Any:
 def _connect(distributed: Any, address: str, patience: float) -> Any:
     """A client of the scheduler whose workers, waited for so many seconds, have this version of labpipe."""
     try:
-        client = distributed.Client(
-            address, timeout=CONNECT_SECONDS, set_as_default=False, security=_security(address)
-        )
+        how = {"timeout": CONNECT_SECONDS, "set_as_default": False, "security": _security(address)}
+        client = distributed.Client(address, **how)
     except (OSError, ValueError, TimeoutError) as error:
         hint = "start one with `dask scheduler` and workers with `dask worker`"
         raise DataError(f"no scheduler answers ({error})", address, hint) from None

@@ -26,6 +26,7 @@ from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import RECORD_FAULTS
 from labpipe.artefacts.writing import is_remote, only_one, output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
+from labpipe.project.catalogue import verdict
 from labpipe.records.identification import Identification
 
 RECORD = "labpipe-runs.jsonl"
@@ -95,12 +96,7 @@ def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
         _add(folder, pipeline, None, f"failed: {cut(what[0])}")
         raise
     identification = made[0] if made else None
-    outcome = "no result"
-    if identification is not None:
-        outcome = "accepted" if identification.accepted else "not accepted"
-        outcome = (
-            "incomplete" if identification.failed else outcome if identification.outcomes else "no rules"
-        )
+    outcome = "no result" if identification is None else verdict(identification)
     _add(folder, pipeline, identification, outcome)
 
 
