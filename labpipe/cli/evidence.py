@@ -99,9 +99,8 @@ def _pipeline_of(folder: Path) -> Path:
     name = read_identification(folder / NAME).pipeline
     home = pipeline_folder(folder)
     if home is None:
-        raise ConfigError(
-            f"no pipeline '{name}' is in or above the results", folder, "name it with -c PIPELINE"
-        )
+        what = f"no pipeline '{name}' is in or above the results"
+        raise ConfigError(what, folder, "name it with -c PIPELINE")
     return home / name
 
 
@@ -148,11 +147,8 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
         raise DataError("has no record of runs", folder, "begin one by --begin")
     for line in runs_of(record):
         what = " ".join(filter(None, (line.pipeline, f"-> {line.result}" if line.result else "")))
-        echo(
-            message_line(
-                f"{line.number} {line.time} {line.who}, labpipe {line.version}: {what} {line.outcome}"
-            )
-        )
+        who = f"{line.number} {line.time} {line.who}, labpipe {line.version}"
+        echo(message_line(f"{who}: {what} {line.outcome}"))
         for reference in line.inputs if inputs else ():
             echo(message_line(f"    {reference['sha256']} {reference['path']}"))
     echo(f"last line: {head(record)}")
@@ -212,18 +208,16 @@ def verify(
     if folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir():
         return 1 if unsigned else 0
     if is_archive(folder) and is_remote(folder):
-        raise DataError(
-            "is an archive elsewhere, and is read from this machine only", show(folder), "copy it here"
-        )
+        what = "is an archive elsewhere, and is read from this machine only"
+        raise DataError(what, show(folder), "copy it here")
     if is_archive(folder):
         code = _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
         return 1 if unsigned else code
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        code = _verify_folder(
-            here, show(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
-        )
+        how = Manners(again, jobs, overrides, quiet, verbose)
+        code = _verify_folder(here, show(folder), pipeline_path, how)
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code
 
@@ -315,20 +309,16 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
         try:
             hindrance = "" if how.again else _hindrance(archive)
             named = pipeline_path or archive.pipeline
-            code = _verify_folder(
-                archive.results, f"{path}: {RESULTS}", named, replace(how, again=not hindrance)
-            )
+            how = replace(how, again=not hindrance)
+            code = _verify_folder(archive.results, f"{path}: {RESULTS}", named, how)
         except LabpipeError as error:
             # What the metadata list is there and holds, and is no result with its pipeline for all that.
             for line in str(error).replace(f"{scratch}/", f"{path}: ").splitlines():
                 echo(message_line(f"FAILED {line}"))
             return 1
         if not how.quiet:
-            echo(
-                f"not run again: {hindrance}"
-                if hindrance
-                else "run again: " + ("other bytes" if code else "the same bytes")
-            )
+            again = "run again: " + ("other bytes" if code else "the same bytes")
+            echo(f"not run again: {hindrance}" if hindrance else again)
         return code
 
 
@@ -337,11 +327,8 @@ def _hindrance(archive: Unpacked) -> str:
     if archive.left_out:
         return f"of {archive.left_out} files the archive holds the digests only"
     made = read_identification(archive.results / NAME)
-    return (
-        ""
-        if made.code == code_digest()
-        else f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
-    )
+    other = f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
+    return "" if made.code == code_digest() else other
 
 
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
@@ -355,12 +342,9 @@ def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
 def _echo(artefact: Verified, name: str, verbose: bool) -> None:
     for fault in artefact.faults:
         echo(f"FAILED {name}: {fault}")
-    for remark in (
-        artefact.remarks
-        if verbose
-        else [remark for remark in artefact.remarks if remark == "carries no digest"]
-    ):
-        echo(f"note   {name}: {remark}")
+    for remark in artefact.remarks:
+        if verbose or remark == "carries no digest":
+            echo(f"note   {name}: {remark}")
 
 
 # The password of a key, where nobody is there to type it.
@@ -414,8 +398,7 @@ def sign(
         if not sys.stdin.isatty():
             raise ConfigError(f"the password is not known: nobody to ask, and no {SECRET} is set")
         secret = click.prompt("Password", hide_input=True, err=True)
-    target = signed(
-        file, Key(file=key, module=pkcs11, token=token, label=label, secret=secret), role, reason, timestamp
-    )
+    used = Key(file=key, module=pkcs11, token=token, label=label, secret=secret)
+    target = signed(file, used, role, reason, timestamp)
     if not quiet:
         echo(f"written: {target}, {role}")

@@ -82,9 +82,8 @@ def result_files(results: Sequence[Path]) -> list[Path]:
     for path in results:
         below = without_staging(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
         if path.is_dir() and not below and not (path / NAME).exists():
-            raise DataError(
-                f"holds no {NAME}, neither does a folder below it", path, "run `labpipe run` first"
-            )
+            what = f"holds no {NAME}, neither does a folder below it"
+            raise DataError(what, path, "run `labpipe run` first")
         files.extend(below or [path / NAME if path.is_dir() else path])
     return list(dict.fromkeys(files))
 

@@ -80,10 +80,8 @@ def run(
         made.append(identification)
     echo_identification(identification, quiet)
     if not quiet:
-        echo(
-            f"written: {show(output)}/identification.json"
-            + "".join(f", report.{name}" for name in pipeline.report.formats)
-        )
+        reports = "".join(f", report.{name}" for name in pipeline.report.formats)
+        echo(f"written: {show(output)}/identification.json{reports}")
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
 
@@ -124,7 +122,7 @@ def check(
         if not quiet:
             echo(f"{path}: {len(outcomes) - len(wrong)} of {len(outcomes)} rules hold")
         for outcome in wrong:
-            echo(_failure(path, outcome))
+            echo(f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.found}")
     return 1 if failed else 0
 
 
@@ -144,9 +142,8 @@ def _check(
         return
     studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
     others = [path for path in pipelines if path not in studies]
-    with ProcessPoolExecutor(
-        processes, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
-    ) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=end_with_parent) as pool:
         try:
             yield from zip(others, pool.map(work, others), strict=True)
         except BaseException:
@@ -170,10 +167,6 @@ def outcomes_of(
     for failure in identification.failed:
         raise DataError(failure.message)
     return identification.outcomes
-
-
-def _failure(path: Path, outcome: RuleOutcome) -> str:
-    return f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.found}"
 
 
 # labpipe tests PIPELINE
@@ -278,16 +271,14 @@ def watch(
         raise DataError("no such folder", folder, "name the folder that recordings arrive in")
     pipeline, per_file = load_for_files_to_come(pipeline_path, overrides)
     if what := hindrance(pipeline, independent_fits(pipeline)):
-        raise ConfigError(
-            f"{what}, which needs all tests at once", pipeline_path, "watch with a pipeline of fits alone"
-        )
+        what = f"{what}, which needs all tests at once"
+        raise ConfigError(what, pipeline_path, "watch with a pipeline of fits alone")
     settings = WatchSettings(settle=settle, every=every, append=append, marker=marker, names=names, once=once)
     check_shared(output, cluster)
     log_folder = logs or output
     if is_remote(log_folder):
-        raise ConfigError(
-            "--log: is needed where the results are elsewhere", show(output), "name a folder of this machine"
-        )
+        what = "--log: is needed where the results are elsewhere"
+        raise ConfigError(what, show(output), "name a folder of this machine")
     log_folder.mkdir(parents=True, exist_ok=True)
     with only_one(log_folder / LOCK), options.asked_to_stop() as asked, results_kept(output) as mirror:
         watched = Watch(
@@ -306,8 +297,6 @@ def watch(
         )
         index = watched.run().index
     if not quiet:
-        echo(
-            f"{index.tests} tests in the dataset, {index.failed} failed; {watched.counts.evaluated} worked "
-            "on now"
-        )
+        now = f"{watched.counts.evaluated} worked on now"
+        echo(f"{index.tests} tests in the dataset, {index.failed} failed; {now}")
     return 0

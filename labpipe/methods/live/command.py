@@ -80,9 +80,8 @@ def live(
     from labpipe.project.pipeline_file import load_for_stream
 
     if (source is None) == (simulate is None):
-        raise ConfigError(
-            "one of SOURCE and --simulate is needed", hint="labpipe live PIPELINE recording.tdms"
-        )
+        what = "one of SOURCE and --simulate is needed"
+        raise ConfigError(what, hint="labpipe live PIPELINE recording.tdms")
     pipeline = load_for_stream(pipeline_path, overrides)
     rig = pipeline.rig
     if rig is None:
