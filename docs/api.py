@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -62,19 +62,27 @@ class Module:
         return parts[1] if folder else "labpipe"
 
 
-def modules() -> list[Module]:
-    """All public modules of labpipe, in the order of their names."""
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a module."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def modules(tree_of: Callable[[Path], ast.Module] = parsed) -> list[Module]:
+    """All public modules of labpipe, in the order of their names; *tree_of* gives the tree of a file."""
     files = sorted((ROOT / "labpipe").rglob("*.py"))
     found = (
         path.relative_to(ROOT) for path in files if not path.stem.startswith("_") or path.stem == "__init__"
     )
-    return [module_of(path.as_posix(), (ROOT / path).read_text(encoding="utf-8")) for path in found]
+    return [
+        module_of(path.as_posix(), (ROOT / path).read_text(encoding="utf-8"), tree_of(ROOT / path))
+        for path in found
+    ]
 
 
-def module_of(place: str, source: str) -> Module:
-    """The public names of a source file."""
+def module_of(place: str, source: str, tree: ast.Module | None = None) -> Module:
+    """The public names of a source file, of which *tree* is the syntax tree."""
     path = place.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-    tree = ast.parse(source)
+    tree = tree or ast.parse(source)
     return Module(
         path, ast.get_docstring(tree) or "", tuple(names_in(tree.body, path, source.splitlines())), place
     )

@@ -15,11 +15,13 @@ def cut(text: str, length: int = ECHO) -> str:
 
 
 class LabpipeError(Exception):
-    """A fault of the input: *where* it is, *what* is wrong, and a *hint* at what would be right."""
+    """A fault of the input: *what* is wrong, *where* it is, a path for example, and a *hint* at what would be
+    right.
+    """
 
-    def __init__(self, what: str, *, where: str = "", hint: str = "") -> None:
+    def __init__(self, what: str, where: object = "", hint: str = "") -> None:
         self.what = what
-        self.where = where
+        self.where = str(where)
         self.hint = hint
         super().__init__(what)
 
@@ -34,9 +36,16 @@ class ConfigError(LabpipeError):
     the settings that is wrong.
     """
 
-    def __init__(self, what: str, *, where: str = "", hint: str = "", field: str = "") -> None:
-        super().__init__(what, where=where, hint=hint)
+    def __init__(self, what: str, where: object = "", hint: str = "", field: str = "") -> None:
+        super().__init__(what, where, hint)
         self.field = field
+
+
+class SettingError(ConfigError):
+    """A fault of the entry *field* of settings, which whoever reads them knows the place of."""
+
+    def __init__(self, field: str, what: str, hint: str = "") -> None:
+        super().__init__(what, "", hint, field)
 
 
 class ConfigErrors(ConfigError):

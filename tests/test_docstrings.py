@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import labpipe
+from tests.source import tree_of
 
 ROOT = Path(labpipe.__file__).parent
 
@@ -87,9 +88,7 @@ def members_of(source: str) -> dict[str, list[str]]:
 
 def test_docstrings_state_shapes_and_units() -> None:
     members = [
-        member
-        for module in covered_modules()
-        for member in public_members(ast.parse((ROOT / module).read_text("utf-8")), module)
+        member for module in covered_modules() for member in public_members(tree_of(ROOT / module), module)
     ]
     assert len(members) > 1000
     assert {member.place: member.gaps for member in members if member.gaps} == {}

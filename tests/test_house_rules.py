@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[1] / "labpipe"
-MODULES = sorted(PACKAGE.rglob("*.py"))
+from tests.source import MODULES, PACKAGE, nodes, tree_of
+
 LONGEST_MODULE, MEDIAN_MODULE = 600, range(150, 301)
 MOST_LAYERS = 12
 LONGEST_BODY, USUAL_BODY, MEDIAN_BODY = 60, 30, 10
@@ -42,19 +42,6 @@ def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
 
 
-# Parsed when the first test asks, not when tests are collected.
-@functools.cache
-def trees() -> dict[Path, ast.Module]:
-    """Every module's syntax tree."""
-    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
-
-
-@functools.cache
-def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
-    """All nodes of a module's tree, which several tests look through."""
-    return tuple(ast.walk(tree))
-
-
 def length(path: Path) -> int:
     return len(path.read_text(encoding="utf-8").splitlines())
 
@@ -68,8 +55,8 @@ def test_modules_are_short() -> None:
 def test_function_bodies_are_short() -> None:
     bodies = sorted(
         (body_length(function), name_of(path), function.name)
-        for path, tree in trees().items()
-        for function in functions(tree)
+        for path in MODULES
+        for function in functions(tree_of(path))
     )
     assert [body for body in bodies if body[0] > LONGEST_BODY] == []
     assert bodies[int(0.9 * len(bodies))][0] <= USUAL_BODY
@@ -78,8 +65,8 @@ def test_function_bodies_are_short() -> None:
 
 def test_classes_have_few_methods() -> None:
     """Ten public ones at most, properties left out."""
-    for path, tree in trees().items():
-        for owner in (node for node in nodes(tree) if isinstance(node, ast.ClassDef)):
+    for path in MODULES:
+        for owner in (node for node in nodes(tree_of(path)) if isinstance(node, ast.ClassDef)):
             methods = [node for node in owner.body if isinstance(node, ast.FunctionDef)]
             own = [one.name for one in methods if not one.name.startswith("_") and not one.decorator_list]
             assert len(own) <= MANY_METHODS.get(owner.name, 10), (name_of(path), owner.name, own)
@@ -91,7 +78,7 @@ def test_every_module_has_a_home_and_says_what_it_is() -> None:
     assert not [
         name
         for name, path in NAMES.items()
-        if path.stem != "__init__" and not ast.get_docstring(trees()[path])
+        if path.stem != "__init__" and not ast.get_docstring(tree_of(path))
     ]
 
 
@@ -120,7 +107,7 @@ def at_import(tree: ast.AST) -> Iterator[ast.AST]:
 def imports() -> dict[str, set[str]]:
     """Module -> the modules of labpipe that it imports."""
     return {
-        name: {one for one in imported(trees()[path]) if one in NAMES and one != name}
+        name: {one for one in imported(tree_of(path)) if one in NAMES and one != name}
         for name, path in NAMES.items()
     }
 
@@ -171,8 +158,8 @@ def test_the_core_imports_no_method() -> None:
     """
     for name, path in NAMES.items():
         if name != "labpipe" and not name.startswith("labpipe.methods"):
-            inside = {node.module or "" for node in nodes(trees()[path]) if isinstance(node, ast.ImportFrom)}
-            named = {*imports()[name], *inside, *named_in_strings(trees()[path])}
+            inside = {node.module or "" for node in nodes(tree_of(path)) if isinstance(node, ast.ImportFrom)}
+            named = {*imports()[name], *inside, *named_in_strings(tree_of(path))}
             assert not [one for one in named if one.startswith("labpipe.methods.")], name
 
 
@@ -207,7 +194,7 @@ def test_the_command_s_table_loads_nothing_heavy() -> None:
     for name in seen:
         outside = {
             alias.split(".")[0]
-            for node in at_import(trees()[NAMES[name]])
+            for node in at_import(tree_of(NAMES[name]))
             if isinstance(node, (ast.Import, ast.ImportFrom))
             for alias in (
                 [node.module or ""] if isinstance(node, ast.ImportFrom) else [one.name for one in node.names]
@@ -243,7 +230,7 @@ def strings(node: ast.AST) -> set[str]:
 def constants_with_names() -> frozenset[str]:
     """Constants of modules that are the name of a model or an estimator, or several of them."""
     named = set()
-    for node in (node for tree in trees().values() for node in tree.body if isinstance(node, ast.Assign)):
+    for node in (node for path in MODULES for node in tree_of(path).body if isinstance(node, ast.Assign)):
         target, value = node.targets[0], node.value
         several = isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
         for name, one in zip(target.elts, value.elts, strict=True) if several else [(target, value)]:
@@ -281,7 +268,7 @@ DEFINES = ("labpipe.spectra.", "labpipe.records.identification")
 def test_properties_are_asked_for_and_no_names() -> None:
     """A model or estimator of a plug-in has the properties of one of ours, and never its name."""
     compared = {
-        name: list(compared_names(trees()[path]))
+        name: list(compared_names(tree_of(path)))
         for name, path in NAMES.items()
         if not name.startswith(DEFINES)
     }

@@ -58,30 +58,18 @@ CONDITION, AMOUNT = "condition.", "amount."
 # Partitions cannot have empty names.
 UNNAMED = "unnamed"
 _PARTITIONS = ("rig", "date")
+_TEXTS = (
+    "test", "fit", "term", "model", "estimator", "parameter", "unit", "warnings", "failed", "source",
+    "digest",
+)  # fmt: skip
 _TYPES: Mapping[str, pa.DataType] = {
-    **dict.fromkeys(
-        (
-            "test",
-            "fit",
-            "term",
-            "model",
-            "estimator",
-            "parameter",
-            "unit",
-            "warnings",
-            "failed",
-            "source",
-            "digest",
-        ),
-        pa.string(),
-    ),
+    **dict.fromkeys(_TEXTS, pa.string()),
     **dict.fromkeys(("significant", "accepted"), pa.bool_()),
     "covariance": pa.list_(pa.float64()),
     "changes": pa.map_(pa.string(), pa.float64()),
 }
-COLUMNS = tuple(
-    field.name for field in dataclasses.fields(DatasetRow) if field.name not in (*_PARTITIONS, "conditions")
-)
+_FIELDS = (field.name for field in dataclasses.fields(DatasetRow))
+COLUMNS = tuple(name for name in _FIELDS if name not in (*_PARTITIONS, "conditions"))
 
 
 @dataclass(frozen=True)
@@ -106,13 +94,11 @@ def write_parts(results: Sequence[TestResult], output: OutputFolder) -> list[str
 
 
 def _write_part(rig: str, date: str, results: Sequence[TestResult], output: OutputFolder) -> str:
-    summary = json.loads(
-        json.dumps(entry_of(summed(summary_of(result) for result in results)), default=plain)
-    )
-    header = Header(KIND, {"schema": SCHEMA}, inputs=(), contents={"summary": summary})
-    table = _table([row for result in results for row in result.rows]).replace_schema_metadata(
-        metadata_of(header)
-    )
+    summary = entry_of(summed(summary_of(result) for result in results))
+    contents = {"summary": json.loads(json.dumps(summary, default=plain))}
+    header = Header(KIND, {"schema": SCHEMA}, inputs=(), contents=contents)
+    table = _table([row for result in results for row in result.rows])
+    table = table.replace_schema_metadata(metadata_of(header))
     stream = pa.BufferOutputStream()
     pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
     content = stream.getvalue()
@@ -176,17 +162,13 @@ def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
     """
     header = read_header(part.path, KIND)
     if header.parameters.get("schema") != SCHEMA:
-        raise DataError(
-            f"is not of schema {SCHEMA}", where=str(part.path), hint="read it with the version that wrote it"
-        )
+        raise DataError(f"is not of schema {SCHEMA}", part.path, "read it with the version that wrote it")
     there = open_parquet(part.path).schema_arrow.names
     with as_written(part.path):
         if lacking := set(COLUMNS).difference(there):
             raise KeyError(min(lacking))
-    table = read_columns(
-        part.path, [name for name in there if name in columns or name.startswith((CONDITION, AMOUNT))]
-    )
-    table = table.replace_schema_metadata(None)
+    chosen = [name for name in there if name in columns or name.startswith((CONDITION, AMOUNT))]
+    table = read_columns(part.path, chosen).replace_schema_metadata(None)
     for place, name in enumerate(_PARTITIONS):
         table = table.add_column(place, name, pa.array([getattr(part, name)] * table.num_rows, pa.string()))
     return table
@@ -199,7 +181,7 @@ def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
     """
     tables = [read_part(part, columns) for part in parts(folder)]
     if not tables:
-        raise DataError("holds no dataset of results", where=str(folder))
+        raise DataError("holds no dataset of results", folder)
     return pa.concat_tables(tables, promote_options="default")
 
 
@@ -232,13 +214,8 @@ def read_many_tests(folder: Path) -> ManyTests:
 
 def _columns(table: pa.Table) -> Iterator[TestColumns]:
     """One for each fit, term, band and parameter, in the order in which they first stand in the dataset."""
-    keys = (
-        pa.StructArray.from_arrays([table[name].combine_chunks() for name in KEYS], names=list(KEYS))
-        if table.num_rows
-        else pa.array([])
-    )
     groups: dict[tuple[object, ...], list[int]] = {}
-    for row, key in enumerate(keys.to_pylist()):
+    for row, key in enumerate(table.select(KEYS).to_pylist()):
         groups.setdefault(tuple(key.values()), []).append(row)
     for (fit, term, parameter, unit, low_hz, high_hz), rows in groups.items():
         group = table.take(rows)
@@ -285,9 +262,8 @@ def _name(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:
             if row["test"] in seen:
                 continue
             seen.add(row["test"])
-            text = ", ".join(
-                f"{name.removeprefix(CONDITION)} {row[name]}" for name in conditions if row[name] is not None
-            )
+            there = (name for name in conditions if row[name] is not None)
+            text = ", ".join(f"{name.removeprefix(CONDITION)} {row[name]}" for name in there)
             yield row["test"], text, row[why] or ""
             if len(seen) >= MOST:
                 return

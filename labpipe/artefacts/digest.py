@@ -72,9 +72,7 @@ class DigestAlong:
 def mismatch(path: Path) -> DamagedError:
     """The fault of a file whose content does not match its digest."""
     return DamagedError(
-        "content does not match its digest: edited or damaged after labpipe wrote it",
-        where=str(path),
-        hint=AGAIN,
+        "content does not match its digest: edited or damaged after labpipe wrote it", path, AGAIN
     )
 
 

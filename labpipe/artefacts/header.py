@@ -159,22 +159,18 @@ def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "")
     except (ValueError, RecursionError):
         entries = None
     if not isinstance(entries, dict):
-        raise DamagedError("has a header that cannot be read", where=str(path), hint=AGAIN)
+        raise DamagedError("has a header that cannot be read", path, AGAIN)
     if kind and entries.get("kind") != kind:
-        raise DataError(f"is a {entries.get('kind')} file, a {kind} file is needed", where=str(path))
+        raise DataError(f"is a {entries.get('kind')} file, a {kind} file is needed", path)
     if entries.get("schema") != SCHEMA:
         hint = "make it again with this version"
-        raise DataError(
-            f"has schema {entries.get('schema')}, this version reads {SCHEMA}", where=str(path), hint=hint
-        )
+        raise DataError(f"has schema {entries.get('schema')}, this version reads {SCHEMA}", path, hint)
     try:
         entries["inputs"] = tuple(SourceRef(**entry) for entry in entries["inputs"])
         entries["findings"] = tuple(Finding(**entry) for entry in entries["findings"])
         return Header(**{"code": "", **entries, "digest": digest})
     except (KeyError, TypeError) as error:
-        raise DamagedError(
-            f"has a header that cannot be read ({error})", where=str(path), hint=AGAIN
-        ) from None
+        raise DamagedError(f"has a header that cannot be read ({error})", path, AGAIN) from None
 
 
 def source_ref(path: Path, folder: Path, sha256: str = "") -> SourceRef:

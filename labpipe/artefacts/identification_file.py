@@ -118,7 +118,7 @@ def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[Sour
     if {key: entries.get(key) for key in work} != work:
         return False
     if DIGEST not in entries:
-        raise DamagedError("carries no digest", where=str(path))
+        raise DamagedError("carries no digest", path)
     return True
 
 
@@ -133,9 +133,7 @@ def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
         entries = read_digested(path, "file of fits")
         return [read_fit(entry) for entry in entries["fits"]], str(entries.get(DIGEST, ""))
     except RECORD_FAULTS as error:
-        raise DamagedError(
-            f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN
-        ) from None
+        raise DamagedError(f"is not readable as fits ({cut(str(error))})", path, AGAIN) from None
 
 
 IDENTIFICATION_SCHEMA = "labpipe/identification/2"
@@ -147,6 +145,11 @@ NAME = "identification.json"
 
 def write_identification(path: Path, identification: Identification) -> None:
     """Write the result."""
+    failed = [dataclasses.asdict(failed) for failed in identification.failed]
+    spectra = [_spectra_entry(spectra) for spectra in identification.spectra]
+    of_rules: dict[str, list[dict[str, Any]]] = {"accept": [], "expect": []}
+    for outcome in identification.outcomes:
+        of_rules[outcome.section].append(_outcome_entry(outcome))
     entries = {
         "schema": IDENTIFICATION_SCHEMA if identification.dataset is None else SCHEMA_OF_MANY,
         "labpipe": __version__,
@@ -157,26 +160,13 @@ def write_identification(path: Path, identification: Identification) -> None:
         "inputs": list(identification.inputs),
         "rig": identification.rig,
         "settings": identification.settings,
-        **(
-            {"failed": [dataclasses.asdict(failed) for failed in identification.failed]}
-            if identification.failed
-            else {}
-        ),
+        **({"failed": failed} if failed else {}),
         **({} if identification.dataset is None else {"dataset": entry_of(identification.dataset)}),
         "fits": [fit_entry(fit) for fit in identification.fits],
-        "accept": [
-            _outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"
-        ],
-        "expect": [
-            _outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"
-        ],
+        **of_rules,
         **_found_entries(identification.outcomes),
         "responses": [_response_entry(response) for response in identification.responses],
-        **(
-            {"spectra": [_spectra_entry(spectra) for spectra in identification.spectra]}
-            if identification.spectra
-            else {}
-        ),
+        **({"spectra": spectra} if spectra else {}),
         **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
     }
     write_digested(path, entries)
@@ -190,16 +180,16 @@ def read_identification(path: Path) -> Identification:
     try:
         entries = read_digested(path, NAME)
     except FileNotFoundError:
-        raise DataError("no such file", where=str(path), hint="run `labpipe identify` first") from None
+        raise DataError("no such file", path, "run `labpipe identify` first") from None
     if entries.get("schema") not in READ_SCHEMAS:
-        raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", where=str(path))
+        raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", path)
     try:
         return _identification(_upgrade(entries))
     except RECORD_FAULTS as error:
         # Same schema, other entries: written by another version, or edited by hand.
         version = cut(str(entries.get("labpipe", "?")))
         written = f"was written by labpipe {version}, or edited ({type(error).__name__}: {cut(str(error))})"
-        raise DataError(written, where=str(path), hint="run `labpipe identify` again") from None
+        raise DataError(written, path, "run `labpipe identify` again") from None
 
 
 def _upgrade(entries: dict[str, Any]) -> dict[str, Any]:
@@ -208,12 +198,12 @@ def _upgrade(entries: dict[str, Any]) -> dict[str, Any]:
     """
     if entries["schema"] in (IDENTIFICATION_SCHEMA, SCHEMA_OF_MANY):
         return entries
-    fits = [{**fit, "curve": _upgraded_curve(fit.get("curve"))} for fit in entries["fits"]]
-    return {**{name: entry for name, entry in entries.items() if entry != [] or name == "fits"}, "fits": fits}
-
-
-def _upgraded_curve(curve: dict[str, Any] | None) -> dict[str, Any] | None:
-    return None if curve is None else {**curve, "frequency": curve["frequency_hz"]}
+    fits = []
+    for fit in entries["fits"]:
+        curve = fit.get("curve")
+        curve = None if curve is None else {**curve, "frequency": curve["frequency_hz"]}
+        fits.append({**fit, "curve": curve})
+    return {**{name: entry for name, entry in entries.items() if entry != []}, "fits": fits}
 
 
 _REFERENCES = tuple[Mapping[str, str], ...]
@@ -266,29 +256,17 @@ def _identification(entries: dict[str, Any]) -> Identification:
 
 # What every result has; other keys are those of sections, which are loaded only then.
 _WITHOUT_SECTIONS = {
-    "schema",
-    "labpipe",
-    "title",
-    "pipeline",
-    "sources",
-    "settings",
-    "rig",
-    "responses",
-    "spectra",
-    "fits",
-}
-_WITHOUT_SECTIONS |= {"accept", "expect", "found", "failed", "inputs", "code", "dataset", DIGEST}
+    "schema", "labpipe", "title", "pipeline", "sources", "settings", "rig", "responses", "spectra", "fits",
+    "accept", "expect", "found", "failed", "inputs", "code", "dataset", DIGEST,
+}  # fmt: skip
 
 
 def _records(entries: dict[str, Any]) -> dict[str, Any]:
     """The records of all sections, by the section's key."""
     if set(entries) <= _WITHOUT_SECTIONS:
         return {}
-    return {
-        name: record_of(entries[part.entry], part.record)
-        for name, part in sections()
-        if part.entry in entries
-    }
+    there = ((name, part) for name, part in sections() if part.entry in entries)
+    return {name: record_of(entries[part.entry], part.record) for name, part in there}
 
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
@@ -300,21 +278,19 @@ def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
     """The values in the rules' own units, beside the rules: readers of an earlier labpipe take no further key
     of a rule.
     """
-    entries = {
-        key: [outcome.shown for outcome in outcomes if outcome.section == key] for key in ("accept", "expect")
-    }
+    keys = ("accept", "expect")
+    entries = {key: [outcome.shown for outcome in outcomes if outcome.section == key] for key in keys}
     return {"found": entries} if any(any(texts) for texts in entries.values()) else {}
 
 
 def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
-    rules = entries.get(key, [])
+    rules, outcomes = entries.get(key, []), []
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
-    return [_outcome(key, entry, shown) for entry, shown in zip(rules, texts, strict=True)]
-
-
-def _outcome(key: str, entry: dict[str, Any], shown: str) -> RuleOutcome:
-    decision = record_of(entry, RuleDecision) if "outcome" in entry else None
-    return RuleOutcome(key, entry["rule"], entry["value"], entry["passed"], shown=shown, decision=decision)
+    for entry, shown in zip(rules, texts, strict=True):
+        decision = record_of(entry, RuleDecision) if "outcome" in entry else None
+        what = key, entry["rule"], entry["value"], entry["passed"]
+        outcomes.append(RuleOutcome(*what, shown=shown, decision=decision))
+    return outcomes
 
 
 _OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr")

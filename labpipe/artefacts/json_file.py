@@ -237,9 +237,7 @@ def _digests(content: bytes, entries: dict[str, Any]) -> Iterator[str]:
 def read_bytes(path: Path) -> bytes:
     """The content of a regular file; DataError for anything else, FileNotFoundError where there is none."""
     if path.exists() and not path.is_file():
-        raise DamagedError(
-            "is a folder, a file is needed" if path.is_dir() else "is no regular file", where=str(path)
-        )
+        raise DamagedError("is a folder, a file is needed" if path.is_dir() else "is no regular file", path)
     return path.read_bytes()
 
 
@@ -248,15 +246,11 @@ def parse(content: bytes, path: Path, what: str) -> dict[str, Any]:
     try:
         entries = json_value(content.decode("utf-8"))
     except RecursionError:
-        raise DamagedError(
-            f"is not a readable {what} (nested too deeply)", where=str(path), hint=AGAIN
-        ) from None
+        raise DamagedError(f"is not a readable {what} (nested too deeply)", path, AGAIN) from None
     except ValueError as error:
-        raise DamagedError(
-            f"is not a readable {what} ({cut(str(error))})", where=str(path), hint=AGAIN
-        ) from None
+        raise DamagedError(f"is not a readable {what} ({cut(str(error))})", path, AGAIN) from None
     if not isinstance(entries, dict):
-        raise DamagedError(f"is not a readable {what} (no JSON object)", where=str(path), hint=AGAIN)
+        raise DamagedError(f"is not a readable {what} (no JSON object)", path, AGAIN)
     return entries
 
 

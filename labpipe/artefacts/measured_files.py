@@ -34,58 +34,37 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
     columns: dict[str, FloatArray] = {"frequency_hz": response.frequency}
     for o, output in enumerate(response.outputs):
         for i, port in enumerate(response.inputs):
-            columns.update(
-                {
-                    f"{output.label}/{port.label}{suffix}": values
-                    for suffix, values in _element(response, o, i)
-                }
-            )
+            pair = f"{output.label}/{port.label}"
+            columns |= {pair + suffix: values for suffix, values in _element(response, o, i)}
         if response.multiple_coherence is not None:
             columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
     for p, q in _stored_pairs(response.stored_covariance):
         columns |= _parts(f"cov:{p}:{q}", response.covariance_of(p, q))
     if response.snr is not None:
         columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
-    write_columns(
-        path, columns, dataclasses.replace(header, contents=_contents(response), findings=response.findings)
-    )
+    header = dataclasses.replace(header, contents=_contents(response), findings=response.findings)
+    write_columns(path, columns, header)
 
 
 def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str, FloatArray]]:
     """The columns of one element, by the ends of their names."""
-    yield ":re", response.matrix[:, o, i].real
-    yield ":im", response.matrix[:, o, i].imag
+    yield from _parts("", response.matrix[:, o, i]).items()
     for attribute, suffix in _BY_ELEMENT.items():
         values = getattr(response, attribute)
         if values is not None:
             yield suffix, values[:, o, i]
     for number, error in enumerate(response.errors):
-        yield f"{_error(number)}:re", error.change[:, o, i].real
-        yield f"{_error(number)}:im", error.change[:, o, i].imag
+        yield from _parts(f":error:{number}", error.change[:, o, i]).items()
     for attribute in _COMPLEX:
         beside = getattr(response, attribute)
         if beside is not None:
             yield f":{attribute}_re", beside[:, o, i].real
             yield f":{attribute}_im", beside[:, o, i].imag
     for number, repeat in enumerate(() if response.repeats is None else response.repeats):
-        yield f"{_repeat(number)}:re", repeat[:, o, i].real
-        yield f"{_repeat(number)}:im", repeat[:, o, i].imag
+        yield from _parts(f":repeat:{number}", repeat[:, o, i]).items()
     if response.line_gains is not None:
         for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
-            yield f"{_gain(neighbour)}:re", gains.real
-            yield f"{_gain(neighbour)}:im", gains.imag
-
-
-def _gain(neighbour: int) -> str:
-    return f":gain:{neighbour}"
-
-
-def _repeat(number: int) -> str:
-    return f":repeat:{number}"
-
-
-def _error(number: int) -> str:
-    return f":error:{number}"
+            yield from _parts(f":gain:{neighbour}", gains).items()
 
 
 def _upper(n: int) -> Iterator[tuple[int, int]]:
@@ -109,6 +88,11 @@ def _stored_pairs(covariance: StoredCovariance) -> Iterator[tuple[int, int]]:
 
 def _contents(response: FrequencyResponse) -> dict[str, Any]:
     dof, stored = response.covariance_dof, response.stored_covariance
+    repeats: dict[str, Any] = {}
+    if response.repeat_names:
+        repeats = {"repeats": list(response.repeat_names), "repeats_are": response.repeats_are}
+    if response.repeat_names and response.repeat_levels is not None:
+        repeats["repeat_levels"] = response.repeat_levels.tolist()
     return {
         "name": response.name,
         "form": response.form,
@@ -123,17 +107,8 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "errors": [dataclasses.asdict(error.uncertainty) for error in response.errors],
-        **(_contents_of_repeats(response) if response.repeat_names else {}),
+        **repeats,
         "conditions": response.conditions,
-    }
-
-
-def _contents_of_repeats(response: FrequencyResponse) -> dict[str, Any]:
-    levels = response.repeat_levels
-    return {
-        "repeats": list(response.repeat_names),
-        "repeats_are": response.repeats_are,
-        **({} if levels is None else {"repeat_levels": levels.tolist()}),
     }
 
 
@@ -151,7 +126,6 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
     inputs = tuple(Port(**entry) for entry in contents["inputs"])
     pairs = [[f"{o.label}/{i.label}" for i in inputs] for o in outputs]
-    real, imaginary = _matrix(columns, pairs, ":re"), _matrix(columns, pairs, ":im")
     dof = contents["covariance_dof"]
     snr_channels = tuple(contents["snr_channels"])
     by_element = {
@@ -160,9 +134,11 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
         if pairs[0][0] + suffix in columns
     }
     has_multiple = f"{outputs[0].label}:multiple_coh" in columns
+    n_gain, n_repeat = contents.get("line_gains", 0), len(contents.get("repeats", ()))
+    errors = contents.get("errors", [])
     return FrequencyResponse(
         frequency=columns["frequency_hz"],
-        matrix=real + 1j * imaginary,
+        matrix=_matrix(columns, pairs, ":re") + 1j * _matrix(columns, pairs, ":im"),
         outputs=outputs,
         inputs=inputs,
         form=contents["form"],
@@ -180,10 +156,13 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
         line_correlation=tuple(
             complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())
         ),
-        line_gains=_line_gains(columns, pairs, contents.get("line_gains", 0)),
+        line_gains=np.stack(_numbered(columns, pairs, "gain", n_gain), 1) if n_gain else None,
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
-        errors=_errors(columns, pairs, contents.get("errors", [])),
-        repeats=_repeats(columns, pairs, len(contents.get("repeats", ()))),
+        errors=tuple(
+            MatrixError(Uncertainty(**entry), change)
+            for entry, change in zip(errors, _numbered(columns, pairs, "error", len(errors)), strict=True)
+        ),
+        repeats=np.stack(_numbered(columns, pairs, "repeat", n_repeat)) if n_repeat else None,
         repeat_names=tuple(contents.get("repeats", ())),
         repeat_levels=np.array(contents["repeat_levels"]) if "repeat_levels" in contents else None,
         repeats_are=contents.get("repeats_are", "recordings"),
@@ -197,45 +176,18 @@ def _matrix(columns: dict[str, FloatArray], pairs: list[list[str]], suffix: str)
     return np.stack([np.stack([columns[pair + suffix] for pair in row], -1) for row in pairs], 1)
 
 
-def _line_gains(columns: dict[str, FloatArray], pairs: list[list[str]], n_gain: int) -> ComplexArray | None:
-    if not n_gain:
-        return None
-    parts = [
-        [_matrix(columns, pairs, f"{_gain(neighbour)}:{part}") for neighbour in range(n_gain)]
-        for part in ("re", "im")
-    ]
-    gains: ComplexArray = np.stack(parts[0], 1) + 1j * np.stack(parts[1], 1)
-    return gains
-
-
 def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) -> ComplexArray | None:
     if f"{pairs[0][0]}:{name}_re" not in columns:
         return None
     return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
 
 
-def _repeats(columns: dict[str, FloatArray], pairs: list[list[str]], n_repeat: int) -> ComplexArray | None:
-    """H of every recording (n_repeat, n_line, n_output, n_input), None where there are none."""
-    if not n_repeat:
-        return None
-    parts = [
-        np.stack([_matrix(columns, pairs, f"{_repeat(number)}:{part}") for number in range(n_repeat)])
-        for part in ("re", "im")
-    ]
-    return np.asarray(parts[0] + 1j * parts[1])
-
-
-def _errors(
-    columns: dict[str, FloatArray], pairs: list[list[str]], uncertainties: list[dict[str, Any]]
-) -> tuple[MatrixError, ...]:
-    changes = [
-        [_matrix(columns, pairs, f"{_error(number)}:{part}") for part in ("re", "im")]
-        for number in range(len(uncertainties))
-    ]
-    return tuple(
-        MatrixError(Uncertainty(**entry), real + 1j * imaginary)
-        for entry, (real, imaginary) in zip(uncertainties, changes, strict=True)
-    )
+def _numbered(
+    columns: dict[str, FloatArray], pairs: list[list[str]], name: str, count: int
+) -> list[ComplexArray]:
+    """The complex matrices (n_line, n_output, n_input) whose columns end in the *name* and a number."""
+    ends = [f":{name}:{number}" for number in range(count)]
+    return [_matrix(columns, pairs, f"{e}:re") + 1j * _matrix(columns, pairs, f"{e}:im") for e in ends]
 
 
 def _covariance(columns: dict[str, FloatArray], n: int, elements: list[list[int]] | None) -> StoredCovariance:
@@ -268,11 +220,8 @@ def write_spectra(path: Path, spectra: ChannelSpectra, header: Header) -> None:
             columns |= _parts(f"{run + 1}/{channel.name}", spectra.vectors[:, run, number])
         for p, q in _upper(len(spectra.channels)):
             columns |= _parts(f"cov:{run + 1}:{p}:{q}", spectra.covariance[:, run, p, q])
-    write_columns(
-        path,
-        columns,
-        dataclasses.replace(header, contents=_spectra_contents(spectra), findings=spectra.findings),
-    )
+    header = dataclasses.replace(header, contents=_spectra_contents(spectra), findings=spectra.findings)
+    write_columns(path, columns, header)
 
 
 def _parts(name: str, values: ComplexArray) -> dict[str, FloatArray]:
@@ -343,10 +292,7 @@ def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
 def _values(table: pa.Table, name: str) -> ComplexArray:
     values = np.empty(table.num_rows, np.complex128)
     # A sum re + 1j im would lose the sign of a zero.
-    values.real, values.imag = (
-        numpy_array(table.column(f"{name}:re")),
-        numpy_array(table.column(f"{name}:im")),
-    )
+    values.real, values.imag = (numpy_array(table.column(f"{name}:{part}")) for part in ("re", "im"))
     return values
 
 

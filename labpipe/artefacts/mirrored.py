@@ -50,9 +50,7 @@ def results_read(place: Path, wanted: Wanted = summary) -> Iterator[Path]:
     with _local(place.parent if file else place) as mirror:
         if not mirror.bring(wanted, named_only=True):
             raise DataError(
-                "there are no results",
-                where=show(place),
-                hint="results appear with `labpipe run PIPELINE -o PLACE`",
+                "there are no results", show(place), "results appear with `labpipe run PIPELINE -o PLACE`"
             )
         yield mirror.folder / place.name if file else mirror.folder
 
@@ -167,9 +165,7 @@ class Mirror:
         home = (Path(index).parent / FOLDER).as_posix() + "/"
         if lacking := named.difference(names) if named else set():
             raise DataError(
-                f"lacks the part '{min(lacking)}'",
-                where=show(self.place),
-                hint="it may be changing now; try again",
+                f"lacks the part '{min(lacking)}'", show(self.place), "it may be changing now; try again"
             )
         yield from (
             name

@@ -64,14 +64,14 @@ def _in_plain_words(path: Path) -> Iterator[None]:
     except DataError:
         raise
     except FileNotFoundError:
-        raise DataError("no such file", where=str(path)) from None
+        raise DataError("no such file", path) from None
     except IsADirectoryError:
-        raise DataError("is a folder, a file is needed", where=str(path)) from None
+        raise DataError("is a folder, a file is needed", path) from None
     except _FAULTS as error:
         if path.is_dir():
-            raise DataError("is a folder", where=str(path)) from None
+            raise DataError("is a folder", path) from None
         reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
-        raise DamagedError(f"is not a readable Parquet file ({reason})", where=str(path)) from None
+        raise DamagedError(f"is not a readable Parquet file ({reason})", path) from None
 
 
 def open_parquet(path: Path) -> pq.ParquetFile:
@@ -101,7 +101,7 @@ def as_written(path: Path) -> Iterator[None]:
         if isinstance(error, DataError):
             raise
         raise DamagedError(
-            f"is not as labpipe writes it ({type(error).__name__}: {cut(str(error))})", where=str(path)
+            f"is not as labpipe writes it ({type(error).__name__}: {cut(str(error))})", path
         ) from None
 
 
@@ -150,7 +150,7 @@ def read_header(path: Path, kind: str) -> Header:
     metadata = open_parquet(path).metadata.metadata or {}
     if HEADER_KEY not in metadata:
         hint = "another program may have saved it again and dropped the header; make it again with labpipe"
-        raise DataError("has no labpipe header", where=str(path), hint=hint)
+        raise DataError("has no labpipe header", path, hint)
     return header_from_json(metadata[HEADER_KEY], path, kind, digest)
 
 

@@ -127,9 +127,7 @@ def get(path: Path, target: Path) -> None:
 
     before = status(path)
     if before is None:
-        raise DataError(
-            "no such object", where=show(path), hint="it may have been removed since it was listed"
-        )
+        raise DataError("no such object", show(path), "it may have been removed since it was listed")
     target.parent.mkdir(parents=True, exist_ok=True)
     with _with_place(path):
         copy_files(
@@ -140,7 +138,7 @@ def get(path: Path, target: Path) -> None:
             chunk_size=CHUNK,
         )
     if status(path) != before or target.stat().st_size != before.size:
-        raise DataError("changed while it was read", where=show(path), hint="run again when it is complete")
+        raise DataError("changed while it was read", show(path), "run again when it is complete")
     os.utime(target, (before.changed, before.changed))
 
 
@@ -232,9 +230,9 @@ def _with_place(path: Path) -> Iterator[None]:
         text = str(error)
         for word, what, hint in _REASONS:
             if word in text:
-                raise StorageError(what, where=show(path), hint=hint) from None
+                raise StorageError(what, show(path), hint) from None
         reason = (text.splitlines() or [type(error).__name__])[0]
-        raise StorageError(f"cannot be reached ({reason[:200]})", where=show(path)) from None
+        raise StorageError(f"cannot be reached ({reason[:200]})", show(path)) from None
 
 
 # Recordings of an object storage on this machine, as long as they are worked on.

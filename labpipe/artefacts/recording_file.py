@@ -194,7 +194,7 @@ def _recording_of(path: Path, header: Header) -> StoredRecording:
     file = open_parquet(path)
     missing = {channel.name for channel in channels} - set(file.schema_arrow.names)
     if missing:
-        raise DataError(f"lacks the column of channel {', '.join(sorted(missing))}", where=str(path))
+        raise DataError(f"lacks the column of channel {', '.join(sorted(missing))}", path)
     return StoredRecording(
         path,
         channels,

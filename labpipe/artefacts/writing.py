@@ -75,7 +75,7 @@ class OutputFolder:
 def existing_home(target: Path) -> Path:
     """The folder itself or its nearest existing parent; DataError when *target* is a file."""
     if target.exists() and not target.is_dir():
-        raise DataError("is a file, a folder is needed", where=str(target))
+        raise DataError("is a file, a folder is needed", target)
     while not target.exists():
         target = target.parent
     return target
@@ -153,7 +153,7 @@ def only_one(path: Path) -> Iterator[None]:
     """
     with path.open("w") as lock:
         if fcntl is not None and not _take_lock(lock):
-            raise DataError("another process works on this folder", where=str(path.parent))
+            raise DataError("another process works on this folder", path.parent)
         yield
 
 
@@ -212,7 +212,7 @@ def output_file(path: Path) -> Iterator[Path]:
     A device such as /dev/stdout is written as it is.
     """
     if path.is_dir():
-        raise DataError("is a folder, a file name is needed", where=str(path))
+        raise DataError("is a folder, a file name is needed", path)
     if path.exists() and not path.is_file():
         yield path
         return
@@ -237,12 +237,10 @@ def path_of(text: str) -> Path:
     path = Path(text)
     if is_remote(path):
         if len(path.parts) < 2 or "//" in text.split("://", 1)[-1] or ".." in path.parts:
-            raise ConfigError(
-                "is no URL of an object", where=text, hint="write it as s3://bucket/folder/name"
-            )
+            raise ConfigError("is no URL of an object", text, "write it as s3://bucket/folder/name")
     elif "://" in text:
         schemes = ", ".join(f"{scheme}//" for scheme in SCHEMES)
-        raise ConfigError("is a URL that cannot be read", where=text, hint=f"known: {schemes}, {FILE}")
+        raise ConfigError("is a URL that cannot be read", text, f"known: {schemes}, {FILE}")
     return path
 
 

@@ -108,12 +108,10 @@ def _echo_uncertainties(coefficients: BearingCoefficients, uncertainties: Bearin
             if error <= STRUCTURAL_ZERO * np.max(np.abs(matrix), initial=0.0):
                 continue
             force, _, motion = coefficients.unit(i, j).partition("/")
-            largest = [
-                (source, share)
-                for source, share in uncertainties.shares(changes[:, i, j])[:MAX_SHARES]
-                if share >= LEAST_SHARE
-            ]
-            shares = ", ".join(f"{source} {100 * share:.0f} %" for source, share in largest)
+            largest = uncertainties.shares(changes[:, i, j])[:MAX_SHARES]
+            shares = ", ".join(
+                f"{name} {100 * share:.0f} %" for name, share in largest if share >= LEAST_SHARE
+            )
             amount = amount_text(float(matrix[i, j]), error, f"{force}{per_speed}/{motion}")
             echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())
 
@@ -153,19 +151,15 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
     dofs = cases[0].dofs
     echo(f"{name}: direct stiffness over {sweep.label}, {len(cases)} values")
     echo(f"{sweep.label:>20}" + "".join(f"{f'k_{dof}_{dof}':>12}" for dof in dofs))
-    numbers = (
-        range(len(cases))
-        if len(cases) <= MAX_ROWS
-        else [*range(MAX_ROWS // 2), *range(len(cases) - MAX_ROWS // 2, len(cases))]
-    )
+    numbers = list(range(len(cases)))
+    if len(cases) > MAX_ROWS:
+        numbers = [*numbers[: MAX_ROWS // 2], *numbers[-MAX_ROWS // 2 :]]
     for number in numbers:
         if len(cases) > MAX_ROWS and number == len(cases) - MAX_ROWS // 2:
             echo(f"{'...':>20}")
         diagonal = np.diag(cases[number].stiffness)
-        echo(
-            f"{sweep.values[number]:>20.6g}"
-            + "".join(f"{significant(float(value), DIGITS):>12}" for value in diagonal)
-        )
+        cells = "".join(f"{significant(float(value), DIGITS):>12}" for value in diagonal)
+        echo(f"{sweep.values[number]:>20.6g}{cells}")
     codes = sorted({finding.code for case in cases for finding in case.findings})
     for code in codes:
         affected = [case for case in cases if any(finding.code == code for finding in case.findings)]
@@ -178,23 +172,15 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
 
 @click.command()
 @click.argument("bearing_path", metavar="BEARING", type=options.PATH)
-@click.option(
-    "--json",
-    "json_path",
-    type=options.PATH,
-    metavar="FILE",
-    help="Write the coefficients as JSON; - for standard output.",
-)
+@options.path("--json", "json_path", help="Write the coefficients as JSON; - for standard output.")
 @click.option(
     "--sweep",
     "sweep_text",
     metavar="KEY=START:STOP:STEP",
     help="Vary one entry over a range of values, e.g. loads.z=0:2000:50.",
 )
-@click.option("-o", "--output", type=options.PATH, metavar="DIR", help="Folder for table and figures.")
-@options.overrides
-@options.quiet
-@options.verbose
+@options.path("-o", "--output", metavar="DIR", help="Folder for table and figures.")
+@options.usual
 def bearing(
     bearing_path: Path,
     json_path: Path | None,
@@ -210,16 +196,13 @@ def bearing(
     labpipe bearing configs/bearings/nsk-6208.yaml --set loads.z='700 N'
     labpipe bearing configs/bearings/nsk-6208.yaml --sweep loads.z=0:2000:50 -o out/6208
     """
-    if sweep_text is not None:
-        if output is None or json_path is not None:
-            raise click.UsageError(
-                "--sweep needs -o DIR for its table, and has no --json", click.get_current_context()
-            )
-        _sweep(
-            open_bearing(bearing_path, overrides), sweep_text, output, quiet, options.teller(quiet, verbose)
-        )
-        return
+    if sweep_text is not None and (output is None or json_path is not None):
+        what = "--sweep needs -o DIR for its table, and has no --json"
+        raise click.UsageError(what, click.get_current_context())
     file = open_bearing(bearing_path, overrides)
+    if sweep_text is not None and output is not None:
+        _sweep(file, sweep_text, output, quiet, options.teller(quiet, verbose))
+        return
     name = file.settings().name or bearing_path.stem
     whole = evaluate(file)
     text = bearing_json(bearing_entry(file, name, whole))

@@ -42,19 +42,11 @@ from labpipe.project.verification import Verified, differences, pipeline_folder,
 
 @click.command()
 @click.argument("results", type=options.PATH)
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    required=True,
-    metavar="FILE",
-    help="File to write: .zip, or .eln for notebooks.",
-)
-@click.option(
+@options.path("-o", "--output", required=True, help="File to write: .zip, or .eln for notebooks.")
+@options.path(
     "-c",
     "--config",
     "pipeline_path",
-    type=options.PATH,
     metavar="PIPELINE",
     help="The pipeline that made the results; by default a file of its name in or above them.",
 )
@@ -88,9 +80,7 @@ def archive(
     day = _day(date)
     folder = results.parent if results.name == NAME else results
     if not (folder / NAME).is_file():
-        raise DataError(
-            f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`"
-        )
+        raise DataError(f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER`")
     pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
@@ -109,11 +99,8 @@ def _pipeline_of(folder: Path) -> Path:
     name = read_identification(folder / NAME).pipeline
     home = pipeline_folder(folder)
     if home is None:
-        raise ConfigError(
-            f"no pipeline '{name}' is in or above the results",
-            where=str(folder),
-            hint="name it with -c PIPELINE",
-        )
+        what = f"no pipeline '{name}' is in or above the results"
+        raise ConfigError(what, folder, "name it with -c PIPELINE")
     return home / name
 
 
@@ -157,14 +144,11 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
         return
     record = record_of_runs(folder)
     if record is None:
-        raise DataError("has no record of runs", where=str(folder), hint="begin one by --begin")
+        raise DataError("has no record of runs", folder, "begin one by --begin")
     for line in runs_of(record):
         what = " ".join(filter(None, (line.pipeline, f"-> {line.result}" if line.result else "")))
-        echo(
-            message_line(
-                f"{line.number} {line.time} {line.who}, labpipe {line.version}: {what} {line.outcome}"
-            )
-        )
+        who = f"{line.number} {line.time} {line.who}, labpipe {line.version}"
+        echo(message_line(f"{who}: {what} {line.outcome}"))
         for reference in line.inputs if inputs else ():
             echo(message_line(f"    {reference['sha256']} {reference['path']}"))
     echo(f"last line: {head(record)}")
@@ -175,38 +159,25 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
 
 @click.command()
 @click.argument("folder", type=options.PLACE)
-@click.option(
+@options.path(
     "-c",
     "--config",
     "pipeline_path",
-    type=options.PATH,
     metavar="PIPELINE",
     help="The pipeline that made the results: its raw files are compared as well.",
 )
 @click.option(
     "--again", is_flag=True, help="Run the pipeline again, aside, and compare every artefact byte for byte."
 )
-@click.option(
-    "--trust",
-    type=options.PATH,
-    multiple=True,
-    metavar="FILE",
-    help="Certificate (PEM, DER) that vouches for signers (repeatable).",
-)
-@click.option(
-    "--crl",
-    type=options.PATH,
-    multiple=True,
-    metavar="FILE",
-    help="List of revoked certificates (repeatable); without it none is looked for.",
+@options.path("--trust", multiple=True, help="Certificate (PEM, DER) that vouches for signers (repeatable).")
+@options.path(
+    "--crl", multiple=True, help="List of revoked certificates (repeatable); without it none is looked for."
 )
 @click.option(
     "--signed", type=click.Choice(ROLES), multiple=True, help="Somebody must have signed so (repeatable)."
 )
 @options.jobs
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def verify(
     folder: Path,
     pipeline_path: Path | None,
@@ -237,20 +208,16 @@ def verify(
     if folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir():
         return 1 if unsigned else 0
     if is_archive(folder) and is_remote(folder):
-        raise DataError(
-            "is an archive elsewhere, and is read from this machine only",
-            where=show(folder),
-            hint="copy it here",
-        )
+        what = "is an archive elsewhere, and is read from this machine only"
+        raise DataError(what, show(folder), "copy it here")
     if is_archive(folder):
         code = _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
         return 1 if unsigned else code
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        code = _verify_folder(
-            here, show(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
-        )
+        how = Manners(again, jobs, overrides, quiet, verbose)
+        code = _verify_folder(here, show(folder), pipeline_path, how)
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code
 
@@ -272,7 +239,7 @@ def _verify_record(folder: Path, quiet: bool) -> int:
 def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet: bool) -> int:
     """Say of every signature of a file or folder whether it holds; how many do not, or are missing."""
     if path.suffix.lower() in (".pdf", DETACHED) and not path.is_file():
-        raise DataError("no such file", where=str(path), hint="name a file that `labpipe sign` wrote")
+        raise DataError("no such file", path, "name a file that `labpipe sign` wrote")
     faults: list[str] = []
     there: set[str] = set()
     for file in signed_files(path):
@@ -342,20 +309,16 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
         try:
             hindrance = "" if how.again else _hindrance(archive)
             named = pipeline_path or archive.pipeline
-            code = _verify_folder(
-                archive.results, f"{path}: {RESULTS}", named, replace(how, again=not hindrance)
-            )
+            how = replace(how, again=not hindrance)
+            code = _verify_folder(archive.results, f"{path}: {RESULTS}", named, how)
         except LabpipeError as error:
             # What the metadata list is there and holds, and is no result with its pipeline for all that.
             for line in str(error).replace(f"{scratch}/", f"{path}: ").splitlines():
                 echo(message_line(f"FAILED {line}"))
             return 1
         if not how.quiet:
-            echo(
-                f"not run again: {hindrance}"
-                if hindrance
-                else "run again: " + ("other bytes" if code else "the same bytes")
-            )
+            again = "run again: " + ("other bytes" if code else "the same bytes")
+            echo(f"not run again: {hindrance}" if hindrance else again)
         return code
 
 
@@ -364,11 +327,8 @@ def _hindrance(archive: Unpacked) -> str:
     if archive.left_out:
         return f"of {archive.left_out} files the archive holds the digests only"
     made = read_identification(archive.results / NAME)
-    return (
-        ""
-        if made.code == code_digest()
-        else f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
-    )
+    other = f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
+    return "" if made.code == code_digest() else other
 
 
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
@@ -382,12 +342,9 @@ def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
 def _echo(artefact: Verified, name: str, verbose: bool) -> None:
     for fault in artefact.faults:
         echo(f"FAILED {name}: {fault}")
-    for remark in (
-        artefact.remarks
-        if verbose
-        else [remark for remark in artefact.remarks if remark == "carries no digest"]
-    ):
-        echo(f"note   {name}: {remark}")
+    for remark in artefact.remarks:
+        if verbose or remark == "carries no digest":
+            echo(f"note   {name}: {remark}")
 
 
 # The password of a key, where nobody is there to type it.
@@ -396,9 +353,7 @@ SECRET = "LABPIPE_SIGN_PASSWORD"
 
 @click.command()
 @click.argument("file", type=options.PATH)
-@click.option(
-    "--key", type=options.PATH, metavar="FILE", help="Your key and certificate as PKCS#12 (.p12, .pfx)."
-)
+@options.path("--key", help="Your key and certificate as PKCS#12 (.p12, .pfx).")
 @click.option(
     "--pkcs11", default="", metavar="LIBRARY", help="Library of a token or card, in place of --key."
 )
@@ -443,8 +398,7 @@ def sign(
         if not sys.stdin.isatty():
             raise ConfigError(f"the password is not known: nobody to ask, and no {SECRET} is set")
         secret = click.prompt("Password", hide_input=True, err=True)
-    target = signed(
-        file, Key(file=key, module=pkcs11, token=token, label=label, secret=secret), role, reason, timestamp
-    )
+    used = Key(file=key, module=pkcs11, token=token, label=label, secret=secret)
+    target = signed(file, used, role, reason, timestamp)
     if not quiet:
         echo(f"written: {target}, {role}")

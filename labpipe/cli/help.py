@@ -63,23 +63,16 @@ def doctor() -> int:
 
 
 def _machine() -> list[Check]:
-    threads = ", ".join(
-        f"{name}={os.environ[name]}"
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-        if name in os.environ
-    )
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    threads = ", ".join(f"{name}={os.environ[name]}" for name in names if name in os.environ)
     encoding = sys.stdout.encoding or "unknown"
+    unable = "" if "utf" in encoding.lower() else "set PYTHONIOENCODING=utf-8 for units such as µm"
     return [
         Check("labpipe", f"{__version__} (commit {commit()})" if commit() else __version__),
         Check("Python", f"{platform.python_version()} ({platform.system()} {platform.machine()})"),
         Check("processors", str(os.cpu_count())),
         Check("threads of linear algebra", threads),
-        Check(
-            "terminal",
-            encoding,
-            "" if "utf" in encoding.lower() else "set PYTHONIOENCODING=utf-8 for units such as µm",
-            needed=False,
-        ),
+        Check("terminal", encoding, unable, needed=False),
     ]
 
 
@@ -117,9 +110,7 @@ def _temporary_folder() -> Check:
 
 @click.command()
 @click.argument("kind", type=click.Choice(list(SCHEMAS)), default="pipeline")
-@click.option(
-    "-o", "--output", type=options.PATH, metavar="FILE", help="File to write; default: standard output."
-)
+@options.path("-o", "--output", help="File to write; default: standard output.")
 def schema(kind: str, output: Path | None) -> None:
     """Print the JSON schema of a pipeline, rig, bearing or plan file.
 

@@ -78,16 +78,11 @@ class LazyGroup(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        others = (name for name in TABLE if name not in COMMANDS)
+        words = {name: says for name, (_, says) in COMMANDS.items()}
+        words |= {name: TABLE.load(name).get_short_help_str(limit=80) for name in others}
         with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, COMMANDS[name][1] if name in COMMANDS else _words_of(name)) for name in TABLE]
-            )
-
-
-def _words_of(name: str) -> str:
-    """What --help says of a command that a method or another package adds."""
-    command: click.Command = TABLE.load(name)
-    return command.get_short_help_str(limit=80)
+            formatter.write_dl([(name, words[name]) for name in TABLE])
 
 
 def _print_version(context: click.Context, _option: click.Parameter, asked: bool) -> None:
@@ -166,10 +161,8 @@ def _run(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError:
-        return _fail(
-            "there is not enough memory for this; check lengths, rates and block sizes, or use "
-            "fewer processes"
-        )
+        hint = "check lengths, rates and block sizes, or use fewer processes"
+        return _fail(f"there is not enough memory for this; {hint}")
     except OSError as error:
         if error.errno is None:
             raise
@@ -201,13 +194,8 @@ def _own_fault(error: Exception) -> int:
             pass
     echo(text, err=True, nl=False)
     words = "; ".join((f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())))
-    echo(
-        message_line(
-            f"error: this is a fault of labpipe, not of your files ({cut(words, 200)}); please "
-            f"report it with {place}"
-        ),
-        err=True,
-    )
+    what = f"error: this is a fault of labpipe, not of your files ({cut(words, 200)})"
+    echo(message_line(f"{what}; please report it with {place}"), err=True)
     return 3
 
 
@@ -216,12 +204,9 @@ def _echo_warning(message: Warning | str, category: type[Warning], *_: object, *
 
     What will change in a later version as a note.
     """
-    echo(
-        message_line(
-            f"note: {message}" if category is FutureWarning else f"warning: {message} ({category.__name__})"
-        ),
-        err=True,
-    )
+    is_note = category is FutureWarning
+    text = f"note: {message}" if is_note else f"warning: {message} ({category.__name__})"
+    echo(message_line(text), err=True)
 
 
 def _fail(*messages: str) -> int:

@@ -34,11 +34,8 @@ class Progress:
 
     def __call__(self, finished: int, total: int, name: str) -> None:
         elapsed = time.monotonic() - self._begin
-        remaining = (
-            f", {duration(elapsed / finished * (total - finished))} left"
-            if finished < total
-            else f" in {duration(elapsed)}"
-        )
+        left = duration(elapsed / finished * (total - finished))
+        remaining = f", {left} left" if finished < total else f" in {duration(elapsed)}"
         if self._verbose:
             echo(f"test {finished} of {total}  {name}{remaining}", err=True)
         elif sys.stderr.isatty() and (elapsed > QUIET_SECONDS or self._shown):
@@ -61,25 +58,22 @@ def duration(seconds: float) -> str:
 
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
     """The manner of running tests according to the options of a command."""
-    return Manner(
-        options.teller(quiet, verbose), silent if quiet else Progress(verbose), executor(jobs, cluster)
-    )
+    progress = silent if quiet else Progress(verbose)
+    return Manner(options.teller(quiet, verbose), progress, executor(jobs, cluster))
 
 
 def check_shared(output: Path, cluster: str | None) -> None:
     """ConfigError for results that go elsewhere from a folder that the workers of a cluster do not share."""
     if is_remote(output) and cluster not in (None, LOCAL) and "TMPDIR" not in os.environ:
         what = "the workers do not see the folder of this machine in which the results are made"
-        raise ConfigError(what, where=show(output), hint="set TMPDIR to a folder that all workers share")
+        raise ConfigError(what, show(output), "set TMPDIR to a folder that all workers share")
 
 
 def executor(jobs: int, cluster: str | None) -> Execute:
     """Where tests run according to the options of a command."""
     if cluster is not None and jobs != 1:
-        raise ConfigError(
-            "--cluster and -j exclude each other",
-            hint="the cluster's workers determine how many tests run at once",
-        )
+        hint = "the cluster's workers determine how many tests run at once"
+        raise ConfigError("--cluster and -j exclude each other", hint=hint)
     if cluster is not None:
         return on_cluster(cluster)
     processes = jobs or os.cpu_count() or 1
@@ -91,7 +85,5 @@ def echo_failed(failed: Sequence[Failed]) -> None:
     for failure in failed:
         echo(message_line(f"error: {failure.name}: {failure.message}"), err=True)
     if failed:
-        echo(
-            f"{len(failed)} failed, the rest is finished; correct the fault and run the same command again",
-            err=True,
-        )
+        cure = "correct the fault and run the same command again"
+        echo(f"{len(failed)} failed, the rest is finished; {cure}", err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -33,6 +34,14 @@ class _Address(click.Path):
 
 
 PATH, PLACE = _Address(elsewhere=False), _Address(elsewhere=True)
+COUNT = click.IntRange(min=0)
+Command = Callable[..., Any]
+
+
+def path(*names: str, metavar: str = "FILE", **more: Any) -> Callable[[Command], Command]:
+    """An option that names a file or a folder of this machine."""
+    return click.option(*names, type=PATH, metavar=metavar, **more)
+
 
 overrides = click.option(
     "--set",
@@ -45,9 +54,14 @@ quiet = click.option("-q", "--quiet", is_flag=True, help="Print errors and warni
 verbose = click.option(
     "-v", "--verbose", is_flag=True, help="Print every step, also when the output is not a terminal."
 )
-out_folder = click.option(
-    "-o", "--output", type=PATH, required=True, metavar="DIR", help="Folder for the results."
-)
+
+
+def usual(command: Command) -> Command:
+    """The options --set, -q and -v."""
+    return overrides(quiet(verbose(command)))
+
+
+out_folder = path("-o", "--output", required=True, metavar="DIR", help="Folder for the results.")
 out_place = click.option(
     "-o",
     "--output",
@@ -56,22 +70,12 @@ out_place = click.option(
     metavar="DIR",
     help="Folder for the results, or s3://bucket/prefix, gs://bucket/prefix.",
 )
-pipeline_file = click.option(
-    "-c",
-    "--config",
-    "pipeline_path",
-    type=PATH,
-    required=True,
-    metavar="PIPELINE",
-    help="Pipeline file (YAML).",
+pipeline_file = path(
+    "-c", "--config", "pipeline_path", required=True, metavar="PIPELINE", help="Pipeline file (YAML)."
 )
 
 jobs = click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(min=0),
-    default=1,
-    help="Processes for several tests; 0: one per processor.",
+    "-j", "--jobs", type=COUNT, default=1, help="Processes for several tests; 0: one per processor."
 )
 cluster = click.option(
     "--cluster",
@@ -95,11 +99,9 @@ _FILTERS = (
 )
 
 
-def catalogue_filters(command: Callable[..., object]) -> Callable[..., object]:
+def catalogue_filters(command: Command) -> Command:
     """Options that select results."""
-    for option in reversed(_FILTERS):
-        command = option(command)
-    return command
+    return functools.reduce(lambda decorated, option: option(decorated), reversed(_FILTERS), command)
 
 
 @contextmanager

@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 import sys
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from labpipe.display import as_printed, difference_in, shown_unit, unit_label, written
 from labpipe.quantities import to_display
+
+if TYPE_CHECKING:
+    from labpipe.records.finding import Finding
 
 # What commands print: text from files never acts on a terminal, and no message is longer than people read.
 
@@ -36,13 +40,8 @@ def printable(text: str, kept: str = "") -> str:
 
 def _code(letter: str) -> str:
     number = ord(letter)
-    return (
-        f"\\x{number:02x}"
-        if number < 0x100
-        else f"\\u{number:04x}"
-        if number < 0x10000
-        else f"\\U{number:08x}"
-    )
+    width = 2 if number < 0x100 else 4 if number < 0x10000 else 8
+    return f"\\{'xuU'[width // 4]}{number:0{width}x}"
 
 
 def message_line(text: str) -> str:
@@ -60,18 +59,21 @@ def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
 
     Of control characters only the ends of lines, tabulators and labpipe's own colours reach the terminal.
     """
-    parts = _OWN.split(str(text))
-    click.echo(
-        "".join(part if number % 2 else printable(part, KEPT) for number, part in enumerate(parts)),
-        err=err,
-        nl=nl,
-    )
+    parts = enumerate(_OWN.split(str(text)))
+    shown = "".join(part if number % 2 else printable(part, KEPT) for number, part in parts)
+    click.echo(shown, err=err, nl=nl)
 
 
 def for_terminal(text: str) -> str:
     """The text with powers and ± as a hand writes them, where the terminal takes UTF-8; else as it is."""
     encoding = (getattr(sys.stdout, "encoding", "") or "").lower().replace("-", "")
     return as_printed(text) if encoding == "utf8" else text
+
+
+def echo_findings(findings: Iterable[Finding]) -> None:
+    """One line for each finding."""
+    for finding in findings:
+        echo(f"  {finding.level} {finding.code}: {finding.message}")
 
 
 # Tables on the terminal: columns of minimum width, empty ones omitted.

@@ -23,19 +23,11 @@ from labpipe.project.report import write_campaign, write_report, write_test_repo
 
 @click.command()
 @click.argument("results", metavar="DIR|identification.json...", type=options.PLACE, nargs=-1, required=True)
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=options.PATH,
-    metavar="FILE",
-    help="Report file; its suffix (.html, .pdf, .md) determines the format.",
+@options.path(
+    "-o", "--output", required=True, help="Report file; its suffix (.html, .pdf, .md) determines the format."
 )
-@click.option(
-    "--figures",
-    type=options.PATH,
-    metavar="DIR",
-    help="Also write every figure as SVG and PNG, and its numbers as CSV, to DIR.",
+@options.path(
+    "--figures", metavar="DIR", help="Also write every figure as SVG and PNG, and its numbers as CSV, to DIR."
 )
 @click.option("--test", default="", metavar="NAME", help="Only the pages of this test, of a result of many.")
 @options.quiet
@@ -90,11 +82,8 @@ def result_files(results: Sequence[Path]) -> list[Path]:
     for path in results:
         below = without_staging(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
         if path.is_dir() and not below and not (path / NAME).exists():
-            raise DataError(
-                f"holds no {NAME}, neither does a folder below it",
-                where=str(path),
-                hint="run `labpipe run` first",
-            )
+            what = f"holds no {NAME}, neither does a folder below it"
+            raise DataError(what, path, "run `labpipe run` first")
         files.extend(below or [path / NAME if path.is_dir() else path])
     return list(dict.fromkeys(files))
 
@@ -119,7 +108,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 @click.option(
     "--to", "target_format", type=click.Choice(WRITERS.names()), required=True, help="Format of the file."
 )
-@click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="File to write.")
+@options.path("-o", "--output", required=True, help="File to write.")
 def export(artefact: Path, target_format: str, output: Path) -> None:
     """Write a recording, free decays, a frequency response, or the parameters or mode shapes of an
     identification for other programs.

@@ -50,7 +50,7 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     file.
     """
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
-    find = found_values if _selects_values(criteria) else found_results
+    find = found_values if criteria.parameter or criteria.fit or criteria.test else found_results
     with results_read(folder) as here:
         rows: Sequence[ValueRow | ResultRow] = find(here, criteria)
     if table is not None:
@@ -61,10 +61,6 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
         echo_values([row for row in rows if isinstance(row, ValueRow)])
     else:
         echo_results([row for row in rows if isinstance(row, ResultRow)])
-
-
-def _selects_values(criteria: Filter) -> bool:
-    return bool(criteria.parameter or criteria.fit or criteria.test)
 
 
 def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
@@ -78,22 +74,11 @@ def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
 def echo_results(rows: Sequence[ResultRow]) -> None:
     """One line for each result."""
     header = ("date", "result", "rig", "tests", "verdict", "warnings")
-    lines = [
-        (
-            row.date,
-            row.path.removesuffix("/identification.json"),
-            row.rig,
-            str(row.tests),
-            row.verdict,
-            _remark(row),
-        )
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        name, remark = row.path.removesuffix("/identification.json"), row.fault or row.warnings
+        lines.append((row.date, name, row.rig, str(row.tests), row.verdict, remark))
     echo_table(header, lines, right=(3,))
-
-
-def _remark(row: ResultRow) -> str:
-    return row.fault or row.warnings
 
 
 def echo_values(rows: Sequence[ValueRow]) -> None:
@@ -107,18 +92,8 @@ def echo_values(rows: Sequence[ValueRow]) -> None:
         band = f"{row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
         cells = value_cells(row.value, row.std_error, row.unit, units[row.parameter, row.unit])
         conditions = [row.conditions.get(name, "") for name in names]
-        lines.append(
-            (
-                row.path.removesuffix("/identification.json"),
-                row.test,
-                fit,
-                band,
-                row.parameter,
-                *cells,
-                *conditions,
-                row.warnings,
-            )
-        )
+        name = row.path.removesuffix("/identification.json")
+        lines.append((name, row.test, fit, band, row.parameter, *cells, *conditions, row.warnings))
     echo_table(header, lines, right=(5, 6))
 
 
@@ -143,13 +118,7 @@ LEVEL = 0.05
 )
 @options.catalogue_filters
 @click.option("--csv", "table", type=options.PATH, help="Write the values, in SI units, to this file.")
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    metavar="FILE",
-    help="Also write the campaign report of these results (.html, .pdf, .md).",
-)
+@options.path("-o", "--output", help="Also write the campaign report of these results (.html, .pdf, .md).")
 def trend(
     folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object
 ) -> None:
@@ -163,35 +132,24 @@ def trend(
         format_of(output)
     with results_read(folder) as here:
         rows = found_values(here, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
-        results = (
-            {}
-            if output is None
-            else {path: read_identification(here / path) for path in sorted({row.path for row in rows})}
-        )
+        paths = [] if output is None else sorted({row.path for row in rows})
+        results = {path: read_identification(here / path) for path in paths}
     all_series = trends(rows, over)
     for row in undated(rows) if over == DATE else ():
-        echo(
-            f"warning: {row.path}: test '{row.test}': '{cut(row.date)}' is not a date; write it as "
-            "2026-11-03",
-            err=True,
-        )
+        what = f"test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03"
+        echo(f"warning: {row.path}: {what}", err=True)
     selected = [row for series in all_series for row in series.rows]
     if not selected:
-        raise DataError("no result matches these filters", where=shown_path(folder))
+        raise DataError("no result matches these filters", shown_path(folder))
     for series in all_series:
         _echo_series(series)
     if table is not None:
         write_rows(table, [row_entry(row) for row in selected])
     if output is not None:
         chosen = {row.path for row in selected}
-        write_campaign(
-            [
-                (path.removesuffix("/identification.json"), result)
-                for path, result in results.items()
-                if path in chosen
-            ],
-            output,
-        )
+        of_report = [(path, result) for path, result in results.items() if path in chosen]
+        named = [(path.removesuffix("/identification.json"), result) for path, result in of_report]
+        write_campaign(named, output)
         echo(f"written: {output}", err=True)
 
 
@@ -203,18 +161,10 @@ def _echo_series(series: Series) -> None:
     shown = _unit(series)
     for x, row in zip(series.condition, series.rows, strict=True):
         mark = "out of control" if id(row) in outside else row.warnings
-        rows.append(
-            (
-                f"  {x:g} {series.condition_unit}",
-                *value_cells(row.value, row.std_error, row.unit, shown),
-                row.label,
-                row.date,
-                mark,
-            )
-        )
-    echo_table(
-        (f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", ""), rows, right=(1, 2)
-    )
+        cells = value_cells(row.value, row.std_error, row.unit, shown)
+        rows.append((f"  {x:g} {series.condition_unit}", *cells, row.label, row.date, mark))
+    header = (f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", "")
+    echo_table(header, rows, right=(1, 2))
     echo(f"  {_slope(series)}")
     if series.over == DATE:
         echo(f"  {_control(series)}")
@@ -239,10 +189,8 @@ def _slope(series: Series) -> str:
     per = series.condition_unit.split(" ")[0]
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
-    return for_terminal(
-        f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %): {verdict}, p = "
-        f"{p_value:.2g}{scatter}"
-    )
+    stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %)"
+    return for_terminal(f"{stated}: {verdict}, p = {p_value:.2g}{scatter}")
 
 
 def _control(series: Series) -> str:
@@ -252,10 +200,8 @@ def _control(series: Series) -> str:
     unit = _unit(series)
     low, high = (to_display(value, unit) for value in (limits.low, limits.high))
     beyond = ", ".join(row.label for row in series.outside) or "none"
-    return (
-        f"control limits {' '.join(filter(None, (number(low), 'to', number(high), unit_label(unit))))}: "
-        f"beyond {beyond}"
-    )
+    ends = " ".join(filter(None, (number(low), "to", number(high), unit_label(unit))))
+    return f"control limits {ends}: beyond {beyond}"
 
 
 # labpipe compare A B
@@ -286,10 +232,8 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
         echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
     tested = [pair for pair in pairs if pair.p_value is not None]
     n_different = sum(pair.differs for pair in tested)
-    echo(
-        f"{n_different} of {len(tested)} parameters differ (level {100 * DIFFERENCE_LEVEL:g} %, corrected "
-        "for their number)"
-    )
+    level = f"level {100 * DIFFERENCE_LEVEL:g} %, corrected for their number"
+    echo(f"{n_different} of {len(tested)} parameters differ ({level})")
 
 
 def _parameters(path: Path) -> list[ListedParameter]:

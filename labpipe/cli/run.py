@@ -45,9 +45,7 @@ from labpipe.records.identification import RuleOutcome
     metavar="TEST",
     help="Work on this test alone, up to its fits; a run without --only then finishes.",
 )
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def run(
     pipeline_path: Path,
     output: Path,
@@ -82,10 +80,8 @@ def run(
         made.append(identification)
     echo_identification(identification, quiet)
     if not quiet:
-        echo(
-            f"written: {show(output)}/identification.json"
-            + "".join(f", report.{name}" for name in pipeline.report.formats)
-        )
+        reports = "".join(f", report.{name}" for name in pipeline.report.formats)
+        echo(f"written: {show(output)}/identification.json{reports}")
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
 
@@ -96,23 +92,16 @@ def run(
 @click.command()
 @click.argument("pipelines", nargs=-1, required=True, metavar="PIPELINE...", type=options.PATH)
 @click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(min=0),
-    default=1,
-    help="Pipelines at the same time; 0: one per processor.",
+    "-j", "--jobs", type=options.COUNT, default=1, help="Pipelines at the same time; 0: one per processor."
 )
-@click.option(
+@options.path(
     "-o",
     "--output",
-    type=options.PATH,
     metavar="DIR",
     help="Keep the results, those of each pipeline in DIR/NAME of its file; what is up to date there is not "
     "made again.",
 )
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def check(
     pipelines: tuple[Path, ...],
     jobs: int,
@@ -133,7 +122,7 @@ def check(
         if not quiet:
             echo(f"{path}: {len(outcomes) - len(wrong)} of {len(outcomes)} rules hold")
         for outcome in wrong:
-            echo(_failure(path, outcome))
+            echo(f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.found}")
     return 1 if failed else 0
 
 
@@ -153,9 +142,8 @@ def _check(
         return
     studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
     others = [path for path in pipelines if path not in studies]
-    with ProcessPoolExecutor(
-        processes, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
-    ) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=end_with_parent) as pool:
         try:
             yield from zip(others, pool.map(work, others), strict=True)
         except BaseException:
@@ -179,10 +167,6 @@ def outcomes_of(
     for failure in identification.failed:
         raise DataError(failure.message)
     return identification.outcomes
-
-
-def _failure(path: Path, outcome: RuleOutcome) -> str:
-    return f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.found}"
 
 
 # labpipe tests PIPELINE
@@ -249,19 +233,13 @@ class _Seconds(click.ParamType[float]):
 @click.option(
     "--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names."
 )
-@click.option(
-    "--log",
-    "logs",
-    type=options.PATH,
-    metavar="DIR",
-    help="Folder of watch.prom and watch.log.jsonl; default: RESULTS.",
+@options.path(
+    "--log", "logs", metavar="DIR", help="Folder of watch.prom and watch.log.jsonl; default: RESULTS."
 )
 @click.option("--once", is_flag=True, help="Work on what is complete now, then end.")
 @options.jobs
 @options.cluster
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def watch(
     folder: Path,
     pipeline_path: Path,
@@ -290,23 +268,17 @@ def watch(
     SIGTERM or Ctrl-C end the watch after the recording in work.
     """
     if not is_remote(folder) and not folder.is_dir():
-        raise DataError("no such folder", where=str(folder), hint="name the folder that recordings arrive in")
+        raise DataError("no such folder", folder, "name the folder that recordings arrive in")
     pipeline, per_file = load_for_files_to_come(pipeline_path, overrides)
     if what := hindrance(pipeline, independent_fits(pipeline)):
-        raise ConfigError(
-            f"{what}, which needs all tests at once",
-            where=str(pipeline_path),
-            hint="watch with a pipeline of fits alone",
-        )
+        what = f"{what}, which needs all tests at once"
+        raise ConfigError(what, pipeline_path, "watch with a pipeline of fits alone")
     settings = WatchSettings(settle=settle, every=every, append=append, marker=marker, names=names, once=once)
     check_shared(output, cluster)
     log_folder = logs or output
     if is_remote(log_folder):
-        raise ConfigError(
-            "--log: is needed where the results are elsewhere",
-            where=show(output),
-            hint="name a folder of this machine",
-        )
+        what = "--log: is needed where the results are elsewhere"
+        raise ConfigError(what, show(output), "name a folder of this machine")
     log_folder.mkdir(parents=True, exist_ok=True)
     with only_one(log_folder / LOCK), options.asked_to_stop() as asked, results_kept(output) as mirror:
         watched = Watch(
@@ -325,8 +297,6 @@ def watch(
         )
         index = watched.run().index
     if not quiet:
-        echo(
-            f"{index.tests} tests in the dataset, {index.failed} failed; {watched.counts.evaluated} worked "
-            "on now"
-        )
+        now = f"{watched.counts.evaluated} worked on now"
+        echo(f"{index.tests} tests in the dataset, {index.failed} failed; {now}")
     return 0

@@ -11,7 +11,7 @@ from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.many import Progress, echo_failed, manner, silent
-from labpipe.cli.output import echo
+from labpipe.cli.output import echo, echo_findings
 from labpipe.cli.terminal import echo_identification
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.exports import write_study_csv
@@ -41,9 +41,7 @@ from labpipe.records.spectra import ChannelSpectra, FreeDecays
 @click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=options.PATH)
 @click.option("-r", "--rig", "rig_path", required=True, type=options.PATH, help="Rig file (YAML).")
 @options.out_folder
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def ingest(
     sources: tuple[Path, ...],
     rig_path: Path,
@@ -59,12 +57,9 @@ def ingest(
         recordings = ingest_all(sources, rig, folder, Path.cwd())
     for recording in recordings:
         if not quiet:
-            seconds = recording.n_sample / recording.sample_rate
-            echo(
-                f"{recording.name}: {recording.n_sample} samples, {recording.sample_rate:g} Hz, {seconds:g} s"
-            )
-        for finding in recording.findings:
-            echo(f"  {finding.level} {finding.code}: {finding.message}")
+            n, rate = recording.n_sample, recording.sample_rate
+            echo(f"{recording.name}: {n} samples, {rate:g} Hz, {n / rate:g} s")
+        echo_findings(recording.findings)
 
 
 # labpipe frf -c PIPELINE -o DIR [RECORDING...]
@@ -76,9 +71,7 @@ def ingest(
 @options.out_folder
 @options.jobs
 @options.cluster
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def frf(
     recordings: tuple[Path, ...],
     pipeline_path: Path,
@@ -110,21 +103,17 @@ def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipelin
     """The pipeline with a single test of these recordings."""
     rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
     if rig is None:
-        raise ConfigError("rig: is missing", where=str(pipeline.path), hint="add rig: FILE")
+        raise ConfigError("rig: is missing", pipeline.path, "add rig: FILE")
     test = Test("", tuple(SourceFile(path, rig) for path in recordings))
-    return replace(
-        pipeline,
-        tests=(test,),
-        sections={name: part for name, part in pipeline.sections.items() if name != "calibrate"},
-    )
+    sections = {name: part for name, part in pipeline.sections.items() if name != "calibrate"}
+    return replace(pipeline, tests=(test,), sections=sections)
 
 
 def echo_measured(measured: MeasuredTest, quiet: bool) -> None:
     """One line on a response, on free decays or on spectra, and its findings."""
     if not quiet:
         echo(_line(measured))
-    for finding in of_level(WARNING, measured.findings) if quiet else measured.findings:
-        echo(f"  {finding.level} {finding.code}: {finding.message}")
+    echo_findings(of_level(WARNING, measured.findings) if quiet else measured.findings)
 
 
 def _line(measured: MeasuredTest) -> str:
@@ -149,9 +138,7 @@ def _line(measured: MeasuredTest) -> str:
 @click.argument("frfs", nargs=-1, metavar="[FRF...]", type=options.PATH)
 @options.pipeline_file
 @options.out_folder
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def identify(
     frfs: tuple[Path, ...],
     pipeline_path: Path,
@@ -168,11 +155,8 @@ def identify(
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with options.results_folder(output) as folder:
-        many = (
-            None
-            if frfs
-            else identify_many(pipeline, folder, Manner(progress=silent if quiet else Progress(verbose)))
-        )
+        how = Manner(progress=silent if quiet else Progress(verbose))
+        many = None if frfs else identify_many(pipeline, folder, how)
         identification = many if many is not None else _identify(pipeline, frfs, folder)
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
@@ -204,11 +188,8 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
             references.extend(ready_refs(ready))
         measured_path = folder.read_path(measured_file_name(test.name, test.frf or pipeline.frf))
         if test.recordings and not measured_path.exists():
-            raise DataError(
-                "no such file",
-                where=str(measured_path),
-                hint="run `labpipe frf` first, or `labpipe run` for all stages",
-            )
+            hint = "run `labpipe frf` first, or `labpipe run` for all stages"
+            raise DataError("no such file", measured_path, hint)
         if test.recordings:
             tests.append(load_measured(measured_path))
             references.append(source_ref(measured_path, measured_path.parent))
@@ -221,9 +202,7 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
 @click.command()
 @options.pipeline_file
 @options.out_folder
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def calibrate(
     pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool
 ) -> int:
@@ -235,9 +214,7 @@ def calibrate(
     pipeline = load_pipeline(pipeline_path, overrides)
     calibrations = pipeline.sections.get("calibrate", ())
     if not calibrations:
-        raise ConfigError(
-            "calibrate: is missing", where=str(pipeline_path), hint="name a table with its x and y columns"
-        )
+        raise ConfigError("calibrate: is missing", pipeline_path, "name a table with its x and y columns")
     options.teller(quiet, verbose)(f"calibrate {pipeline.title}")
     names = {calibration.name for calibration in calibrations}
     rules = tuple(rule for rule in pipeline.rules if rule.fit in names)
@@ -257,12 +234,8 @@ STUDY = "study"
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @options.out_folder
-@click.option(
-    "-j", "--jobs", type=click.IntRange(min=0), default=0, help="Processes; default: one per processor."
-)
-@options.overrides
-@options.quiet
-@options.verbose
+@click.option("-j", "--jobs", type=options.COUNT, default=0, help="Processes; default: one per processor.")
+@options.usual
 def study(
     pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool
 ) -> int:
@@ -274,14 +247,11 @@ def study(
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     if STUDY not in pipeline.sections:
-        raise ConfigError(
-            "study: is missing", where=str(pipeline_path), hint="name a virtual rig and noise levels"
-        )
+        raise ConfigError("study: is missing", pipeline_path, "name a virtual rig and noise levels")
     rules = tuple(rule for rule in pipeline.rules if rule.fit == STUDY)
     # The fits are repeated, not made.
-    alone = replace(
-        pipeline, tests=(), rules=rules, sections={"identify": pipeline.fits, STUDY: pipeline.sections[STUDY]}
-    )
+    sections = {"identify": pipeline.fits, STUDY: pipeline.sections[STUDY]}
+    alone = replace(pipeline, tests=(), rules=rules, sections=sections)
     with output_folder(output) as folder:
         identification = identify_stage(alone, (), (), folder, options.teller(quiet, verbose), jobs)
         write_study_csv(folder.write_path("study.csv"), identification.sections[STUDY][0])
@@ -289,8 +259,6 @@ def study(
     write_reports(identification, output, pipeline.report.formats, options.teller(quiet, verbose))
     echo_identification(identification, quiet)
     if not quiet:
-        echo(
-            f"written: {output}/identification.json, study.csv"
-            + "".join(f", report.{name}" for name in pipeline.report.formats)
-        )
+        reports = "".join(f", report.{name}" for name in pipeline.report.formats)
+        echo(f"written: {output}/identification.json, study.csv{reports}")
     return 0 if identification.accepted else 1

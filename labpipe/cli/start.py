@@ -8,14 +8,14 @@ from collections.abc import Callable
 from importlib.resources import files
 from math import log2
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import click
 import numpy as np
 
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
-from labpipe.cli.output import echo
+from labpipe.cli.output import echo, echo_findings
 from labpipe.errors import ConfigError
 from labpipe.project.inspect import inspect as content_of
 from labpipe.project.inspect import write_card
@@ -47,10 +47,8 @@ def shipped() -> Path:
     for root in (Path(__file__).parents[2], Path(sys.prefix) / "share/labpipe"):
         if (root / "pipelines").is_dir() and (root / "sample_data").is_dir():
             return root
-    raise ConfigError(
-        "the examples are not installed",
-        hint="they come with the repository: pipelines, configs and sample_data",
-    )
+    hint = "they come with the repository: pipelines, configs and sample_data"
+    raise ConfigError("the examples are not installed", hint=hint)
 
 
 def examples() -> dict[str, list[Path]]:
@@ -65,11 +63,8 @@ def examples() -> dict[str, list[Path]]:
 
 def _rig_of(path: Path) -> str:
     text = path.read_text(encoding="utf-8")
-    sample = _SAMPLE.search(text)
-    if sample is not None:
-        return sample[1]
-    described = _VIRTUAL.search(text)
-    return described[1] if described is not None else path.stem
+    named = _SAMPLE.search(text) or _VIRTUAL.search(text)
+    return named[1] if named else path.stem
 
 
 def copy_example(name: str, output: OutputFolder) -> list[str]:
@@ -83,11 +78,8 @@ def copy_example(name: str, output: OutputFolder) -> list[str]:
         raise ConfigError(f"no example '{name}'", hint=nearest(name, pipelines))
     root = shipped()
     files = [*pipelines[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
-    samples = {
-        sample
-        for pipeline in pipelines[name]
-        for sample in _SAMPLE.findall(pipeline.read_text(encoding="utf-8"))
-    }
+    texts = [pipeline.read_text(encoding="utf-8") for pipeline in pipelines[name]]
+    samples = {sample for text in texts for sample in _SAMPLE.findall(text)}
     for sample in sorted(samples):
         files.extend(path for path in (root / "sample_data" / sample).rglob("*") if path.is_file())
     for path in files:
@@ -126,7 +118,7 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
         raise click.UsageError("Missing argument 'DIR'.", click.get_current_context())
     existing = [name for name in (*SCAFFOLD, "pipelines") if (folder / name).exists()]
     if existing:
-        raise ConfigError(f"already holds {', '.join(existing)}", where=str(folder), hint="name a new folder")
+        raise ConfigError(f"already holds {', '.join(existing)}", folder, "name a new folder")
     with output_folder(folder) as output:
         if example is not None:
             _example(example, folder, output)
@@ -144,10 +136,10 @@ def _example(name: str, folder: Path, output: OutputFolder) -> None:
 
 def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> None:
     project = scaffold(recordings, folder)
-    for name, text in zip(SCAFFOLD, (project.rig, project.pipeline), strict=True):
-        if text:
-            output.write_path(name).write_text(text, encoding="utf-8")
-    names = [name for name, text in zip(SCAFFOLD, (project.rig, project.pipeline), strict=True) if text]
+    texts = dict(zip(SCAFFOLD, (project.rig, project.pipeline), strict=True))
+    names = [name for name, text in texts.items() if text]
+    for name in names:
+        output.write_path(name).write_text(texts[name], encoding="utf-8")
     echo(f"written to {folder}: {', '.join(names)}")
     if project.decisions:
         echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
@@ -174,13 +166,7 @@ def _next(pipeline: Path, folder: Path) -> None:
 @click.option(
     "-r", "--rig", "rig_path", type=options.PATH, help="Rig file to compare names, units and rate with."
 )
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    metavar="CARD",
-    help="Also write a card with small plots (.html, .pdf, .md).",
-)
+@options.path("-o", "--output", metavar="CARD", help="Also write a card with small plots (.html, .pdf, .md).")
 def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
     """Show the content of a recording, an FRF or spectra: channels, units, rate, length, gaps, clipping,
     levels.
@@ -209,10 +195,8 @@ def _echo_response(response: FrequencyResponse, file: str) -> None:
     frequency = response.frequency
     lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
     echo(f"{file}: {response.form} [{FORMS[response.form]}], {lines}")
-    for title, ports in (
-        ("responses", response.outputs),
-        ("bases" if response.form == "transmissibility" else "forces", response.inputs),
-    ):
+    forces = "bases" if response.form == "transmissibility" else "forces"
+    for title, ports in (("responses", response.outputs), (forces, response.inputs)):
         echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
     qualities = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
     echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
@@ -227,12 +211,9 @@ def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
     for number, channel in enumerate(spectra.channels):
         size = (abs(spectra.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
         noise = (spectra.covariance[:, :, number, number].real.mean() / 2) ** 0.5
-        echo(
-            f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {channel.unit}, {channel.role} "
-            f"{channel.dof}"
-        )
-    for finding in spectra.findings:
-        echo(f"  {finding.level} {finding.code}: {finding.message}")
+        about = f"{channel.unit}, {channel.role} {channel.dof}"
+        echo(f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {about}")
+    echo_findings(spectra.findings)
 
 
 def _echo_shapes(shapes: FileShapes, file: str) -> None:
@@ -265,8 +246,7 @@ def _echo_recording(overview: Overview) -> None:
     for label, channel in zip(labels, overview.channels, strict=True):
         levels = (channel.minimum, channel.maximum, channel.mean, channel.rms)
         echo(f"  {label:<{width}}" + "".join(f"{level:>13.5g}" for level in levels))
-    for finding in overview.findings:
-        echo(f"  {finding.level} {finding.code}: {finding.message}")
+    echo_findings(overview.findings)
     if not overview.findings:
         echo("  no gaps, no clipping")
     for contradiction in overview.contradictions or ():
@@ -279,14 +259,7 @@ Value = TypeVar("Value")
 
 
 @click.command()
-@click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    required=True,
-    metavar="FILE",
-    help="Signal file: .csv, .parquet or .wav.",
-)
+@options.path("-o", "--output", required=True, help="Signal file: .csv, .parquet or .wav.")
 @click.option("--band", default="1-100 Hz", show_default=True, help="Excited band.")
 @click.option(
     "--spacing",
@@ -309,14 +282,14 @@ Value = TypeVar("Value")
 @click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
 @click.option(
     "--leave-out",
-    type=click.IntRange(min=0),
+    type=options.COUNT,
     default=0,
     metavar="N",
     help="Leave out one line of every N: these show odd distortion.",
 )
 @click.option(
     "--seed",
-    type=click.IntRange(min=0),
+    type=options.COUNT,
     default=0,
     show_default=True,
     help="Seed of random phases and of the lines left out.",
@@ -364,38 +337,29 @@ def excite(
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
     rms = _option("--level", lambda: parse_value(level, "V"))
     if sweep is not None:
-        times = (
-            _option("--length", lambda: parse_value(length, "s")),
-            _option("--pause", lambda: parse_value(pause, "s")),
-        )
-        swept = Sweep(limits, times[0], rms, sweep, direction, times[1])
-        write_signal(output, swept.samples(sample_rate, periods), sample_rate)
-        if not quiet:
-            echo(
-                f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}; "
-                f"pauses of {times[1]:g} s"
-            )
-        return
-    signal = design_multisine(
-        limits, line_spacing, rms, phases=phases, odd_only=odd, leave_out=leave_out, seed=seed
-    )
-    write_signal(output, signal.samples(sample_rate, periods), sample_rate)
-    if quiet:
-        return
-    lines = (
-        f"{signal.lines.size} lines, "
-        f"{signal.lines[0] * line_spacing:g}-{signal.lines[-1] * line_spacing:g} Hz"
-    )
-    echo(f"{lines}, period {1 / line_spacing:g} s, {phases} phases: crest factor {signal.crest_factor:.3f}")
+        duration = _option("--length", lambda: parse_value(length, "s"))
+        rest = _option("--pause", lambda: parse_value(pause, "s"))
+        swept = Sweep(limits, duration, rms, sweep, direction, rest)
+        samples = swept.samples(sample_rate, periods)
+        what = f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}"
+        words = f"{what}; pauses of {rest:g} s"
+    else:
+        kind: Any = {"phases": phases, "odd_only": odd, "leave_out": leave_out, "seed": seed}
+        signal = design_multisine(limits, line_spacing, rms, **kind)
+        samples = signal.samples(sample_rate, periods)
+        low, high = signal.lines[[0, -1]] * line_spacing
+        words = f"{signal.lines.size} lines, {low:g}-{high:g} Hz, period {1 / line_spacing:g} s"
+        words += f", {phases} phases: crest factor {signal.crest_factor:.3f}"
+    write_signal(output, samples, sample_rate)
+    if not quiet:
+        echo(words)
 
 
 def _rate(swept: Sweep) -> str:
     low, high = swept.band
-    return (
-        f"{(high - low) / swept.duration:.3g} Hz/s"
-        if swept.law == "linear"
-        else f"{60 * log2(high / low) / swept.duration:.3g} octaves/min"
-    )
+    if swept.law == "linear":
+        return f"{(high - low) / swept.duration:.3g} Hz/s"
+    return f"{60 * log2(high / low) / swept.duration:.3g} octaves/min"
 
 
 def _option(name: str, read: Callable[[], Value]) -> Value:
@@ -403,7 +367,7 @@ def _option(name: str, read: Callable[[], Value]) -> Value:
     try:
         return read()
     except UnitError as error:
-        raise ConfigError(error.what, where=name, hint=error.hint) from None
+        raise ConfigError(error.what, name, error.hint) from None
 
 
 # labpipe simulate RIG -o DIR [--seed N]
@@ -414,7 +378,7 @@ def _option(name: str, read: Callable[[], Value]) -> Value:
 @options.out_folder
 @click.option(
     "--seed",
-    type=click.IntRange(min=0),
+    type=options.COUNT,
     default=1,
     show_default=True,
     help="Seed of the noise; the same seed, the same bytes.",
@@ -422,9 +386,7 @@ def _option(name: str, read: Callable[[], Value]) -> Value:
 @click.option(
     "--run", "runs", multiple=True, metavar="NAME", help="Simulate this run only (repeatable); default: all."
 )
-@options.overrides
-@options.quiet
-@options.verbose
+@options.usual
 def simulate(
     rig_path: Path,
     output: Path,

@@ -19,7 +19,7 @@ from labpipe.arrays import FloatArray
 from labpipe.display import as_printed
 from labpipe.document.figure_numbers import figure_csv, short_name
 from labpipe.registry import Registry
-from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Panel, Series
+from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Series
 from labpipe.report.document import Document, Figure
 from labpipe.report.figures import REACH, VIEWS, ShapeSketch, project
 
@@ -163,19 +163,15 @@ def _words(canvas: Canvas) -> Words:
         words += [axes.get_title(), axes.get_aspect(), place, place.get_gridspec().get_height_ratios()]
         for axis in (axes.xaxis, axes.yaxis):
             numbers = axis.get_major_formatter().format_ticks(list(axis.get_majorticklocs()))
-            words += [
-                axis.get_label_text(),
-                axis.get_tick_params(),
-                *(text.translate(WIDE) for text in numbers),
-            ]
+            words += [axis.get_label_text(), axis.get_tick_params()]
+            words += [text.translate(WIDE) for text in numbers]
     return tuple(map(str, words))
 
 
 def figure_files(document: Document) -> dict[str, bytes]:
     """name -> content: figure-01-... .svg, .png and .csv of every figure, numbered as in the report."""
-    figures = [
-        block for section in document.sections for block in section.blocks if isinstance(block, Figure)
-    ]
+    blocks = (block for section in document.sections for block in section.blocks)
+    figures = [block for block in blocks if isinstance(block, Figure)]
     contents: dict[str, bytes] = {}
     for number, figure in enumerate(figures, 1):
         stem = f"figure-{number:02d}-{short_name(figure.caption)}".rstrip("-")
@@ -203,7 +199,9 @@ def chart_canvas(chart: Chart, canvases: dict[Frame, Canvas] | None = None) -> C
         drawn = canvas.axes or _panels(canvas, chart)
         handles: dict[int, Artist] = {}
         for number, (axes, panel) in enumerate(zip(drawn, chart.panels, strict=True)):
-            handles |= _paint(axes, panel)
+            for series in panel.series:
+                if (artist := PAINTERS[series.kind](axes, series)) is not None:
+                    handles[id(series)] = artist
             _scales(axes, chart, number)
         _titles(canvas, drawn, chart)
         _legends(canvas, drawn, chart, handles)
@@ -241,12 +239,6 @@ def _emptied(canvas: Canvas) -> Canvas:
     return canvas
 
 
-def _paint(axes: Axes, panel: Panel) -> dict[int, Artist]:
-    """What the series of a panel look like; the drawn artists by the id of their series."""
-    artists = {id(series): PAINTERS[series.kind](axes, series) for series in panel.series}
-    return {key: artist for key, artist in artists.items() if artist is not None}
-
-
 def _scales(axes: Axes, chart: Chart, number: int) -> None:
     """Scales, ends and numbers of both axes; where panels move together only the outer ones have numbers."""
     panel = chart.panels[number]
@@ -257,7 +249,9 @@ def _scales(axes: Axes, chart: Chart, number: int) -> None:
         # Of two axes with one scale matplotlib may move an end outwards.
         (axes.set_xlim if which == "x" else axes.set_ylim)(*limits, auto=panel.equal)
         _number(axes.xaxis if which == "x" else axes.yaxis, axis, limits)
-    axes.tick_params(labelbottom=_is_lowest(chart, number), labelleft=_is_leftmost(chart, number))
+    # The ordinate of a panel has its numbers where it moves alone, or no panel stands to its left.
+    is_leftmost = "y" not in chart.shared or number % chart.columns == 0
+    axes.tick_params(labelbottom=_is_lowest(chart, number), labelleft=is_leftmost)
     if panel.equal:
         axes.set_aspect("equal", adjustable="box" if chart.shared else "datalim")
     if sum(len(name) + 1 for _, name in panel.x.ticks) > MOST_LEVEL * chart.size[0]:
@@ -274,11 +268,6 @@ def _is_lowest(chart: Chart, number: int) -> bool:
     return "x" not in chart.shared or number + chart.columns >= len(chart.panels)
 
 
-def _is_leftmost(chart: Chart, number: int) -> bool:
-    """Whether the ordinate of a panel has its numbers: it moves alone, or no panel stands to its left."""
-    return "y" not in chart.shared or number % chart.columns == 0
-
-
 def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
     """Titles of panels and axes; one that all panels of a grid have in common is written once."""
     once = {
@@ -293,9 +282,8 @@ def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
         if not once["y"]:
             # A title that is longer than its panel is high has its unit on a second line.
             room = LETTERS_UPWARDS * chart.size[1] * chart.heights[number // chart.columns]
-            axes.set_ylabel(
-                panel.y.label.replace(" [", "\n[") if len(panel.y.label) > room else panel.y.label
-            )
+            label = panel.y.label
+            axes.set_ylabel(label.replace(" [", "\n[") if len(label) > room else label)
     if once["x"]:
         canvas.supxlabel(chart.panels[0].x.label, fontsize=TITLE)
     if once["y"]:
@@ -314,11 +302,8 @@ def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[
         listed |= fresh
         if chart.legend == "panels" and fresh:
             crowded = sum(series.x.size for series in panel.series) > MOST_SEEN
-            place: dict[str, Any] = {
-                "loc": "upper right" if crowded else "best",
-                "ncols": _columns(fresh, chart.columns),
-            }
-            axes.legend(*_samples(fresh, handles), **place)
+            place: Any = "upper right" if crowded else "best"
+            axes.legend(*_samples(fresh, handles), loc=place, ncols=_columns(fresh, chart.columns))
     if chart.legend == "above" and listed:
         canvas.legend(*_samples(listed, handles), ncols=_columns(listed, 1), loc="outside upper center")
 
@@ -357,9 +342,8 @@ def _number(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
     if decades >= LEAST_DECADES:
         drawn.set_major_locator(LogLocator(subs=WITHIN if decades < FEW_DECADES else (1.0,)))
     else:
-        drawn.set_major_locator(
-            Degrees() if axis.unit == "deg" else MaxNLocator(most, steps=STEPS, min_n_ticks=3)
-        )
+        round_numbers = MaxNLocator(most, steps=STEPS, min_n_ticks=3)
+        drawn.set_major_locator(Degrees() if axis.unit == "deg" else round_numbers)
     drawn.set_major_formatter(NumberTexts(even=decades < LEAST_DECADES))
 
 
@@ -458,12 +442,13 @@ def _upright(axes: Axes, series: Series) -> None:
     axes.axvline(x, color=tone(series.colour), linewidth=series.width, linestyle=series.line)
 
 
-def _level_span(axes: Axes, series: Series) -> None:
-    axes.axhspan(*series.y, color=tone(series.colour), alpha=series.opacity, linewidth=0)
-
-
-def _upright_span(axes: Axes, series: Series) -> None:
-    axes.axvspan(*series.x, color=tone(series.colour), alpha=series.opacity, linewidth=0)
+def _span(axes: Axes, series: Series) -> None:
+    """A band across, or upright."""
+    look: dict[str, Any] = {"color": tone(series.colour), "alpha": series.opacity, "linewidth": 0}
+    if series.kind == "hspan":
+        axes.axhspan(*series.y, **look)
+    else:
+        axes.axvspan(*series.x, **look)
 
 
 def _cells(axes: Axes, series: Series) -> None:
@@ -480,9 +465,8 @@ def _cells(axes: Axes, series: Series) -> None:
 
 def _arrow(axes: Axes, series: Series) -> None:
     tail, head = np.column_stack([series.x, series.y])
-    arrow = axes.annotate(
-        "", head, tail, arrowprops={"arrowstyle": "-|>", "color": tone(series.colour)}, annotation_clip=True
-    )
+    look: Any = {"arrowstyle": "-|>", "color": tone(series.colour)}
+    arrow = axes.annotate("", head, tail, arrowprops=look, annotation_clip=True)
     arrow.set_in_layout(False)
 
 
@@ -498,8 +482,8 @@ PAINTERS: dict[str, Callable[[Axes, Series], Artist | None]] = {
     "area": _area,
     "hline": _level,
     "vline": _upright,
-    "hspan": _level_span,
-    "vspan": _upright_span,
+    "hspan": _span,
+    "vspan": _span,
     "cells": _cells,
     "arrow": _arrow,
     "text": _text,
@@ -526,11 +510,8 @@ def shape_canvas(sketch: ShapeSketch, size: tuple[float, float]) -> Canvas:
 
 def _view(axes: Axes, sketch: ShapeSketch, mode: int, eye: tuple[float, float]) -> None:
     there, back = sketch.extremes(mode)
-    for points, colour, style in (
-        (sketch.positions, "0.75", "-"),
-        (back, PALETTE[0], ":"),
-        (there, PALETTE[0], "-"),
-    ):
+    looks = ((sketch.positions, "0.75", "-"), (back, PALETTE[0], ":"), (there, PALETTE[0], "-"))
+    for points, colour, style in looks:
         _draw(axes, sketch, project(points, *eye), colour, style)
     half = np.max([np.abs(project(sketch.positions, *view)).max(axis=0) for _, *view in VIEWS], axis=0) + ROOM
     axes.set_xlim(-half[0], half[0])
@@ -543,7 +524,6 @@ def _view(axes: Axes, sketch: ShapeSketch, mode: int, eye: tuple[float, float]) 
 
 
 def _draw(axes: Axes, sketch: ShapeSketch, seen: FloatArray, colour: str, style: str) -> None:
-    axes.add_collection(
-        LineCollection(list(seen[sketch.lines]), colors=colour, linestyles=style, linewidths=1.2)
-    )
+    lines = list(seen[sketch.lines])
+    axes.add_collection(LineCollection(lines, colors=colour, linestyles=style, linewidths=1.2))
     axes.plot(*seen.T, ".", color=colour, markersize=3)

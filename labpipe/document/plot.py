@@ -31,13 +31,11 @@ def plot(result: Any) -> Canvas:
         if isinstance(result, kind):
             shown = figures(result)
             if not shown:
-                raise DataError(
-                    f"this {type(result).__name__} has no figure", hint="its curve or responses are missing"
-                )
+                what = f"this {type(result).__name__} has no figure"
+                raise DataError(what, hint="its curve or responses are missing")
             return canvas_of(shown[0].graphic)
-    raise TypeError(
-        f"no figure of {type(result).__name__}; known: {', '.join(kind.__name__ for kind in FIGURES)}"
-    )
+    known = ", ".join(kind.__name__ for kind in FIGURES)
+    raise TypeError(f"no figure of {type(result).__name__}; known: {known}")
 
 
 def _of_identification(identification: Identification) -> list[Figure]:
@@ -50,13 +48,6 @@ def _of_identification(identification: Identification) -> list[Figure]:
     return [*whole, *(figure for figures in others for figure in figures)]
 
 
-def _of_comparison(comparison: Comparison) -> list[Figure]:
-    """The figures that need no response: those of pairs of FRFs stand in the report of their
-    identification.
-    """
-    return comparison_figures(comparison, ())
-
-
 def _of_fits(fits: Sequence[Fit]) -> list[Figure]:
     """One fit alone, or the bands of a sliding fit."""
     return sliding_figures(fits) if len(fits) > 1 else [figure for fit in fits for figure in fit_figures(fit)]
@@ -67,6 +58,7 @@ FIGURES: dict[type, Callable[[Any], list[Figure]]] = {
     tuple: _of_fits,
     list: _of_fits,
     FrequencyResponse: lambda response: [response_figure(response)],
-    Comparison: _of_comparison,
+    # Those that need no response: those of pairs of FRFs stand in the report of their identification.
+    Comparison: lambda comparison: comparison_figures(comparison, ()),
     Identification: _of_identification,
 }

@@ -14,7 +14,7 @@ import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -32,9 +32,9 @@ from labpipe.project.crate import EXPERIMENT, NAME, Contents, Listed, Member, me
 from labpipe.project.identify import rig_entry, settings_entry
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.measured import files_of_test
+from labpipe.project.one_test import change_day, files_of
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.report import COMMENTS, drawn_from, is_drawn
-from labpipe.project.result_certificate import write_dcc
 from labpipe.project.verification import artefacts_below, verified
 from labpipe.records.identification import Identification
 
@@ -59,25 +59,22 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
     _check_same(identification, pipeline, folder)
     for artefact in verified(folder, pipeline.folder):
         if artefact.faults:
-            raise DataError(artefact.faults[0], where=str(artefact.path), hint="run `labpipe run` again")
+            raise DataError(artefact.faults[0], artefact.path, "run `labpipe run` again")
     names = _names_of_result(folder, identification, pipeline)
     reports = [f"report.{name}" for name in COMMENTS if (folder / f"report.{name}").is_file()]
     for name in reports:
         if not is_drawn(folder / name, drawn_from(folder / IDENTIFICATION)):
             hint = f"remove it or draw it again by `labpipe report {folder}`"
-            raise DataError(
-                "was not drawn from this result, or edited since", where=str(folder / name), hint=hint
-            )
+            raise DataError("was not drawn from this result, or edited since", folder / name, hint)
     recordings = [name for name in names if name.endswith(RECORDING)]
+    left = recordings if digests_only else ()
     results = [
-        Member(
-            f"{RESULTS}/{name}",
-            _role_of_result(name),
-            folder / name,
-            kept=not (digests_only and name in recordings),
-        )
+        Member(f"{RESULTS}/{name}", _role_of_result(name), folder / name, kept=name not in left)
         for name in (*names, *reports)
     ]
+    # Loads pandas.
+    from labpipe.project.exports import write_dcc
+
     write_dcc(folder / IDENTIFICATION, scratch / CERTIFICATE)
     role = "result as XML after the Digital Calibration Certificate"
     results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))
@@ -86,12 +83,10 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
     digests = {reference.path: reference.sha256 for reference in noted} | {
         source["path"]: source["sha256"] for source in identification.sources
     }
-    main, files = _project(
-        pipeline, digests, dated=identification.dataset is not None, digests_only=digests_only
-    )
-    return Contents(
-        identification, main, tuple(map(_digest, files)), tuple(map(_digest, results)), tuple(left_out)
-    )
+    dated = identification.dataset is not None
+    main, files = _project(pipeline, digests, dated=dated, digests_only=digests_only)
+    of, of_results = (tuple(map(_digest, members)) for members in (files, results))
+    return Contents(identification, main, of, of_results, tuple(left_out))
 
 
 def _digest(member: Member) -> Member:
@@ -101,9 +96,8 @@ def _digest(member: Member) -> Member:
     """
     if is_remote(member.path):
         return member
-    return replace(
-        member, sha256=source_ref(member.path, member.path.parent).sha256, size=member.path.stat().st_size
-    )
+    digest = source_ref(member.path, member.path.parent).sha256
+    return replace(member, sha256=digest, size=member.path.stat().st_size)
 
 
 def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
@@ -111,9 +105,7 @@ def _check_same(identification: Identification, pipeline: Pipeline, folder: Path
     if identification.code != code_digest():
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
         raise DataError(
-            what,
-            where=str(folder / IDENTIFICATION),
-            hint="run `labpipe run` again, or make the archive with that build",
+            what, folder / IDENTIFICATION, "run `labpipe run` again, or make the archive with that build"
         )
     stated, made = settings_entry(pipeline), dict(identification.settings)
     for entries in (stated, made):
@@ -123,9 +115,7 @@ def _check_same(identification: Identification, pipeline: Pipeline, folder: Path
     differing += ["rig"] if rig_entry(pipeline) != identification.rig else []
     if differing:
         what = f"says something else under '{differing[0]}' than the result in {folder} was made with"
-        raise DataError(
-            what, where=str(pipeline.path), hint="write into the file what --set said, and run it again"
-        )
+        raise DataError(what, pipeline.path, "write into the file what --set said, and run it again")
 
 
 def _names_of_result(folder: Path, identification: Identification, pipeline: Pipeline) -> list[str]:
@@ -139,7 +129,7 @@ def _names_of_result(folder: Path, identification: Identification, pipeline: Pip
     recordings = [
         f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs
     ]
-    return sorted({IDENTIFICATION, *files_there, *(name for name in recordings if (folder / name).is_file())})
+    return sorted({IDENTIFICATION, *files_there, *filter(lambda name: (folder / name).is_file(), recordings)})
 
 
 def _role_of_result(name: str) -> str:
@@ -151,11 +141,9 @@ def _role_of_result(name: str) -> str:
         RECORDING: "calibrated recording",
         ".results.parquet": "results of many tests",
         ".json": "fits of a test",
+        "": "measured response, decays or spectra of a test",
     }
-    return next(
-        (role for suffix, role in kinds.items() if name.endswith(suffix)),
-        "measured response, decays or spectra of a test",
-    )
+    return next(role for suffix, role in kinds.items() if name.endswith(suffix))
 
 
 def _project(
@@ -166,19 +154,13 @@ def _project(
     digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings
     were last changed.
     """
-    raw = [
-        path
-        for test in pipeline.tests
-        for source in test.recordings
-        for path in (source.path, *source.joined)
-    ]
-    ready = [path for test in pipeline.tests for frf in test.frfs for path in frf.paths]
+    raw = [path for test in pipeline.tests for path in files_of(test)]
     remote = next(filter(is_remote, raw), None)
     if remote is not None and not digests_only:
         what = "lies in an object storage, and is not brought into the archive"
-        raise DataError(what, where=show(remote), hint="--digests-only keeps its digest")
+        raise DataError(what, show(remote), "--digests-only keeps its digest")
     settings, named = _named_by(pipeline.path)
-    roles = dict.fromkeys(map(_absolute, (*raw, *ready)), "recording")
+    roles = dict.fromkeys(map(_absolute, raw), "recording")
     roles |= {
         path: "table or file that the settings name"
         for path in map(_absolute, (*pipeline.side_files, *named))
@@ -191,7 +173,7 @@ def _project(
     for path, role in roles.items():
         kept = not (digests_only and role == "recording")
         name = show(path) if is_remote(path) else f"{PROJECT}/{path.relative_to(home).as_posix()}"
-        day = _day(path) if dated and role == "recording" and not is_remote(path) else ""
+        day = change_day(path) if dated and role == "recording" and not is_remote(path) else ""
         members.append(Member(name, role, path, digests.get(name, ""), kept=kept, day=day))
     return f"{PROJECT}/{_absolute(pipeline.path).relative_to(home).as_posix()}", members
 
@@ -199,11 +181,6 @@ def _project(
 def _absolute(path: Path) -> Path:
     """The path without '..', links as they are; a URL as it is."""
     return path if is_remote(path) else Path(os.path.abspath(path))
-
-
-def _day(path: Path) -> str:
-    """The day [UTC] on which a file was last changed: that of a test of a dataset that states none."""
-    return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
@@ -231,7 +208,7 @@ def _is_named(node: Marked, folder: Path) -> bool:
         return False
     if address.is_absolute() and (address.is_file() or (glob.has_magic(node.text) and glob.glob(node.text))):
         what = f"'{node.text}' holds on this machine only, and not in an archive"
-        raise ConfigError(what, where=node.where, hint="name the file relative to the one that names it")
+        raise ConfigError(what, node.where, "name the file relative to the one that names it")
     try:
         return (folder / address).is_file()
     except OSError:
@@ -240,16 +217,11 @@ def _is_named(node: Marked, folder: Path) -> bool:
 
 def _texts(node: Marked) -> Iterator[Marked]:
     """The texts in a tree."""
-    parts: Sequence[Marked] = (
-        tuple(node.content.values())
-        if isinstance(node.content, dict)
-        else node.content
-        if isinstance(node.content, list)
-        else ()
-    )
-    if node.text and not parts:
-        yield node
-    for part in parts:
+    content = list(node.content.values()) if isinstance(node.content, dict) else node.content
+    if not isinstance(content, list):
+        yield from [node] if node.text else []
+        return
+    for part in content:
         yield from _texts(part)
 
 
@@ -261,6 +233,7 @@ EPOCH = (1980, 1, 1, 0, 0, 0)
 CHUNK = 1 << 20
 LONGEST_METADATA = 1 << 28
 ENCRYPTED = 0x1
+NOT_OURS, NAME_ONE = "labpipe writes no such archive", "name a file that `labpipe archive` wrote"
 # What reading a damaged member raises.
 DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, ValueError)
 
@@ -273,14 +246,10 @@ def is_archive(path: Path) -> bool:
 def check_output(path: Path) -> None:
     """ConfigError for the name of an archive that has another ending, or that is there already."""
     if path.suffix.lower() not in (ZIP, ELN):
-        raise ConfigError(
-            f"no archive has the ending '{path.suffix}'", where=str(path), hint=f"known: {ZIP}, {ELN}"
-        )
+        raise ConfigError(f"no archive has the ending '{path.suffix}'", path, f"known: {ZIP}, {ELN}")
     if path.exists():
         raise ConfigError(
-            "is there already",
-            where=str(path),
-            hint="name another file, or remove this one; an archive is never replaced",
+            "is there already", path, "name another file, or remove this one; an archive is never replaced"
         )
 
 
@@ -302,11 +271,7 @@ def write_archive(contents: Contents, path: Path, date: str) -> None:
                     digest.update(chunk)
                     goal.write(chunk)
             if digest.hexdigest() != member.sha256:
-                raise DataError(
-                    "changes while it is archived",
-                    where=str(member.path),
-                    hint="try again when it is finished",
-                )
+                raise DataError("changes while it is archived", member.path, "try again when it is finished")
         content = metadata(contents, date)
         with _open(archive, around + NAME, len(content)) as goal:
             goal.write(content)
@@ -346,11 +311,8 @@ class Opened:
                     goal.write(chunk)
         except DamagedError as error:
             return error.what
-        return (
-            ""
-            if digest.hexdigest() == listed.sha256
-            else ("is not the file that the archive lists: its SHA-256 is another")
-        )
+        same = digest.hexdigest() == listed.sha256
+        return "" if same else "is not the file that the archive lists: its SHA-256 is another"
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
         """The content of a member; DamagedError where it cannot be read.
@@ -362,7 +324,7 @@ class Opened:
                 while chunk := stream.read(CHUNK):
                     yield chunk
         except DAMAGE as error:
-            raise DamagedError(f"is damaged ({cut(str(error))})", where=str(self.path)) from None
+            raise DamagedError(f"is damaged ({cut(str(error))})", self.path) from None
 
 
 @contextmanager
@@ -373,14 +335,12 @@ def opened(path: Path) -> Iterator[Opened]:
     """
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
-        raise DataError(what, where=str(path), hint="name a file that `labpipe archive` wrote")
+        raise DataError(what, path, NAME_ONE)
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
         raise DataError(
-            f"is no ZIP file, or a damaged one ({cut(str(error))})",
-            where=str(path),
-            hint="have it sent again",
+            f"is no ZIP file, or a damaged one ({cut(str(error))})", path, "have it sent again"
         ) from None
     with archive:
         members: dict[str, zipfile.ZipInfo] = {}
@@ -389,14 +349,9 @@ def opened(path: Path) -> Iterator[Opened]:
             if not info.is_dir():
                 members[info.filename] = info
         for name in members:
-            if above := next(
-                (str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), ""
-            ):
-                raise DataError(
-                    "is a file and a folder",
-                    where=f"{path}: {cut(above)!r}",
-                    hint="labpipe writes no such archive",
-                )
+            for above in map(str, PurePosixPath(name).parents):
+                if above in members:
+                    raise DataError("is a file and a folder", f"{path}: {cut(above)!r}", NOT_OURS)
         around = _around(members, path)
         members = {name.removeprefix(around): info for name, info in members.items()}
         yield Opened(path, archive, members, _metadata(archive, members.pop(NAME), path))
@@ -416,7 +371,7 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
         what = "is there twice"
     else:
         return
-    raise DataError(what, where=f"{path}: {cut(name)!r}", hint="labpipe writes no such archive")
+    raise DataError(what, f"{path}: {cut(name)!r}", NOT_OURS)
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
@@ -429,18 +384,16 @@ def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
     tops = {PurePosixPath(name).parts[0] for name in members}
     if len(tops) == 1 and f"{(top := tops.pop())}/{NAME}" in members:
         return f"{top}/"
-    raise DataError(f"holds no {NAME}", where=str(path), hint="name a file that `labpipe archive` wrote")
+    raise DataError(f"holds no {NAME}", path, NAME_ONE)
 
 
 def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> bytes:
     if info.file_size > LONGEST_METADATA:
-        raise DataError(f"has more than {LONGEST_METADATA >> 20} MB", where=f"{path}: {NAME}")
+        raise DataError(f"has more than {LONGEST_METADATA >> 20} MB", f"{path}: {NAME}")
     try:
         return archive.read(info)
     except DAMAGE as error:
-        raise DataError(
-            f"is damaged ({cut(str(error))})", where=f"{path}: {NAME}", hint="have it sent again"
-        ) from None
+        raise DataError(f"is damaged ({cut(str(error))})", f"{path}: {NAME}", "have it sent again") from None
 
 
 # An archive taken apart again: every file held against its digest, then the result where verification and
@@ -466,18 +419,15 @@ def unpack(path: Path, folder: Path) -> Unpacked:
     with opened(path) as archive:
         crate = read_metadata(archive.metadata, f"{path}: {NAME}")
         listed = {file.name: file for file in crate.files}
-        faults = [
-            (name, "is not listed among the metadata") for name in archive.members if name not in listed
-        ]
+        faults = [(name, "is not listed among the metadata") for name in archive.members.keys() - listed]
         for file in listed.values():
             fault = archive.unpack(file, folder)
             if fault:
                 faults.append((file.name, fault))
             else:
                 _date(file, folder)
-    return Unpacked(
-        folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults))
-    )
+    whole = folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out
+    return Unpacked(*whole, tuple(sorted(faults)))
 
 
 def _date(file: Listed, folder: Path) -> None:

@@ -5,7 +5,7 @@ entry.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,22 +77,13 @@ def _sweep_figure(
     for si_unit, entries in groups.items():
         series = [_curve(values, swept, kind, entry, number) for number, entry in enumerate(entries)]
         force, _, motion = display_unit(si_unit).partition("/")
-        panels.append(
-            Panel(
-                Axis(name, unit),
-                Axis(kind, f"{force}.s/{motion}" if kind == "damping" else f"{force}/{motion}"),
-                tuple(series),
-            )
-        )
-    band = (
-        "; shaded: range over one ball passage" if kind == "stiffness" and swept[0].lowest is not None else ""
-    )
+        of_kind = f"{force}.s/{motion}" if kind == "damping" else f"{force}/{motion}"
+        panels.append(Panel(Axis(name, unit), Axis(kind, of_kind), tuple(series)))
+    ranged = kind == "stiffness" and swept[0].lowest is not None
+    band = "; shaded: range over one ball passage" if ranged else ""
     caption = f"{title}: {kind} over {label}{band}. Coefficients that are zero throughout are left out."
-    return Figure(
-        stack(panels, 0.7 + 2.3 * len(panels)),
-        caption,
-        f"{kind.capitalize()} coefficients of {title} over {label}",
-    )
+    alternative = f"{kind.capitalize()} coefficients of {title} over {label}"
+    return Figure(stack(panels, 0.7 + 2.3 * len(panels)), caption, alternative)
 
 
 def _coefficients_by_unit(
@@ -147,7 +138,7 @@ class Evaluated:
 
 def evaluate(file: BearingFile) -> Evaluated:
     """The coefficients of the file as it is now, with their uncertainties; errors say which file."""
-    (whole,) = _evaluate(file, [lambda: None], file.uncertainties)
+    (whole,) = _evaluate(file, [""], file.uncertainties)
     return whole
 
 
@@ -157,25 +148,16 @@ def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
     The uncertainty of the swept entry itself does not count.
     """
 
-    def setter(value: float) -> Callable[[], None]:
-        return lambda: set_entry(file.tree, f"{sweep.key}={value!r} {sweep.unit}")
-
-    return _evaluate(
-        file,
-        [setter(float(value)) for value in sweep.values],
-        [key for key in file.uncertainties if key != sweep.key],
-    )
+    entries = [f"{sweep.key}={float(value)!r} {sweep.unit}" for value in sweep.values]
+    return _evaluate(file, entries, [key for key in file.uncertainties if key != sweep.key])
 
 
-def _evaluate(
-    file: BearingFile, points: Sequence[Callable[[], None]], keys: Collection[str]
-) -> list[Evaluated]:
-    """The file at each of the *points*, which set its entries: all settings in one go, since kinds evaluate
-    many at once.
-    """
+def _evaluate(file: BearingFile, entries: Sequence[str], keys: Collection[str]) -> list[Evaluated]:
+    """The file with each of the *entries* set: all settings in one go, since kinds evaluate many at once."""
     settings = []
-    for point in points:
-        point()
+    for entry in entries:
+        if entry:
+            set_entry(file.tree, entry)
         settings.append(file.settings())
         for key in keys:
             settings.extend(file.ends(key))
@@ -267,19 +249,15 @@ def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: Output
     table; the files' names.
     """
     from labpipe.document.charts import svg_file
-    from labpipe.project.bearing import stiffness_figure
 
     coefficients = whole.coefficients
-    output.write_path("bearing.json").write_text(
-        bearing_json(bearing_entry(file, name, whole)), encoding="utf-8"
-    )
-    output.write_path("stiffness.svg").write_text(
-        svg_file(stiffness_figure(name, coefficients)), encoding="utf-8"
-    )
-    names = ["bearing.json", "stiffness.svg"]
-    for file_name, figure in (file.kind.figures(name, coefficients) if file.kind.figures else {}).items():
+    entry = bearing_json(bearing_entry(file, name, whole))
+    output.write_path("bearing.json").write_text(entry, encoding="utf-8")
+    figures = {"stiffness.svg": stiffness_figure(name, coefficients)}
+    figures |= file.kind.figures(name, coefficients) if file.kind.figures else {}
+    for file_name, figure in figures.items():
         output.write_path(file_name).write_text(svg_file(figure), encoding="utf-8")
-        names.append(file_name)
+    names = ["bearing.json", *figures]
     response = file.kind.response and file.kind.response(file.settings(), coefficients)
     if response is not None:
         write_frf_csv(output.write_path("transfer.csv"), response)
@@ -290,22 +268,18 @@ def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: Output
 def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: OutputFolder) -> list[str]:
     """sweep.csv with every coefficient, and their curves; the names of the files."""
     from labpipe.document.charts import svg_file
-    from labpipe.project.bearing import sweep_figures
 
     columns = sweep_columns(sweep, points)
     with output.write_path("sweep.csv").open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(",".join(columns) + "\n")
         for row in zip(*columns.values(), strict=True):
-            stream.write(
-                ",".join(value if isinstance(value, str) else f"{value:.9g}" for value in row) + "\n"
-            )
-    names = ["sweep.csv"]
-    for kind, figure in sweep_figures(
-        name, sweep.label, sweep.values, [point.coefficients for point in points]
-    ).items():
+            cells = (value if isinstance(value, str) else f"{value:.9g}" for value in row)
+            stream.write(",".join(cells) + "\n")
+    swept = [point.coefficients for point in points]
+    figures = sweep_figures(name, sweep.label, sweep.values, swept)
+    for kind, figure in figures.items():
         output.write_path(f"sweep-{kind}.svg").write_text(svg_file(figure), encoding="utf-8")
-        names.append(f"sweep-{kind}.svg")
-    return names
+    return ["sweep.csv", *(f"sweep-{kind}.svg" for kind in figures)]
 
 
 def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
@@ -320,19 +294,14 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
         matrices = np.stack([getattr(point, attribute) for point in coefficients])
         if symbol == "k" or matrices.any():
             columns |= _by_element(symbol, coefficients[0], matrices)
-    for number, amount in enumerate(coefficients[0].shares):
-        columns[f"share_{amount.name} [{amount.unit}]"] = np.array(
-            [point.shares[number].value for point in coefficients]
-        )
-    for number, amount in enumerate(coefficients[0].rest):
-        columns[f"{amount.name} [{amount.unit}]"] = np.array(
-            [point.rest[number].value for point in coefficients]
-        )
+    for prefix, attribute in (("share_", "shares"), ("", "rest")):
+        for number, amount in enumerate(getattr(coefficients[0], attribute)):
+            values = [getattr(point, attribute)[number].value for point in coefficients]
+            columns[f"{prefix}{amount.name} [{amount.unit}]"] = np.array(values)
     uncertainties = [point.uncertainties for point in points if point.uncertainties is not None]
     if uncertainties:
-        columns |= _by_element(
-            "u_k", coefficients[0], np.stack([source.stiffness_error for source in uncertainties])
-        )
+        errors = np.stack([source.stiffness_error for source in uncertainties])
+        columns |= _by_element("u_k", coefficients[0], errors)
         errors = np.stack([source.damping_error for source in uncertainties])
         columns |= _by_element("u_c", coefficients[0], errors) if errors.any() else {}
     columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +66,7 @@ class BearingFile:
 
 def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
     """The bearing file with its kind known; ConfigError where the file or its kind cannot be read."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     kind = kind_of(tree, "", faults)
     faults.raise_any()
@@ -112,7 +110,7 @@ def taken_uncertainties(
             uncertainties[join(key, name)] = parse_uncertain(f"{value} +- {uncertainty}", declared.unit)
         except UnitError as error:
             faults.add_unit(entry, join(key, name), error)
-        node.content[name] = Marked(value, entry.where, entry.key_where, value)
+        node.content[name] = replace(entry, content=value, text=value)
     return uncertainties
 
 
@@ -127,9 +125,7 @@ def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
         return None
     name = entries["kind"].text
     if name not in BEARINGS.names():
-        faults.add(
-            entries["kind"], join(key, "kind"), f"unknown bearing '{name}'", nearest(name, BEARINGS.names())
-        )
+        faults.add_at(entries, key, "kind", f"unknown bearing '{name}'", nearest(name, BEARINGS.names()))
         return None
     kind: BearingKind = BEARINGS.load(name)
     for entry, unit in kind.bare_units.items():
@@ -168,39 +164,28 @@ def parse_sweep(text: str, owner: type) -> Sweep:
     key, equals, span = (part.strip() for part in text.partition("="))
     parts = [part.strip() for part in span.split(":")]
     if not equals or len(parts) != 3:
-        raise ConfigError(
-            "not a sweep", where=where, hint="write --sweep loads.z=0:2000:50 (start, stop, step)"
-        )
-    unit = _setting(key, owner, where).unit
+        raise ConfigError("not a sweep", where, "write --sweep loads.z=0:2000:50 (start, stop, step)")
+    sweepable = dict(_swept_keys(owner))
+    if key not in sweepable:
+        raise ConfigError(f"{key}: cannot be swept", where, nearest(key, sweepable))
+    unit = sweepable[key].unit
+    unit_of_last = unit if is_number(parts[-1]) else parts[-1].lstrip("+-.0123456789eE ")
+    texts = [f"{part} {unit_of_last}" if is_number(part) else part for part in parts]
     try:
-        start, stop, step = (parse_value(_with_unit(part, parts[-1], unit), unit) for part in parts)
+        start, stop, step = (parse_value(text, unit) for text in texts)
     except UnitError as error:
-        raise ConfigError(f"{key}: {error.what}", where=where, hint=error.hint) from None
+        raise ConfigError(f"{key}: {error.what}", where, error.hint) from None
     return Sweep(key, unit, _values(start, stop, step, where))
-
-
-def _with_unit(part: str, last: str, unit: str) -> str:
-    if not is_number(part):
-        return part
-    return f"{part} {unit}" if is_number(last) else f"{part} {last.lstrip('+-.0123456789eE ')}"
 
 
 def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
     if step == 0 or (stop - start) / step < 0.5:
-        raise ConfigError("the step does not lead from start to stop", where=where)
+        raise ConfigError("the step does not lead from start to stop", where)
     # A step that misses the stop ends before it; rounding must not lose the stop itself.
     number = int((stop - start) / step * (1 + 1e-12) + 1e-9) + 1
     if number > MAX_VALUES:
-        raise ConfigError(f"{number} values are too many", where=where, hint=f"at most {MAX_VALUES}")
+        raise ConfigError(f"{number} values are too many", where, f"at most {MAX_VALUES}")
     return start + step * np.arange(number)
-
-
-def _setting(key: str, owner: type, where: str) -> Setting:
-    """The setting of a dotted key; ConfigError with the nearest known key."""
-    sweepable = dict(_swept_keys(owner))
-    if key not in sweepable:
-        raise ConfigError(f"{key}: cannot be swept", where=where, hint=nearest(key, sweepable))
-    return sweepable[key]
 
 
 def _swept_keys(owner: type, above: str = "") -> list[tuple[str, Setting]]:

@@ -91,12 +91,14 @@ def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelUncertain
         slope = calibrated_slope(text, folder)
         if slope.std_error:
             number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
-            yield ChannelUncertainty(
-                "gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1")
-            )
+            yield _of_channel(written, "gain", number, f"sensitivity {text}")
     if uncertainty:
-        number = _relative(text, uncertainty)
-        yield ChannelUncertainty("gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1"))
+        yield _of_channel(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
+
+
+def _of_channel(written: Written, effect: str, number: Uncertain, source: str) -> ChannelUncertainty:
+    unit = {"gain": "1", "delay": "s"}.get(effect, "rad")
+    return ChannelUncertainty(effect, uncertainty_of(number, f"{written.name}.{source}", unit))
 
 
 def _relative(text: str, uncertainty: str) -> Uncertain:
@@ -114,34 +116,24 @@ def _of_delay(
 ) -> Iterator[ChannelUncertainty]:
     for name, number in written.uncertainties:
         if name == "delay":
-            yield ChannelUncertainty("delay", uncertainty_of(number, f"{written.name}.delay", "s"))
+            yield _of_channel(written, "delay", number, "delay")
 
 
 def _of_direction(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
     """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
     _, uncertainty = split_uncertainty(written.dof)
     if uncertainty:
-        yield ChannelUncertainty(
-            "direction",
-            uncertainty_of(parse_uncertain(f"0 rad +- {uncertainty}", "rad"), f"{written.name}.dof", "rad"),
-        )
+        yield _of_channel(written, "direction", parse_uncertain(f"0 rad +- {uncertainty}", "rad"), "dof")
 
 
 def _of_chain(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
     if written.chain is None:
         return
     if written.chain.gain:
-        yield ChannelUncertainty(
-            "gain",
-            uncertainty_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"),
-        )
+        yield _of_channel(written, "gain", parse_uncertain(f"1 +- {written.chain.gain}", "1"), "gain")
     if written.chain.phase:
-        yield ChannelUncertainty(
-            "phase",
-            uncertainty_of(
-                parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad"
-            ),
-        )
+        number = parse_uncertain(f"0 rad +- {written.chain.phase}", "rad")
+        yield _of_channel(written, "phase", number, "phase")
 
 
 @dataclass(frozen=True)
@@ -163,23 +155,18 @@ def calibrated_slope(reference: str, folder: Path) -> Slope:
     UnitError where there is none.
     """
     file, _, fit_name = reference.partition("#")
+    unreadable = f"'{file}' is not a readable identification.json of a calibration"
     try:
-        fits: dict[str, Mapping[str, Any]] = {
-            fit["name"]: fit for fit in read_digested(folder / file, "identification.json")["fits"]
-        }
-        slopes = [
-            parameter
-            for parameter in fits.get(fit_name, {"parameters": ()})["parameters"]
-            if parameter["name"] == "slope"
-        ]
+        entries = read_digested(folder / file, "identification.json")["fits"]
+        fits: dict[str, Mapping[str, Any]] = {fit["name"]: fit for fit in entries}
+        parameters = fits.get(fit_name, {"parameters": ()})["parameters"]
+        slopes = [parameter for parameter in parameters if parameter["name"] == "slope"]
         if slopes:
             return _slope(slopes[0], fits[fit_name].get("dof"))
     except DamagedError as error:
-        raise UnitError(
-            f"'{file}' is not a readable identification.json of a calibration: {error.what}", error.hint
-        ) from None
+        raise UnitError(f"{unreadable}: {error.what}", error.hint) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
+        raise UnitError(unreadable) from None
     raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
 
 
@@ -205,11 +192,8 @@ def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
     frequencies that do not increase.
     """
     try:
-        lines = [
-            line
-            for line in path.read_text(encoding="utf-8-sig").splitlines()
-            if line.strip() and not line.startswith("#")
-        ]
+        text = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = [line for line in text if line.strip() and not line.startswith("#")]
     except OSError:
         raise UnitError(f"no such file '{path.name}'", "paths are relative to the rig file") from None
     except UnicodeDecodeError:

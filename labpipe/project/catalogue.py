@@ -68,17 +68,13 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
     DataError for a missing folder or one without results.
     """
     if not folder.is_dir():
-        raise DataError(
-            "no such folder", where=str(folder), hint="name the folder that holds the results of your runs"
-        )
+        raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
     with closing(_open(folder)) as connection:
         if _bring_up_to_date(connection, folder):
             _keep(connection, folder)
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
             raise DataError(
-                f"holds no {NAME}",
-                where=str(folder),
-                hint="results appear with `labpipe run PIPELINE -o FOLDER/NAME`",
+                f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
             )
         yield connection
 
@@ -158,11 +154,8 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
     try:
         rows = _rows(read_identification(path), file_date)
     except (DataError, *RECORD_FAULTS) as error:
-        what = (
-            error.what
-            if isinstance(error, DataError)
-            else (f"holds what no labpipe wrote ({type(error).__name__}: {error})")
-        )
+        other = f"holds what no labpipe wrote ({type(error).__name__}: {error})"
+        what = error.what if isinstance(error, DataError) else other
         rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
     number = 0
     for table, row in rows:
@@ -190,24 +183,16 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         "verdict": verdict(identification),
         "warnings": ", ".join(sorted(_all_codes(identification))),
     }
-    rows = [("result", _check(entry))]
+    rows = [("result", entry)]
     for listed in listed_parameters(identification):
-        rows.append(
-            (
-                "value",
-                _check(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"])))),
-            )
-        )
+        date = conditions.get(listed.test, {}).get(DATE, str(entry["date"]))
+        rows.append(("value", _value_row(listed, date)))
     for test, of_test in conditions.items():
         for condition, text in of_test.items():
             amount, unit = amount_of(text)
-            rows.append(
-                (
-                    "condition",
-                    _check({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit}),
-                )
-            )
-    return rows
+            row = {"test": test, "name": condition, "text": text, "amount": amount, "unit": unit}
+            rows.append(("condition", row))
+    return [(table, _check(row)) for table, row in rows]
 
 
 def _texts(conditions: Mapping[str, Any]) -> dict[str, str]:
@@ -233,25 +218,17 @@ def _check(row: dict[str, Any]) -> dict[str, Any]:
 def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     parameter = listed.parameter
     low, high = interval(parameter)
-    return {
-        **{name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")},
-        **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
-        **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
-        **{
-            "std_error": parameter.full_error,
-            "random_error": listed.random_error,
-            "changes": json.dumps(dict(listed.changes)),
-        },
-        **{"ci_low": low, "ci_high": high},
-        **{"significant": parameter.significant, "warnings": ", ".join(listed.warnings), "date": date},
-    }
+    row = {name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")}
+    row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "parameter": parameter.name}
+    row |= {"value": parameter.value, "unit": parameter.unit, "std_error": parameter.full_error}
+    row |= {"random_error": listed.random_error, "changes": json.dumps(dict(listed.changes))}
+    row |= {"ci_low": low, "ci_high": high, "significant": parameter.significant}
+    return {**row, "warnings": ", ".join(listed.warnings), "date": date}
 
 
 def interval(parameter: Parameter) -> tuple[float | None, float | None]:
-    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not
-    noise.
-    """
-    return (None, None) if parameter.ci95 is None else parameter.ci95
+    """The ends of the 95 % interval, also of one that is wider than noise alone makes it."""
+    return parameter.ci95 or (None, None)
 
 
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
@@ -275,14 +252,10 @@ def verdict(identification: Identification) -> str:
 def _all_codes(identification: Identification) -> set[str]:
     """The warnings of all fits, and of every other section."""
     of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
-    pairs = (
-        pair for name, record in identification.sections.items() for pair in section(name).findings(record)
-    )
-    of_many = (
-        {counted.finding.code for counted in identification.dataset.of_level(WARNING)}
-        if identification.dataset
-        else set()
-    )
+    sections = identification.sections.items()
+    pairs = (pair for name, record in sections for pair in section(name).findings(record))
+    counted = identification.dataset.of_level(WARNING) if identification.dataset else ()
+    of_many = {of_kind.finding.code for of_kind in counted}
     return of_fits | of_many | {finding.code for _, finding in pairs if finding.level == WARNING}
 
 
@@ -390,7 +363,10 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
     for column in ("fit", "test", "parameter"):
         pattern = getattr(criteria, column)
         if pattern:
-            _check_name(index, column, pattern)
+            if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (pattern,)).fetchone():
+                names = index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")
+                hint = nearest(pattern, [name for (name,) in names])
+                raise ConfigError(f"no result has the {column} '{pattern}'", hint=hint)
             clauses.append(f"v.{column} GLOB ?")
             bound.append(pattern)
     for condition in criteria.where:
@@ -448,12 +424,6 @@ def checked_day(text: str) -> str:
 
 def _where(clauses: Sequence[str]) -> str:
     return f" WHERE {' AND '.join(clauses)}" if clauses else ""
-
-
-def _check_name(index: sqlite3.Connection, column: str, pattern: str) -> None:
-    names = [name for (name,) in index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")]
-    if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (pattern,)).fetchone():
-        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
 
 
 def split_condition(text: str) -> tuple[str, str, str]:

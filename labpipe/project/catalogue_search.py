@@ -107,11 +107,6 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
     ]
 
 
-def has_test(folder: Path, criteria: Filter) -> bool:
-    """Whether a dataset has a test at the conditions and of the days of the criteria."""
-    return bool(_at_conditions(_choose(folder, criteria), criteria.where).num_rows)
-
-
 def _choose(folder: Path, criteria: Filter) -> pa.Table:
     """The rows with a value of the rigs and days asked for."""
     columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN}
@@ -125,21 +120,17 @@ def _choose(folder: Path, criteria: Filter) -> pa.Table:
 def _may_hold(part: Part, criteria: Filter) -> bool:
     since, until = (checked_day(day) if day else "" for day in (criteria.since, criteria.until))
     in_time = (not since or part.date >= since) and (not until or part.date <= until)
-    return in_time and (not criteria.rig or bool(_pattern(f"*{criteria.rig}*").match(part.rig)))
+    return in_time and (not criteria.rig or _fits(f"*{criteria.rig}*", part.rig, re.IGNORECASE))
 
 
-def _pattern(text: str) -> re.Pattern[str]:
-    """A name in which '*' stands for any characters."""
-    return re.compile(
-        ".*".join(re.escape(piece) for piece in text.split("*")) + r"\Z", re.IGNORECASE | re.DOTALL
-    )
+def _fits(pattern: str, name: str, flags: int = 0) -> bool:
+    """Whether a name is one of a pattern in which '*' stands for any characters."""
+    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, flags | re.DOTALL))
 
 
 def _by_name(table: pa.Table, column: str, pattern: str) -> pa.Table:
     names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
-    kept = [
-        name for name in names if re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, re.DOTALL)
-    ]
+    kept = [name for name in names if _fits(pattern, name)]
     if not kept:
         raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
     return table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
@@ -216,16 +207,15 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
     ConfigError for a name or a condition that none of them has; DataError for a folder without results.
     """
     with open_index(folder) as index:
-        asked: list[Callable[[], list[ValueRow]]] = (
-            [lambda: values(index, criteria)] if _has_values(index) else []
-        )
-        for name, home in folders(with_datasets(index), folder):
-            asked.append(partial(dataset_values, home, name, criteria))
-        return _all_of(asked)
+        asked: list[Callable[[], list[ValueRow]]] = []
+        asked += [lambda: values(index, criteria)] if _has_values(index) else []
+        homes = folders(with_datasets(index), folder)
+        return _all_of([*asked, *(partial(dataset_values, home, name, criteria) for name, home in homes)])
 
 
 def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
-    return [row] if has_test(home, criteria) else []
+    """A result whose dataset has a test at the conditions and of the days of the criteria."""
+    return [row] if _at_conditions(_choose(home, criteria), criteria.where).num_rows else []
 
 
 def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
@@ -237,9 +227,8 @@ def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
         homes = dict(folders(with_datasets(index), folder))
         if not homes or not criteria.where:
             return results(index, criteria)
-        asked: list[Callable[[], list[ResultRow]]] = (
-            [lambda: results(index, criteria)] if _has_values(index) else []
-        )
+        asked: list[Callable[[], list[ResultRow]]] = []
+        asked += [lambda: results(index, criteria)] if _has_values(index) else []
         everything = results(index, Filter(rig=criteria.rig, since=criteria.since, until=criteria.until))
         for row in everything:
             home = Path(row.path).parent.as_posix()
@@ -324,14 +313,8 @@ def differences(first: Iterable[ListedParameter], second: Iterable[ListedParamet
 
 def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:
     band = f"{listed.band_hz[0]:g}-{listed.band_hz[1]:g}"
-    return (
-        listed.fit,
-        listed.term,
-        band,
-        "" if one_test else listed.test,
-        listed.parameter.name,
-        listed.parameter.unit,
-    )
+    test, parameter = "" if one_test else listed.test, listed.parameter
+    return listed.fit, listed.term, band, test, parameter.name, parameter.unit
 
 
 def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
@@ -406,11 +389,8 @@ class Series:
     @property
     def limits(self) -> ControlLimits | None:
         """Control limits of the values in the order of their dates; None for fewer than three."""
-        return (
-            control_limits(np.array([row.value for row in self.by_date]))
-            if len(self.rows) >= FEWEST
-            else None
-        )
+        values = np.array([row.value for row in self.by_date])
+        return control_limits(values) if values.size >= FEWEST else None
 
     @property
     def by_date(self) -> list[ValueRow]:
@@ -443,7 +423,9 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
 def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
     if over == DATE:
         first = min(row.date for row in rows if _day(row) is not None)
-        pairs, unit = [(float(_days(first, row.date)), row) for row in rows], f"d since {first}"
+        begin = datetime.date.fromisoformat(first[:10])
+        days = [datetime.date.fromisoformat(row.date[:10]) - begin for row in rows]
+        pairs, unit = [(float(d.days), row) for d, row in zip(days, rows, strict=True)], f"d since {first}"
     else:
         units = sorted({row.amounts[over][1] for row in rows})
         if len(units) > 1:
@@ -466,7 +448,3 @@ def _day(row: ValueRow) -> datetime.date | None:
 def undated(rows: Sequence[ValueRow]) -> list[ValueRow]:
     """The values whose date is none."""
     return [row for row in rows if _day(row) is None]
-
-
-def _days(first: str, day: str) -> int:
-    return (datetime.date.fromisoformat(day[:10]) - datetime.date.fromisoformat(first[:10])).days

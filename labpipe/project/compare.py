@@ -4,7 +4,7 @@ conditions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +13,28 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.project.bearing_file import open_bearing
+from labpipe.project.judging import comparison_outcome, matrix_outcome
 from labpipe.project.marked_yaml import set_entry
+from labpipe.project.pipeline_file import read_comparison, read_matrix
 from labpipe.project.work import COMPARE_PREFIX, Work
 from labpipe.quantities import UnitError, parse_unit
 from labpipe.raw_files.table import open_table
-from labpipe.records.comparison import Comparison, Comparisons, ConditionMatrices, ConditionMatrix
-from labpipe.records.identification import Failed
+from labpipe.records.comparison import (
+    Comparison,
+    Comparisons,
+    ConditionMatrices,
+    ConditionMatrix,
+    findings,
+    matrix_findings,
+    names,
+)
+from labpipe.records.finding import WARNING, of_level
+from labpipe.records.identification import Failed, ListedParameter
+from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import COEFFICIENT_UNITS
 from labpipe.registry import nearest
+from labpipe.report.comparison import comparison_sections
+from labpipe.report.condition_matrix import matrix_sections
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.matrix import PointTheory, condition_matrix
 from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, MatrixTheorySettings, levels_of
@@ -47,20 +61,13 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
     comparisons: list[Comparison] = []
     for comparison in settings:
         try:
-            comparisons.append(_compare(work.pipeline.path, comparison, evidence))
+            comparisons.append(compare(comparison, evidence))
         except LabpipeError as error:
+            error.where = error.where or f"{work.pipeline.path}: {COMPARE_PREFIX}{comparison.name}"
             if not work.go_on:
                 raise
             work.failed.append(Failed(COMPARE_PREFIX + comparison.name, str(error)))
     return tuple(comparisons)
-
-
-def _compare(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:
-    try:
-        return compare(settings, evidence)
-    except LabpipeError as error:
-        error.where = error.where or f"{path}: compare.{settings.name}"
-        raise
 
 
 # The section matrix: the fits of all tests ordered by their conditions, with a theory beside them.
@@ -152,9 +159,7 @@ def table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheo
     columns = _si_columns(path)
     for name in over:
         if name not in columns:
-            raise DataError(
-                f"has no column of the condition '{name}'", where=str(path), hint=nearest(name, columns)
-            )
+            raise DataError(f"has no column of the condition '{name}'", path, nearest(name, columns))
     coefficients = {name: values for name, values in columns.items() if name not in over}
     places = [columns[name] for name in over]
 
@@ -181,19 +186,87 @@ def _si_columns(path: Path) -> dict[str, FloatArray]:
     values = np.concatenate(list(table.chunks(table.columns)))
     columns: dict[str, FloatArray] = {}
     for column, numbers in zip(table.columns, values.T, strict=True):
-        name, _, rest = column.partition("[")
+        name, _, rest = map(str.strip, column.partition("["))
         text = rest.rstrip("] ").strip() or table.units.get(column, "")
         try:
             unit = parse_unit(text) if text else None
-            if unit is not None and name.strip()[:2] in {f"{letter}_" for letter in COEFFICIENT_UNITS}:
-                _check_coefficient(name.strip(), text)
+            coefficient = COEFFICIENT_UNITS.get(name[0]) if name[1:2] == "_" else None
+            if unit is not None and coefficient and unit.dimension != parse_unit(coefficient).dimension:
+                raise UnitError(f"{text} is no unit of '{name}'", f"for example {coefficient}")
         except UnitError as error:
-            raise DataError(f"column '{column}': {error.what}", where=str(path), hint=error.hint) from None
-        columns[name.strip()] = numbers if unit is None else numbers * unit.factor + unit.offset
+            raise DataError(f"column '{column}': {error.what}", path, error.hint) from None
+        columns[name] = numbers if unit is None else numbers * unit.factor + unit.offset
     return columns
 
 
-def _check_coefficient(name: str, text: str) -> None:
-    expected = parse_unit(COEFFICIENT_UNITS[name[0]])
-    if parse_unit(text).dimension != expected.dimension:
-        raise UnitError(f"{text} is no unit of '{name}'", f"for example {COEFFICIENT_UNITS[name[0]]}")
+# How both are judged and shown.
+
+
+def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
+    """Every amount under the name of its comparison."""
+    for comparison in comparisons:
+        codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, comparison.findings)))
+        for amount in comparison.amounts:
+            yield ListedParameter(
+                fit=comparison.name, parameter=amount, model=comparison.kind, warnings=codes
+            )
+
+
+def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
+    """Every coefficient at every point under the name of its matrix, as of the test "speed 3000 rpm, load 1
+    kN".
+    """
+    for matrix in matrices:
+        for point in matrix.points:
+            place = matrix.text_of(point)
+            for value in point.values:
+                yield ListedParameter(
+                    fit=matrix.name,
+                    parameter=value.parameter,
+                    test=place,
+                    model="matrix",
+                    warnings=point.warnings,
+                )
+
+
+def comparison_lines(comparisons: Comparisons) -> Iterator[str]:
+    """The statement of every comparison."""
+    return (f"{comparison.name}: {comparison.statement}" for comparison in comparisons)
+
+
+def matrix_lines(matrices: ConditionMatrices) -> Iterator[str]:
+    """The statement of every matrix."""
+    return (f"{matrix.name}: {matrix.statement}" for matrix in matrices)
+
+
+COMPARE = PipelineSection(
+    words="One entry per question to tests that differ in a condition, under a name of your choice.",
+    settings=CompareSettings,
+    named=True,
+    read=read_comparison,
+    run=run_comparisons,
+    record=Comparisons,
+    entry="comparisons",
+    names=names,
+    outcome=comparison_outcome,
+    findings=findings,
+    parameters=listed_amounts,
+    report=comparison_sections,
+    terminal=comparison_lines,
+)
+MATRIX = PipelineSection(
+    words="One entry per matrix of tests: the coefficients of a fit over two conditions or more, under a "
+    "name of your choice.",
+    settings=MatrixSettings,
+    named=True,
+    read=read_matrix,
+    run=run_matrices,
+    record=ConditionMatrices,
+    entry="matrices",
+    names=names,
+    outcome=matrix_outcome,
+    findings=matrix_findings,
+    parameters=listed_points,
+    report=matrix_sections,
+    terminal=matrix_lines,
+)

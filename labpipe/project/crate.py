@@ -182,38 +182,28 @@ def read_metadata(content: bytes, where: str) -> Crate:
         left_out = sum(name.startswith("#left-out/") for name in entities)
         pipeline = unquote(main["mainEntity"]["@id"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise DataError(
-            f"is no RO-Crate of labpipe ({cut(f'{type(error).__name__}: {error}')})",
-            where=where,
-            hint=f"{VERSION}",
-        ) from None
+        reason = cut(f"{type(error).__name__}: {error}")
+        raise DataError(f"is no RO-Crate of labpipe ({reason})", where, VERSION) from None
     if pipeline not in {file.name for file in files}:
-        raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where=where)
+        raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where)
     return Crate(files, pipeline, left_out)
 
 
 def _root(entities: Mapping[str, Entity]) -> Entity:
     """The entity that the metadata are about, found as RO-Crate says."""
-    crates = (
-        entity for entity in entities.values() if str(_reference(entity.get("conformsTo"))).startswith(FAMILY)
-    )
-    descriptor = next((described for described in crates if "about" in described), {})
+    descriptor: Entity = {}
+    for entity in entities.values():
+        kind = entity.get("conformsTo")
+        kind = kind.get("@id") if isinstance(kind, dict) else kind
+        if not descriptor and str(kind).startswith(FAMILY) and "about" in entity:
+            descriptor = entity
     return entities[descriptor["about"]["@id"]]
-
-
-def _reference(entry: Any) -> Any:
-    return entry.get("@id") if isinstance(entry, dict) else entry
 
 
 def _listing(entity: Entity, where: str) -> Listed:
     name, day = unquote(entity["@id"]), entity.get("dateModified", "")
     size, sha256 = entity["contentSize"], entity["sha256"]
-    if not (
-        isinstance(size, str)
-        and size.isascii()
-        and size.isdigit()
-        and isinstance(sha256, str)
-        and isinstance(day, str)
-    ):
-        raise DataError(f"lists '{cut(name)}' without its size and digest", where=where)
+    texts = all(isinstance(entry, str) for entry in (size, sha256, day))
+    if not (texts and size.isascii() and size.isdigit()):
+        raise DataError(f"lists '{cut(name)}' without its size and digest", where)
     return Listed(name, int(size), sha256, day)

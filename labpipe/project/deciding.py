@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labpipe.display import amount_text, with_error
-from labpipe.errors import ConfigError
 from labpipe.project.rules import RISK, SIMPLE, Decision, Rule
 from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
 from labpipe.records.comparison import Comparison
@@ -62,9 +61,7 @@ def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> C
         process = _process(decision, unit)
         shown = "" if value is None else _text(decision, value, error, unit)
     except UnitError as fault:
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: {fault.what}", where=rule.place, hint=fault.hint
-        ) from None
+        raise rule.fault(fault.what, fault.hint) from None
     if value is None or not math.isfinite(value):
         return None, False, "not judged: there is no value", None
     if error is None or not math.isfinite(error):

@@ -17,7 +17,7 @@ from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join
 from labpipe.quantities import QUANTITIES, Dimension, UnitError, name_of_dimension, parse_unit
 from labpipe.records.recording import Number, Term
-from labpipe.records.uncertain import parse_uncertain
+from labpipe.records.uncertain import Uncertain, parse_uncertain
 from labpipe.registry import nearest
 
 _SIGN = re.compile(r"(?:^|\s)([+-])(?:\s+|$)")
@@ -65,24 +65,22 @@ def parse_factor(text: str, name: str) -> Factor:
     dimension = parse_unit(match[1] or "1").dimension
     unit = name_of_dimension(dimension)
     uncertain = parse_uncertain(text, unit)
-    number = (
-        Number(name, uncertain.value, uncertain.std_error, unit, uncertain.source)
-        if uncertain.std_error > 0
-        else None
-    )
-    return Factor(uncertain.value, dimension, number)
+    return Factor(uncertain.value, dimension, _number(name, uncertain, unit))
+
+
+def _number(name: str, number: Uncertain, unit: str) -> Number | None:
+    """The number with its uncertainty; None where it has none."""
+    size = number.std_error
+    return Number(name, number.value, size, unit, number.source) if size > 0 else None
 
 
 def _turn(sign: str, function: str, angle_text: str, name: str) -> Factor:
     """The cosine or sine of an angle with its uncertainty."""
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
-    value, slope = (
-        (math.cos(angle.value), -math.sin(angle.value))
-        if function == "cos"
-        else (math.sin(angle.value), math.cos(angle.value))
-    )
-    number = Number(name, angle.value, angle.std_error, "rad", angle.source) if angle.std_error > 0 else None
+    cosine, sine = math.cos(angle.value), math.sin(angle.value)
+    value, slope = (cosine, -sine) if function == "cos" else (sine, cosine)
+    number = _number(name, angle, "rad")
     return Factor(size * value, parse_unit("1").dimension, number, size * slope)
 
 
@@ -109,9 +107,8 @@ class SumReader:
                 factors.append(self._literal(piece, text, name))
         if len(members) != 1:
             what = "no channel" if not members else f"{len(members)} channels"
-            raise UnitError(
-                f"'{text}' holds {what}", "a term is one channel times numbers, for example -30 kg * a_x"
-            )
+            hint = "a term is one channel times numbers, for example -30 kg * a_x"
+            raise UnitError(f"'{text}' holds {what}", hint)
         self._check_unit(factors, members[0], text, name)
         return _term_of(members[0], sign, factors)
 
@@ -122,10 +119,8 @@ class SumReader:
             if re.search(r"[+-]", piece):
                 hint = "plus and minus between channels stand between blanks: f_x - m_s * a_x"
             raise UnitError(f"'{piece}' is neither a channel nor one of the constants", hint)
-        return parse_factor(
-            piece,
-            f"{piece.replace('±', '+-').partition('+-')[0].strip()} in {name}" if piece != term else name,
-        )
+        within = f"{piece.replace('±', '+-').partition('+-')[0].strip()} in {name}"
+        return parse_factor(piece, within if piece != term else name)
 
     def _check_unit(self, factors: list[Factor], member: str, text: str, name: str) -> None:
         """UnitError unless the term has the dimension of the sum's quantity."""
@@ -136,13 +131,11 @@ class SumReader:
             total = _combine(total, factor.dimension, 1)
         if any(abs(power) > 1e-9 for power in _combine(total, wanted, -1)):
             unit = QUANTITIES[self.quantities[name]].si_unit
-            what = (
-                f"'{text}' is in {name_of_dimension(total)}, {unit} is needed for a {self.quantities[name]}"
-            )
+            quantity = self.quantities[name]
+            what = f"'{text}' is in {name_of_dimension(total)}, {unit} is needed for a {quantity}"
             needed = name_of_dimension(_combine(wanted, of_member, -1))
-            raise UnitError(
-                what, f"the factor of {member} is {'a pure number' if needed == '1' else f'in {needed}'}"
-            )
+            needed = "a pure number" if needed == "1" else f"in {needed}"
+            raise UnitError(what, f"the factor of {member} is {needed}")
 
 
 def _combine(first: Dimension, second: Dimension, sign: int) -> Dimension:
@@ -182,15 +175,12 @@ def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ..
     UnitError for one that holds itself.
     """
     if name in above:
-        raise UnitError(
-            f"the sum holds itself: {' of '.join((*above[above.index(name) :], name))}",
-            "write it in recorded channels",
-        )
+        ring = " of ".join((*above[above.index(name) :], name))
+        raise UnitError(f"the sum holds itself: {ring}", "write it in recorded channels")
     terms: dict[str, Term] = {}
     for term in sums[name]:
-        inner = (
-            expand(sums, term.channel, (*above, name)) if term.channel in sums else (Term(term.channel, 1.0),)
-        )
+        is_sum = term.channel in sums
+        inner = expand(sums, term.channel, (*above, name)) if is_sum else (Term(term.channel, 1.0),)
         for part in inner:
             whole = _product(term, part)
             terms[part.channel] = _add(terms[part.channel], whole) if part.channel in terms else whole
@@ -200,12 +190,8 @@ def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ..
 def _product(outer: Term, inner: Term) -> Term:
     """A term of a sum that is itself a member: d(ab) = a db + b da."""
     scaled = inner.times(outer.factor)
-    by_derivatives = Term(
-        inner.channel,
-        0.0,
-        outer.numbers,
-        tuple(inner.factor * derivative for derivative in outer.derivatives),
-    )
+    derivatives = tuple(inner.factor * derivative for derivative in outer.derivatives)
+    by_derivatives = Term(inner.channel, 0.0, outer.numbers, derivatives)
     return replace(_add(scaled, by_derivatives), factor=scaled.factor)
 
 

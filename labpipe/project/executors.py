@@ -60,12 +60,8 @@ def in_processes(count: int) -> Execute:
                 del open_jobs[done.test]
                 yield done
         for name in open_jobs:
-            yield Done(
-                name,
-                failed=Failed(
-                    name, "its process was killed, perhaps for lack of memory; use fewer processes"
-                ),
-            )
+            why = "its process was killed, perhaps for lack of memory; use fewer processes"
+            yield Done(name, failed=Failed(name, why))
 
     return execute
 
@@ -125,14 +121,11 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
                 yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
         except (distributed.CancelledError, asyncio.CancelledError, OSError) as error:
             # Dask's own errors of a connection; those of files have a number.
-            if (
-                isinstance(error, OSError)
-                and not isinstance(error, distributed.comm.core.CommClosedError)
-                and LOST not in str(error)
-            ):
+            of_connection = isinstance(error, distributed.comm.core.CommClosedError) or LOST in str(error)
+            if isinstance(error, OSError) and not of_connection:
                 raise
             hint = "what is finished is kept; the same command goes on from there when a scheduler runs"
-            raise DataError("the scheduler was lost", where=address, hint=hint) from None
+            raise DataError("the scheduler was lost", address, hint) from None
 
     return execute
 
@@ -227,10 +220,8 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
             )
             scheduler = started.enter_context(cluster).scheduler_address
         elif Path(address).suffix.lower() in (".yaml", ".yml"):
-            scheduler, patience = (
-                started.enter_context(_describe(Path(address))).scheduler_address,
-                START_SECONDS,
-            )
+            scheduler = started.enter_context(_describe(Path(address))).scheduler_address
+            patience = START_SECONDS
         else:
             scheduler = address
         client = _connect(distributed, scheduler, patience)
@@ -249,24 +240,17 @@ def _describe(path: Path) -> Any:
         or "." not in entries["class"]
     ):
         raise ConfigError(
-            "is not the description of a cluster",
-            where=str(path),
-            hint="begin with class: dask_jobqueue.SLURMCluster",
+            "is not the description of a cluster", path, "begin with class: dask_jobqueue.SLURMCluster"
         )
     unknown = [key for key in entries if key not in FILE_KEYS]
     if unknown:
-        raise ConfigError(
-            f"unknown entry '{unknown[0]}'", where=str(path), hint=f"known: {', '.join(FILE_KEYS)}"
-        )
+        raise ConfigError(f"unknown entry '{unknown[0]}'", path, f"known: {', '.join(FILE_KEYS)}")
     module, _, name = entries["class"].rpartition(".")
     try:
         make = getattr(import_module(module), name)
     except (ImportError, AttributeError):
-        raise ConfigError(
-            f"class: {entries['class']} is not installed",
-            where=str(path),
-            hint=f"pip install {module.split('.')[0]}",
-        ) from None
+        hint = f"pip install {module.split('.')[0]}"
+        raise ConfigError(f"class: {entries['class']} is not installed", path, hint) from None
     try:
         cluster = make(**(entries.get("arguments") or {}))
         if "adapt" in entries:
@@ -275,26 +259,25 @@ def _describe(path: Path) -> Any:
         if "scale" in entries:
             cluster.scale(int(entries["scale"]))
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{entries['class']} does not take this ({error})", where=str(path)) from None
+        raise ConfigError(f"{entries['class']} does not take this ({error})", path) from None
     return cluster
 
 
 def _connect(distributed: Any, address: str, patience: float) -> Any:
     """A client of the scheduler whose workers, waited for so many seconds, have this version of labpipe."""
     try:
-        client = distributed.Client(
-            address, timeout=CONNECT_SECONDS, set_as_default=False, security=_security(address)
-        )
+        how = {"timeout": CONNECT_SECONDS, "set_as_default": False, "security": _security(address)}
+        client = distributed.Client(address, **how)
     except (OSError, ValueError, TimeoutError) as error:
         hint = "start one with `dask scheduler` and workers with `dask worker`"
-        raise DataError(f"no scheduler answers ({error})", where=address, hint=hint) from None
+        raise DataError(f"no scheduler answers ({error})", address, hint) from None
     try:
         client.wait_for_workers(1, timeout=patience)
         versions = client.run(_version)
     except TimeoutError:
         client.close()
         raise DataError(
-            "the scheduler has no workers", where=address, hint=f"start some with `dask worker {address}`"
+            "the scheduler has no workers", address, f"start some with `dask worker {address}`"
         ) from None
     others = {worker: version for worker, version in versions.items() if version != _version()}
     if others:
@@ -302,7 +285,7 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
         worker, (version, _) = next(iter(others.items()))
         build = "another build of " if version == __version__ else ""
         what = f"worker {worker} has {build}labpipe {version}, this is {__version__}"
-        raise DataError(what, where=address, hint="install the same version")
+        raise DataError(what, address, "install the same version")
     return client
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import re
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import scipy
 
+from labpipe import __version__
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.measured_files import (
@@ -27,12 +30,14 @@ from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import cell, output_file, write_table_csv
 from labpipe.errors import ConfigError, DataError
+from labpipe.project.deciding import stated_error
+from labpipe.raw_files.certificate import DCC, SI, dsi_unit
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.raw_files.mat_frf import write_frf_mat, write_recording_mat
 from labpipe.raw_files.uff_write import write_frf_uff, write_recording_uff, write_shapes_uff
-from labpipe.records.finding import WARNING, of_level
+from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.fit_details import Modes, RobustPlant
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, Identification, RuleOutcome
 from labpipe.records.study import Study
 from labpipe.registry import Registry
 from labpipe.uncertainty.amounts import random_error
@@ -44,31 +49,31 @@ def write_csv(artefact: Path, target: Path) -> None:
     """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name
     [unit]", results as parameters.
     """
-    if artefact.suffix == ".json":
-        write_table_csv(parameter_table(artefact), target)
-    elif artefact.name.endswith(DECAY_SUFFIX):
-        write_table_csv(decay_table(artefact), target)
-    elif artefact.name.endswith(SPECTRA_SUFFIX):
-        write_table_csv(spectra_table(artefact), target)
-    elif artefact.name.endswith(RECORDING_SUFFIX):
-        write_table_csv(recording_table(artefact), target)
-    else:
+    table = _table(artefact)
+    if table is None:
         write_frf_csv(target, read_response(artefact))
+    else:
+        write_table_csv(table, target)
 
 
 def write_parquet(artefact: Path, target: Path) -> None:
     """The same tables as Parquet, without labpipe's header."""
-    if artefact.suffix == ".json":
-        parameter_table(artefact).to_parquet(target, index=False)
-    elif artefact.name.endswith(DECAY_SUFFIX):
-        decay_table(artefact).to_parquet(target, index=False)
-    elif artefact.name.endswith(SPECTRA_SUFFIX):
-        spectra_table(artefact).to_parquet(target, index=False)
-    elif artefact.name.endswith(RECORDING_SUFFIX):
-        recording_table(artefact).to_parquet(target, index=False)
-    else:
+    table = _table(artefact)
+    if table is None:
         read_response(artefact)  # DataError for a file that is no response
-        open_parquet(artefact).read().to_pandas().to_parquet(target, index=False)
+        table = open_parquet(artefact).read().to_pandas()
+    table.to_parquet(target, index=False)
+
+
+def _table(artefact: Path) -> pd.DataFrame | None:
+    """An artefact as a table by the ending of its name; None for an FRF."""
+    tables = {
+        ".json": parameter_table,
+        DECAY_SUFFIX: decay_table,
+        SPECTRA_SUFFIX: spectra_table,
+        RECORDING_SUFFIX: recording_table,
+    }
+    return next((table(artefact) for suffix, table in tables.items() if artefact.name.endswith(suffix)), None)
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
@@ -94,9 +99,7 @@ def write_uff58b(artefact: Path, target: Path) -> None:
 def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
-        raise DataError(
-            "parameters cannot be written as a MATLAB file", where=str(artefact), hint="known: csv, parquet"
-        )
+        raise DataError("parameters cannot be written as a MATLAB file", artefact, "known: csv, parquet")
     _refuse_tables(artefact, "a MATLAB file")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_mat(target, open_recording(artefact).in_memory())
@@ -107,7 +110,7 @@ def write_mat(artefact: Path, target: Path) -> None:
 def write_shapes(artefact: Path, target: Path) -> None:
     """The mode shapes of a result as a table: one row per mode and point."""
     if artefact.suffix != ".json":
-        raise DataError("holds no mode shapes", where=str(artefact), hint="they stand in identification.json")
+        raise DataError("holds no mode shapes", artefact, "they stand in identification.json")
     write_table_csv(shape_table(modal_fits(artefact)), target)
 
 
@@ -115,9 +118,7 @@ def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have modes; DataError where there is none."""
     fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(Modes) is not None)
     if not fits:
-        raise DataError(
-            "holds no mode shapes", where=str(artefact), hint="parameters are written as csv or parquet"
-        )
+        raise DataError("holds no mode shapes", artefact, "parameters are written as csv or parquet")
     return fits
 
 
@@ -136,31 +137,18 @@ def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
         )
         for mode, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
             for n, point in enumerate(modes.points):
+                head = {"fit": fit.name, "test": fit.test, "mode": mode + 1}
+                head |= {"frequency_hz": frequency, "damping_ratio": ratio, "point": point}
                 place = dict(zip(("x_m", "y_m", "z_m"), places[n], strict=True)) if places is not None else {}
                 value, error = modes.shapes[n, mode], modes.shape_std_errors[n, mode]
-                shape = {
-                    "point": point,
-                    "dof": modes.dofs[n],
-                    **place,
-                    "real": value.real,
-                    "imaginary": value.imag,
-                    "std_error": error,
-                }
-                head = {
-                    "fit": fit.name,
-                    "test": fit.test,
-                    "mode": mode + 1,
-                    "frequency_hz": frequency,
-                    "damping_ratio": ratio,
-                }
-                rows.append({**head, **shape})
+                shape = {"real": value.real, "imaginary": value.imag, "std_error": error}
+                rows.append({**head, "dof": modes.dofs[n], **place, **shape})
     return pd.DataFrame(rows)
 
 
 def recording_table(artefact: Path) -> pd.DataFrame:
     """Time in seconds and the channels in SI units."""
-    recording = open_recording(artefact)
-    record = recording.in_memory()
+    record = open_recording(artefact).in_memory()
     names = [f"{channel.name} [{channel.unit}]" for channel in record.channels]
     table = pd.DataFrame(record.samples, columns=names)
     table.insert(0, "t [s]", [n / record.sample_rate for n in range(record.n_sample)])
@@ -185,12 +173,9 @@ def decay_table(artefact: Path) -> pd.DataFrame:
 
 def _refuse_tables(artefact: Path, what: str) -> None:
     """DataError for spectra of all channels and for decays, of which there are tables only."""
-    named = {SPECTRA_SUFFIX: "spectra of all channels", DECAY_SUFFIX: "free decays"}
-    for suffix, name in named.items():
+    for suffix, name in ((SPECTRA_SUFFIX, "spectra of all channels"), (DECAY_SUFFIX, "free decays")):
         if artefact.name.endswith(suffix):
-            raise DataError(
-                f"{name} cannot be written as {what}", where=str(artefact), hint="known: csv, parquet"
-            )
+            raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
 
 
 def spectra_table(artefact: Path) -> pd.DataFrame:
@@ -257,10 +242,10 @@ def covariance_table(artefact: Path) -> pd.DataFrame:
     uncertainty of the source. DataError for another artefact.
     """
     if artefact.suffix != ".json":
-        raise DataError("holds no parameters", where=str(artefact), hint="they stand in identification.json")
+        raise DataError("holds no parameters", artefact, "they stand in identification.json")
     rows = [row for fit in read_identification(artefact).fits for row in _rows(fit)]
     if not rows:
-        raise DataError("no parameter of it has an uncertainty", where=str(artefact))
+        raise DataError("no parameter of it has an uncertainty", artefact)
     return pd.DataFrame(rows)
 
 
@@ -270,12 +255,9 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
     head = {"test": fit.test, "fit": fit.name, "term": fit.term, "band_low_hz": low, "band_high_hz": high}
     for source, matrix, changes in _by_source(fit):
         for row, column in zip(*np.nonzero(np.triu(np.isfinite(matrix) & (matrix != 0))), strict=True):
-            pair = {
-                "parameter_1": names[row],
-                "parameter_2": names[column],
-                "covariance": matrix[row, column],
-            }
-            yield {**head, "source": source, **pair, "change_1": changes[row], "change_2": changes[column]}
+            pair = {"source": source, "parameter_1": names[row], "parameter_2": names[column]}
+            size = {"covariance": matrix[row, column], "change_1": changes[row], "change_2": changes[column]}
+            yield {**head, **pair, **size}
 
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
@@ -283,13 +265,8 @@ def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
 
     Noise has no change with a sign.
     """
-    errors = np.array(
-        [
-            np.nan if (error := random_error(fit, parameter)) is None else error
-            for parameter in fit.parameters
-        ],
-        np.float64,
-    )
+    # None becomes not-a-number.
+    errors = np.array([random_error(fit, parameter) for parameter in fit.parameters], np.float64)
     correlation = np.eye(errors.size)
     n = min(fit.correlation.shape[0], errors.size)
     correlation[:n, :n] = fit.correlation[:n, :n]
@@ -302,44 +279,21 @@ def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
 # A study as one table: a row for every parameter of every fit at every noise level.
 
 HEADER = (
-    "fit",
-    "estimator",
-    "noise",
-    "lines",
-    "repeats",
-    "failed",
-    "parameter",
-    "unit",
-    "truth",
-    "mean",
-    "rmse",
-    "cramer_rao_bound",
-    "mean_std_error",
-    "coverage",
+    "fit,estimator,noise,lines,repeats,failed,parameter,unit,truth,mean,rmse,cramer_rao_bound,mean_std_error,"
+    "coverage\n"
 )
 
 
 def write_study_csv(path: Path, study: Study) -> None:
     """Write the table; unknown values are left empty."""
     with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(HEADER)
         table = csv.writer(stream, lineterminator="\n")
-        table.writerow(HEADER)
         for case in study.cases:
             head = (case.fit, case.estimator, case.noise, case.lines, case.repeats, case.failed)
             for p in case.parameters:
-                table.writerow(
-                    (
-                        *map(cell, head),
-                        cell(p.name),
-                        p.unit,
-                        p.truth,
-                        p.mean,
-                        p.rmse,
-                        p.bound,
-                        p.std_error,
-                        p.coverage,
-                    )
-                )
+                numbers = (p.unit, p.truth, p.mean, p.rmse, p.bound, p.std_error, p.coverage)
+                table.writerow((*map(cell, (*head, p.name)), *numbers))
 
 
 # Plants for robust control design as files: the band over frequency as CSV, nominal model and weight as a
@@ -350,7 +304,7 @@ def write_band_csv(artefact: Path, target: Path) -> None:
     """One row per fit, line, output and input: nominal plant, radius of the band around it, weight and its
     overbound.
     """
-    rows = []
+    tables = []
     for fit in robust_fits(artefact):
         plant = fit.detail(RobustPlant)
         assert plant is not None
@@ -359,33 +313,12 @@ def write_band_csv(artefact: Path, target: Path) -> None:
                 gain, zero, pole = plant.overbound[row, column]
                 bound = gain * np.abs((1 + 1j * plant.frequency / zero) / (1 + 1j * plant.frequency / pole))
                 values = plant.nominal[:, row, column]
-                part = {
-                    "fit": fit.name,
-                    "test": fit.test,
-                    "output": output,
-                    "input": input_name,
-                    "unit": plant.unit,
-                }
-                lines = zip(
-                    plant.frequency,
-                    values,
-                    plant.radius[:, row, column],
-                    plant.weight[:, row, column],
-                    bound,
-                    strict=True,
-                )
-                for frequency, value, radius, weight, over in lines:
-                    numbers = {
-                        "re": value.real,
-                        "im": value.imag,
-                        "radius": radius,
-                        "weight": weight,
-                        "overbound": over,
-                    }
-                    rows.append(
-                        {**part, "frequency_hz": frequency, **numbers, "confidence": plant.confidence}
-                    )
-    write_table_csv(pd.DataFrame(rows), target)
+                head = {"fit": fit.name, "test": fit.test, "output": output, "input": input_name}
+                columns = {"unit": plant.unit, "frequency_hz": plant.frequency, "re": values.real}
+                columns |= {"im": values.imag, "radius": plant.radius[:, row, column]}
+                columns |= {"weight": plant.weight[:, row, column], "overbound": bound}
+                tables.append(pd.DataFrame({**head, **columns, "confidence": plant.confidence}))
+    write_table_csv(pd.concat(tables, ignore_index=True), target)
 
 
 def write_plant_mat(artefact: Path, target: Path) -> None:
@@ -399,44 +332,26 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     if len(fits) > 1:
         named = ", ".join(f"{fit.name} {fit.test}".strip() for fit in fits)
         raise DataError(
-            f"holds {len(fits)} plants ({named}), a MATLAB file holds one",
-            where=str(artefact),
-            hint="--to band writes all",
+            f"holds {len(fits)} plants ({named}), a MATLAB file holds one", artefact, "--to band writes all"
         )
     plant = fits[0].detail(RobustPlant)
     assert plant is not None
-    scipy.io.savemat(
-        target,
-        {
-            "A": plant.a,
-            "B": plant.b,
-            "C": plant.c,
-            "D": plant.d,
-            "frequency_hz": plant.frequency,
-            "nominal": plant.nominal,
-            "radius": plant.radius,
-            "weight": plant.weight,
-            "overbound": plant.overbound,
-            "confidence": plant.confidence,
-            "outputs": np.array(plant.outputs, object),
-            "inputs": np.array(plant.inputs, object),
-        },
-    )
+    same = ("nominal", "radius", "weight", "overbound", "confidence")
+    content = {letter: getattr(plant, letter.lower()) for letter in "ABCD"}
+    content |= {"frequency_hz": plant.frequency} | {name: getattr(plant, name) for name in same}
+    content |= {name: np.array(getattr(plant, name), object) for name in ("outputs", "inputs")}
+    scipy.io.savemat(target, content)
 
 
 def robust_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have a plant; DataError where there is none."""
     if artefact.suffix != ".json":
         raise DataError(
-            "holds no plant",
-            where=str(artefact),
-            hint="plants stand in identification.json, of fits of the model magnet",
+            "holds no plant", artefact, "plants stand in identification.json, of fits of the model magnet"
         )
     fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(RobustPlant) is not None)
     if not fits:
-        raise DataError(
-            "holds no plant", where=str(artefact), hint="model: magnet, with one run per axis at least"
-        )
+        raise DataError("holds no plant", artefact, "model: magnet, with one run per axis at least")
     return fits
 
 
@@ -449,12 +364,15 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
     suffix = path.suffix.lower()
     device = path.exists() and not path.is_file() and not path.is_dir()
     if suffix not in (".csv", ".parquet", ".wav") and not device:
-        raise ConfigError(
-            f"no signal format for the ending '{suffix}'", where=str(path), hint="known: .csv, .parquet, .wav"
-        )
+        raise ConfigError(f"no signal format for the ending '{suffix}'", path, "known: .csv, .parquet, .wav")
     with output_file(path) as target:
         if suffix == ".wav":
-            _write_wav(target, samples, sample_rate)
+            # 32-bit floats with peak 1; the file's rate is a whole number of hertz.
+            if sample_rate != round(sample_rate):
+                what = f"a WAV file cannot hold the sampling rate {sample_rate:g} Hz"
+                raise ConfigError(what, hint="choose a whole number of hertz")
+            full = (samples / np.max(np.abs(samples))).astype(np.float32)
+            scipy.io.wavfile.write(target, round(sample_rate), full)
             return
         table = pa.table(
             {"t [s]": arrow_array(np.arange(samples.size) / sample_rate), column: arrow_array(samples)}
@@ -465,11 +383,116 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
             pc.write_csv(table, target, pc.WriteOptions(quoting_style="none"))
 
 
-def _write_wav(path: Path, samples: FloatArray, sample_rate: float) -> None:
-    """32-bit float WAV with peak 1; the file's rate is a whole number of hertz."""
-    if sample_rate != round(sample_rate):
-        raise ConfigError(
-            f"a WAV file cannot hold the sampling rate {sample_rate:g} Hz",
-            hint="choose a whole number of hertz",
-        )
-    scipy.io.wavfile.write(path, round(sample_rate), (samples / np.max(np.abs(samples))).astype(np.float32))
+# A result as XML after the Digital Calibration Certificate (DCC), for programs that read certificates. It is
+# like a DCC and is none: labpipe knows no laboratory, customer or responsible person. What the schema asks
+# for and nobody stated is said to be not stated; days stand in it only where a test states its date.
+
+SCHEMA = "3.3.0"
+NOT_STATED = "not stated"
+# ISO 3166-1 keeps it for users: no country.
+NO_COUNTRY = "ZZ"
+# Outcomes of decisions as the schema writes them.
+_CONFORMITY = {"conditional-pass": "conditionalPass", "conditional-fail": "conditionalFail"}
+
+
+def write_dcc(artefact: Path, target: Path) -> None:
+    """The parameters of a result with their expanded uncertainties, and the outcomes of its rules; the same
+    bytes for the same result. DataError for an artefact that is no result.
+    """
+    if artefact.suffix != ".json":
+        raise DataError("cannot be written as a certificate", artefact, "name an identification.json")
+    identification = read_identification(artefact)
+    ET.register_namespace("dcc", DCC[1:-1])
+    ET.register_namespace("si", SI[1:-1])
+    root = ET.Element(f"{DCC}digitalCalibrationCertificate", schemaVersion=SCHEMA)
+    _administrative(_child(root, "administrativeData"), identification)
+    results = _child(root, "measurementResults")
+    for number, fit in enumerate(identification.fits):
+        _fit(_child(results, "measurementResult", id=f"fit{number + 1}"), fit, f"fit{number + 1}")
+    ET.indent(root)
+    target.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+
+
+def _child(owner: ET.Element, name: str, text: str = "", space: str = DCC, **attributes: str) -> ET.Element:
+    child = ET.SubElement(owner, f"{space}{name}", attributes)
+    # Without the characters that XML cannot hold.
+    child.text = re.sub(r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text) or None
+    return child
+
+
+def _name(owner: ET.Element, name: str, text: str) -> ET.Element:
+    """An element whose name is a text."""
+    child = _child(owner, name)
+    _child(_child(child, "name"), "content", text)
+    return child
+
+
+def _administrative(owner: ET.Element, identification: Identification) -> None:
+    software = _name(_child(owner, "dccSoftware"), "software", "labpipe")
+    _child(software, "release", identification.version or __version__)
+    core = _child(owner, "coreData")
+    _child(core, "countryCodeISO3166_1", NO_COUNTRY)
+    _child(core, "usedLangCodeISO639_1", "en")
+    _child(core, "mandatoryLangCodeISO639_1", "en")
+    _child(core, "uniqueIdentifier", f"labpipe:{identification.digest or NOT_STATED}")
+    of_tests = identification.test_conditions.values()
+    days = sorted(conditions["date"] for conditions in of_tests if "date" in conditions)
+    if days:
+        _child(core, "beginPerformanceDate", days[0])
+        _child(core, "endPerformanceDate", days[-1])
+    _child(core, "performanceLocation", "other")
+    item = _name(_child(owner, "items"), "item", identification.rig.get("name") or NOT_STATED)
+    identity = _child(_child(item, "identifications"), "identification")
+    _child(identity, "issuer", "other")
+    _child(identity, "value", identification.title or NOT_STATED)
+    _locate(_name(_child(owner, "calibrationLaboratory"), "contact", NOT_STATED))
+    _name(_child(_child(owner, "respPersons"), "respPerson"), "person", NOT_STATED)
+    _locate(_name(owner, "customer", NOT_STATED))
+    if identification.outcomes:
+        statements = _child(owner, "statements")
+        for outcome in identification.outcomes:
+            _statement(_child(statements, "statement"), outcome)
+
+
+def _locate(contact: ET.Element) -> None:
+    _child(_child(contact, "location"), "countryCode", NO_COUNTRY)
+
+
+def _statement(owner: ET.Element, outcome: RuleOutcome) -> None:
+    """A rule as a statement of conformity, with what it found."""
+    declared = f"{outcome.section}: {outcome.rule}; {outcome.found}"
+    _child(_child(owner, "declaration"), "content", declared)
+    word = "pass" if outcome.passed else "fail"
+    if outcome.decision is not None:
+        word = outcome.decision.outcome
+    _child(owner, "conformity", _CONFORMITY.get(word, word))
+
+
+def _fit(owner: ET.Element, fit: Fit, key: str) -> None:
+    title = " ".join(filter(None, (fit.name, fit.term, f"[{fit.test}]" if fit.test else "")))
+    _child(_child(owner, "name"), "content", title)
+    band = f"{fit.band_hz[0]:g} Hz to {fit.band_hz[1]:g} Hz"
+    _name(_child(owner, "usedMethods"), "usedMethod", f"{fit.model}, {fit.estimator}, {band}")
+    result = _name(_child(owner, "results"), "result", title)
+    listed = _child(_child(result, "data"), "list")
+    for parameter in fit.parameters:
+        _quantity(listed, parameter, key)
+
+
+def _quantity(owner: ET.Element, parameter: Parameter, key: str) -> None:
+    """A parameter with the half width of its stated interval as expanded uncertainty."""
+    name = re.sub(r"[^A-Za-z0-9_.-]", "-", parameter.name)
+    quantity = _name(owner, "quantity", parameter.name)
+    quantity.set("id", f"{key}_{name}")
+    real = _child(quantity, "real", space=SI)
+    _child(real, "value", repr(parameter.value), SI)
+    _child(real, "unit", dsi_unit(parameter.unit), SI)
+    error = stated_error(parameter)
+    if parameter.ci95 is None or not error:
+        return
+    half = (parameter.ci95[1] - parameter.ci95[0]) / 2
+    univariate = _child(real, "measurementUncertaintyUnivariate", space=SI)
+    expanded = _child(univariate, "expandedMU", space=SI)
+    _child(expanded, "valueExpandedMU", repr(half), SI)
+    _child(expanded, "coverageFactor", repr(half / error), SI)
+    _child(expanded, "coverageProbability", "0.95", SI)

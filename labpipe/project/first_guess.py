@@ -33,16 +33,9 @@ EVEN = 1e-3
 FAINT, LEAST_LOUD = 0.01, 8
 
 _RECORDED = (
-    "force",
-    "displacement",
-    "velocity",
-    "acceleration",
-    "voltage",
-    "current",
-    "pressure",
-    "temperature",
+    "force", "displacement", "velocity", "acceleration", "voltage", "current", "pressure", "temperature",
     "moment",
-)
+)  # fmt: skip
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
 _POINT = re.compile(r"^(\d+)[+-][XYZ](?:_\d+)?$")
 _BY_NAME = (
@@ -150,14 +143,9 @@ def _repetition(column: FloatArray, other: FloatArray, is_later: bool) -> str:
     if np.count_nonzero(loud) < LEAST_LOUD:
         return ""
     share = column[loud] / other[loud]
-    windowed = (
-        share.min() >= 0 and share.max() <= 1 + EVEN and share.max() > 1 - 0.1 and share.min() < 1 - 0.1
-    )
-    return (
-        "a windowed copy"
-        if windowed and np.all(np.abs(column) <= size * (1 + EVEN) + EVEN * size.max())
-        else ""
-    )
+    windowed = 0 <= share.min() < 1 - 0.1 < share.max() <= 1 + EVEN
+    within = np.all(np.abs(column) <= size * (1 + EVEN) + EVEN * size.max())
+    return "a windowed copy" if windowed and within else ""
 
 
 def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | None:
@@ -169,11 +157,9 @@ def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | 
     number = {name: n for n, name in enumerate(names)}
     pairs = {
         raw: other
-        for raw in measured
+        for raw in filter(number.__contains__, measured)
         for other in names
-        if other not in measured
-        and raw in number
-        and _repetition(rows[:, number[other]], rows[:, number[raw]], False)
+        if other not in measured and _repetition(rows[:, number[other]], rows[:, number[raw]], False)
     }
     if not pairs:
         return None
@@ -198,7 +184,7 @@ def guess_channels(
     guessed = [_guess(name, key, units.get(name, "")) for name, key in zip(names, keys, strict=True)]
     guessed = [_sense(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
     if len({_node(name) for name in names if _node(name)}) > 1:
-        guessed = [_at_node(channel) for channel in guessed]
+        guessed = [replace(c, dof=f"{_node(c.column)}.{c.dof}") if _node(c.column) else c for c in guessed]
     outputs = [channel for channel in guessed if channel.role == "output"]
     return [_along(channel, outputs) for channel in guessed]
 
@@ -224,12 +210,6 @@ def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[G
     return tuple(_along(hammer, outputs) if n == shortest else c for n, c in enumerate(channels))
 
 
-def _at_node(channel: GuessedChannel) -> GuessedChannel:
-    """The channel with the node before its direction, where there are several nodes."""
-    node = _node(channel.column)
-    return replace(channel, dof=f"{node}.{channel.dof}") if node else channel
-
-
 def _guess(name: str, key: str, unit: str) -> GuessedChannel:
     plain_name = re.sub(r"[_\W]+", " ", _BRACKETS.sub(" ", name).lower())
     by_name = next((quantity for quantity, pattern in _BY_NAME if re.search(pattern, plain_name)), DECIDE)
@@ -248,9 +228,8 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
     quantity = quantity or DECIDE
     role = DEFAULT_ROLES.get(quantity, "" if quantity == DECIDE else "reference")
     invert = bool(_node(name)) and "-" in name
-    return GuessedChannel(
-        key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity, invert, guess
-    )
+    more = role, _direction(name) or key, sensitivity, invert, guess
+    return GuessedChannel(key, name, quantity, unit or DECIDE, *more)
 
 
 def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
@@ -397,9 +376,7 @@ def half_power_lines(mobility: FloatArray, peak: int) -> int:
     """Lines around a *peak* of a *mobility* (n_line,) [1] with half its power or more."""
     beside = mobility < mobility[peak] / np.sqrt(2)
     left, right = beside[:peak][::-1], beside[peak:]
-    return int(np.argmax(left) if left.any() else left.size) + int(
-        np.argmax(right) if right.any() else right.size
-    )
+    return sum(int(np.argmax(side) if side.any() else side.size) for side in (left, right))
 
 
 # Mean sine of the steps of a phase by half a half-power width around a peak: of a pole about -0.7.

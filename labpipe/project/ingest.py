@@ -68,9 +68,8 @@ def ingest(
         return open_recording(source)
     table = _join([source, *joined], rig, by) if joined else _open(source, rig)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
-    header = Header(
-        "recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined))
-    )
+    inputs = tuple(source_ref(path, base) for path in (source, *joined))
+    header = Header("recording", parameters, inputs=inputs)
     if (fresh := fresh_path(output, name + SUFFIX, header)) is not None:
         return open_recording(fresh)
     target = output.write_path(name + SUFFIX)
@@ -83,7 +82,7 @@ def ingest(
 
 def changed_while_read(path: Path) -> DataError:
     """The fault of a file that was written to meanwhile."""
-    return DataError("changed while it was read", where=str(path), hint="run again when it is complete")
+    return DataError("changed while it was read", path, "run again when it is complete")
 
 
 def _open(source: Path, rig: Rig) -> Table:
@@ -102,12 +101,9 @@ def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     tables = [open_table(path) for path in paths]
     untimed = [table for table in tables if rig.time not in table.columns]
     if by == "time" and untimed:
-        what = (
-            f"has no time column '{rig.time}'"
-            if rig.time
-            else ("cannot be joined on time: the rig file names no time column")
-        )
-        raise DataError(what, where=str(untimed[0].path), hint="by: sample joins row by row")
+        what = "cannot be joined on time: the rig file names no time column"
+        what = f"has no time column '{rig.time}'" if rig.time else what
+        raise DataError(what, untimed[0].path, "by: sample joins row by row")
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
@@ -120,7 +116,7 @@ def check_table(table: Table, rig: Rig) -> list[str]:
     check_columns(table, timed)
     if rig.time and table.units.get(rig.time) == "Hz":
         hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
-        raise DataError(f"'{rig.time}' is a frequency, no time", where=str(table.path), hint=hint)
+        raise DataError(f"'{rig.time}' is a frequency, no time", table.path, hint)
     for channel in rig.channels:
         _check_unit(table, channel)
     return timed
@@ -128,9 +124,8 @@ def check_table(table: Table, rig: Rig) -> list[str]:
 
 def channel_screen(rig: Rig) -> ChannelScreen:
     """The search for faults of a rig's measured channels."""
-    return ChannelScreen(
-        [channel.channel.name for channel in rig.channels], [_si_limits(channel) for channel in rig.channels]
-    )
+    names = [channel.channel.name for channel in rig.channels]
+    return ChannelScreen(names, list(map(_si_limits, rig.channels)))
 
 
 class Calibration:
@@ -194,10 +189,8 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> S
                 writer.write(calibration.with_sums(block))
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
             contents = recording_contents(channels, sample_rate, name, screen.levels())
-            findings = (
-                *(table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()),
-                *screen.findings(),
-            )
+            of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
+            findings = (*of_table, *screen.findings())
             writer.finish(dataclasses.replace(header, findings=findings, contents=contents))
     except DataError as error:
         error.where = error.where or str(table.path)
@@ -207,10 +200,8 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> S
 
 def contradictions(table: Table, rig: Rig) -> list[DataError]:
     """Every point in which a file and a rig file do not agree: columns, units, rate."""
-    columns = [channel.column for channel in rig.channels]
-    checks: list[Callable[[], object]] = [
-        partial(check_columns, table, [name]) for name in [*([rig.time] if rig.time else []), *columns]
-    ]
+    columns = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
+    checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in columns]
     checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
     if rig.time is None:
         checks.append(partial(stated_rate, table, rig))
@@ -232,18 +223,11 @@ def stated_rate(table: Table, rig: Rig) -> float:
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
         message = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
-        raise DataError(message, where=str(table.path), hint='write sample_rate: 20 kHz or time: "t [s]"')
-    if (
-        rig.sample_rate is not None
-        and file_rate is not None
-        and abs(file_rate / rig.sample_rate - 1) > SAME_RATE
-    ):
-        message = (
-            f"is sampled at {file_rate:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
-        )
-        raise DataError(
-            message, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it"
-        )
+        raise DataError(message, table.path, 'write sample_rate: 20 kHz or time: "t [s]"')
+    if rig.sample_rate and file_rate is not None and abs(file_rate / rig.sample_rate - 1) > SAME_RATE:
+        by_rig = f"at {rig.sample_rate:g} Hz by the rig file"
+        message = f"is sampled at {file_rate:g} Hz by the file itself, {by_rig}"
+        raise DataError(message, table.path, "leave sample_rate out of the rig file, or correct it")
     return float(rig.sample_rate or file_rate or 0.0)
 
 
@@ -261,9 +245,7 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
             f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by "
             "the rig file"
         )
-        raise DataError(
-            what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'"
-        )
+        raise DataError(what, table.path, f"correct the unit of channel '{channel.channel.name}'")
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
@@ -296,9 +278,8 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 def ingest_all(sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path) -> list[StoredRecording]:
     """`ingest` for many files of one rig."""
     paths = list(sources)
-    return [
-        ingest(path, rig, output, name, base) for path, name in zip(paths, unique_names(paths), strict=True)
-    ]
+    named = zip(paths, unique_names(paths), strict=True)
+    return [ingest(path, rig, output, name, base) for path, name in named]
 
 
 def recording_refs(recording: StoredRecording, base: Path) -> tuple[SourceRef, ...]:
@@ -395,12 +376,10 @@ class RawRecording:
         then where those say so.
         """
         calibrated = self._calibration.of_channel
-        ends = np.array(
-            [[calibrated(n, end) for end in (column.min(), column.max())] for n, column in enumerate(columns)]
-        )
-        if not screen.add_between(
-            ends.min(axis=1), ends.max(axis=1), columns[0].size, lambda n: calibrated(n, columns[n])
-        ):
+        extremes = ((column.min(), column.max()) for column in columns)
+        ends = np.array([[calibrated(n, end) for end in pair] for n, pair in enumerate(extremes)])
+        low, high = ends.min(axis=1), ends.max(axis=1)
+        if not screen.add_between(low, high, columns[0].size, lambda n: calibrated(n, columns[n])):
             screen.add(self._calibration.in_rows(columns))
 
     def source_ref(self) -> SourceRef:

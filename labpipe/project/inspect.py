@@ -31,17 +31,9 @@ from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
 BLOCK = 1 << 16
 TIME_NAMES = (
-    "t",
-    "time",
-    "zeit",
-    "x_value",
-    "timestamp",
-    "time stamp",
-    "datetime",
-    "date/time",
-    "date time",
+    "t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time",
     "uhrzeit",
-)
+)  # fmt: skip
 
 
 def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra | FileShapes:
@@ -73,18 +65,16 @@ def write_card(
     DataError for shapes, which have none.
     """
     if isinstance(content, FileShapes):
-        raise DataError("holds mode shapes alone, which have no card", where=file, hint="leave -o out")
+        raise DataError("holds mode shapes alone, which have no card", file, "leave -o out")
     from labpipe.document.render import DOCUMENTS
     from labpipe.report.card import recording_card, response_card, spectra_card
 
     if isinstance(content, ChannelSpectra):
         document = spectra_card(content, file)
+    elif isinstance(content, FrequencyResponse):
+        document = response_card(content, file)
     else:
-        document = (
-            response_card(content, file)
-            if isinstance(content, FrequencyResponse)
-            else recording_card(content)
-        )
+        document = recording_card(content)
     written: bytes = DOCUMENTS.load(format_of(path))(document)
     with output_file(path) as target:
         target.write_bytes(written)
@@ -110,19 +100,10 @@ class _Look:
         levels = np.column_stack([screen.minimum, screen.maximum, screen.mean, screen.rms]).tolist()
         tracks = zip(self._envelopes.envelopes(), self._spectra.spectra(sample_rate), strict=True)
         rows = zip(self._names, units, about, levels, tracks, strict=True)
+        parts = ("minimum", "maximum", "mean", "rms", "envelope", "spectrum")
         return tuple(
-            ChannelOverview(
-                name,
-                unit,
-                role,
-                minimum=low,
-                maximum=high,
-                mean=mean,
-                rms=rms,
-                envelope=envelope,
-                spectrum=spectrum,
-            )
-            for name, unit, role, (low, high, mean, rms), (envelope, spectrum) in rows
+            ChannelOverview(name, unit, role, **dict(zip(parts, (*of_channel, *track), strict=True)))
+            for name, unit, role, of_channel, track in rows
         )
 
 
@@ -151,9 +132,8 @@ def _of_decays(decays: FreeDecays, file: str) -> Overview:
     for decay in decays.decays:
         look.add(decay.samples)
     lengths = [decay.samples.shape[0] / decays.sample_rate for decay in decays.decays]
-    number = f"{len(lengths)} decay(s) of {min(lengths):.4g} s" + (
-        f" to {max(lengths):.4g} s" if len(lengths) > 1 else ""
-    )
+    number = f"{len(lengths)} decay(s) of {min(lengths):.4g} s"
+    number += f" to {max(lengths):.4g} s" if len(lengths) > 1 else ""
     return Overview(
         file,
         "free decays",
@@ -193,22 +173,16 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
             rate_text = f"{rate:g} Hz"
         elif time is not None:
             per_unit = time.sample_rate()
-            rate, rate_text = (
-                per_unit / time_scale(times[0]),
-                (f"{per_unit:g} samples per unit of '{times[0]}'"),
-            )
+            rate = per_unit / time_scale(times[0])
+            rate_text = f"{per_unit:g} samples per unit of '{times[0]}'"
     except DataError as error:
         error.where = error.where or str(file)
         raise
     if rate is None and rig is not None:
         rate = rig.sample_rate
-    channels = look.channels(
-        [table.units.get(name, "") for name in names], [_role(name, rig) for name in names], rate
-    )
-    against = (
-        None if rig is None else tuple(str(contradiction) for contradiction in contradictions(table, rig))
-    )
-    time_name = times[0] if times else ""
+    units = [table.units.get(name, "") for name in names]
+    channels = look.channels(units, [_role(name, rig) for name in names], rate)
+    against = None if rig is None else tuple(map(str, contradictions(table, rig)))
     return Overview(
         file.name,
         "raw file",
@@ -217,14 +191,13 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
         rate=rate_text,
         channels=channels,
         findings=look.screen.findings(),
-        time=time_name,
+        time=times[0] if times else "",
         contradictions=against,
     )
 
 
 def _role(column: str, rig: Rig | None) -> str:
     """Channel, role and dof of a column by the rig file."""
-    channels = [
-        channel.channel for channel in (rig.channels if rig is not None else ()) if channel.column == column
-    ]
+    of_rig = () if rig is None else rig.channels
+    channels = [channel.channel for channel in of_rig if channel.column == column]
     return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in channels)

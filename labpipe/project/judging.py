@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -49,9 +50,7 @@ def compare_number(rule: Rule, value: float | None, unit: str, error: float | No
             return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text, None
         bound = parse_value(rule.bound, unit)
     except UnitError as error:
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
-        ) from None
+        raise rule.fault(error.what, error.hint) from None
     if rule.kind == "=":
         return value, value is not None and value == bound, text, None
     return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text, None
@@ -82,9 +81,7 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> C
         low, high = ci95
         ends = " to ".join(found_text(rule, end, unit) for end in (low, high))
     except UnitError as error:
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
-        ) from None
+        raise rule.fault(error.what, error.hint) from None
     return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends, None
 
 
@@ -140,6 +137,10 @@ def judge(
     return (*outcomes, *forbidden(rules, fits))
 
 
+def _outcome(rule: Rule, compared: Compared) -> RuleOutcome:
+    return RuleOutcome(rule.section, rule.text, *compared)
+
+
 def unfounded(rule: Rule) -> RuleOutcome:
     """The failed outcome of a rule that addresses what an incomplete result does not have."""
     return RuleOutcome(rule.section, rule.text, None, False)
@@ -188,9 +189,7 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
             numbers.extend(_limit(member, fits, records))
         except UnitError as error:
             raise ConfigError(
-                f"{member.section}.{rule.address}.{member.address}: {error.what}",
-                where=member.place,
-                hint=error.hint,
+                f"{member.section}.{rule.address}.{member.address}: {error.what}", member.place, error.hint
             ) from None
     return decided_together(rule, numbers)
 
@@ -243,7 +242,7 @@ def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
             return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{name}'", hint))
         compared = [_compare_item(rule, fit) for fit in having]
     first = next((pair for pair in compared if not pair[1]), compared[0])
-    return PartialOutcome(outcome=RuleOutcome(rule.section, rule.text, *first), addressed=len(addressed))
+    return PartialOutcome(outcome=_outcome(rule, first), addressed=len(addressed))
 
 
 def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
@@ -252,36 +251,32 @@ def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
     A rule that cannot be judged in one of the tests is not kept.
     """
     if rule.item == "count" and partial.addressed:
-        return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(partial.addressed), "1"))
+        return _outcome(rule, compare_number(rule, float(partial.addressed), "1"))
     if partial.outcome is not None:
         if partial.fault is not None and partial.outcome.passed:
-            return RuleOutcome(
-                rule.section, rule.text, None, False, shown=f"not judged: in a test {partial.fault[0]}"
-            )
+            return _outcome(rule, (None, False, f"not judged: in a test {partial.fault[0]}", None))
         return partial.outcome
     what, hint = partial.fault or ("no such fit in the result", "")
-    raise ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
+    raise rule.fault(what, hint)
 
 
 def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
     """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the
     centre of a band.
     """
-    addressed = [fit for fit in fits if fit.name == rule.fit]
-    if rule.which:
-        addressed = [
-            fit
-            for fit in addressed
-            if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)
-        ]
-    return addressed
-
-
-def _is_centre(text: str, centre: float) -> bool:
     try:
-        return abs(parse_value(text, "Hz") - centre) < 1e-6 * max(abs(centre), 1.0)
+        centre = parse_value(rule.which, "Hz")
     except UnitError:
-        return False
+        centre = math.nan
+    return [
+        fit
+        for fit in fits
+        if fit.name == rule.fit
+        and (
+            rule.which in ("", fit.test, fit.term)
+            or abs(centre - fit.centre_hz) < 1e-6 * max(abs(fit.centre_hz), 1.0)
+        )
+    ]
 
 
 def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
@@ -331,6 +326,10 @@ def _compare_item(rule: Rule, fit: Fit) -> Compared:
     if attribute == "significant":
         text = str(bool(parameter.significant)).lower()
         return text, text == rule.bound, text, None
+    return _compare_attribute(rule, parameter, attribute)
+
+
+def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> Compared:
     if attribute == "std_error":
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
@@ -354,24 +353,17 @@ def comparison_outcome(
     if rule.item == "verdict":
         why = comparison.why_undecided("verdict")
         shown = f"{comparison.verdict}: {why}" if why else ""
-        return RuleOutcome(
-            rule.section, rule.text, comparison.verdict, comparison.verdict == rule.bound, shown=shown
-        )
+        return _outcome(rule, (comparison.verdict, comparison.verdict == rule.bound, shown, None))
     if rule.item == "count":
-        return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(len(comparison.points)), "1"))
+        return _outcome(rule, compare_number(rule, float(len(comparison.points)), "1"))
     name, _, attribute = rule.item.partition(".")
     why = comparison.why_undecided(name)
     if why:
-        return RuleOutcome(rule.section, rule.text, None, False, shown=f"not judged: {why}")
+        return _outcome(rule, (None, False, f"not judged: {why}", None))
     amount = _amount(rule, comparison, name)
     if attribute == "covers":
-        return RuleOutcome(rule.section, rule.text, *compare_covers(rule, amount.ci95, amount.unit))
-    if attribute == "expanded":
-        return RuleOutcome(rule.section, rule.text, *compare_expanded(rule, amount))
-    if attribute == "std_error":
-        return RuleOutcome(rule.section, rule.text, *compare_number(rule, amount.full_error, amount.unit))
-    compared = compare_number(rule, amount.value, amount.unit, stated_error(amount))
-    return RuleOutcome(rule.section, rule.text, *compared)
+        return _outcome(rule, compare_covers(rule, amount.ci95, amount.unit))
+    return _outcome(rule, _compare_attribute(rule, amount, attribute))
 
 
 def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
@@ -379,12 +371,7 @@ def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
         return comparison.amount(name)
     except KeyError:
         hint = nearest(name, [*(amount.name for amount in comparison.amounts), "verdict", "count"])
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: the comparison has no '{name}'", where=rule.place, hint=hint
-        ) from None
-
-
-# Holding a study against rules: "study.fit[noise].item", "study.fit.item" for every noise level,
+        raise rule.fault(f"the comparison has no '{name}'", hint) from None
 
 
 def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: CompareNumber) -> RuleOutcome:
@@ -394,8 +381,5 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
         amount = matrix.amount(rule.item)
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: the matrix has no '{rule.item}'", where=rule.place, hint=hint
-        ) from None
-    compared = compare_number(rule, amount.value, amount.unit, stated_error(amount))
-    return RuleOutcome(rule.section, rule.text, *compared)
+        raise rule.fault(f"the matrix has no '{rule.item}'", hint) from None
+    return _outcome(rule, compare_number(rule, amount.value, amount.unit, stated_error(amount)))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 from labpipe import __version__
@@ -44,9 +43,7 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
     what = hindrance(pipeline, independent)
     if what:
         raise ConfigError(
-            f"results: {what}, which needs all tests at once",
-            where=str(pipeline.path),
-            hint="write results: whole",
+            f"results: {what}, which needs all tests at once", pipeline.path, "write results: whole"
         )
     return True
 
@@ -129,10 +126,9 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
             "tests could be evaluated)"
         )
     _remark_damaged(output, gathered.parts)
-    identification = summed_up(pipeline, gathered.summary)
-    identification = replace(
-        identification, inputs=tuple(asdict(_part_ref(output, name)) for name in gathered.parts)
-    )
+    parts_made = {name: source_ref(output.read_path(name), output.target) for name in gathered.parts}
+    inputs = tuple(asdict(SourceRef(name, part.sha256)) for name, part in parts_made.items())
+    identification = replace(summed_up(pipeline, gathered.summary), inputs=inputs)
     write_identification(output.write_path(NAME), identification)
     for name in (*gathered.parts, NAME):
         output.leave_same(name)
@@ -175,10 +171,6 @@ def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOu
             yield unfounded(rule)
 
 
-def _part_ref(output: OutputFolder, name: str) -> SourceRef:
-    return SourceRef(name, source_ref(output.read_path(name), output.target).sha256)
-
-
 def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
     """Name what was found damaged in the folder, and have parts that are not of this result removed."""
     for part in parts(output.target):
@@ -189,10 +181,7 @@ def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
         name = part.path.relative_to(output.target).as_posix()
         if name not in names:
             output.outdate(name)
-    _remark_result(output.target / NAME, output)
-
-
-def _remark_result(path: Path, output: OutputFolder) -> None:
+    path = output.target / NAME
     if path.exists():
         try:
             read_identification(path)

@@ -7,7 +7,8 @@ configuration, which reports faults at the marks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,10 @@ class Marked:
         whole file).
         """
         return self.key_where or self.where
+
+    def without(self, *keys: str) -> Marked:
+        """A mapping without these entries."""
+        return replace(self, content={key: node for key, node in self.content.items() if key not in keys})
 
     def plain(self) -> Any:
         """The node as ordinary dicts, lists and scalars."""
@@ -65,27 +70,30 @@ MOST_NODES, MOST_BYTES = 200_000, 1 << 24
 MOST_KEPT = 1 << 15
 
 
-def load_marked(path: Path) -> Marked:
-    """The marked tree of a YAML file; ConfigError with the place of a fault."""
+def load_marked(path: Path, overrides: Iterable[str] = ()) -> Marked:
+    """The marked tree of a YAML file with the entries of *overrides*; ConfigError with the place of a
+    fault.
+    """
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise ConfigError("is no regular file", where=str(path))
+            raise ConfigError("is no regular file", path)
         if path.is_file() and path.stat().st_size > MOST_BYTES:
             raise ConfigError(
-                f"has more than {MOST_BYTES >> 20} MB",
-                where=str(path),
-                hint="a YAML file of settings is needed",
+                f"has more than {MOST_BYTES >> 20} MB", path, "a YAML file of settings is needed"
             )
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise ConfigError("no such file", where=str(path)) from None
+        raise ConfigError("no such file", path) from None
     except IsADirectoryError:
-        raise ConfigError("is a directory", where=str(path), hint="name a YAML file") from None
+        raise ConfigError("is a directory", path, "name a YAML file") from None
     except UnicodeDecodeError as error:
-        raise ConfigError(f"is not UTF-8 text (byte {error.start})", where=str(path)) from None
+        raise ConfigError(f"is not UTF-8 text (byte {error.start})", path) from None
     except OSError as error:
-        raise ConfigError(error.strerror or str(error), where=str(path)) from None
-    return parse_marked(text, str(path))
+        raise ConfigError(error.strerror or str(error), path) from None
+    tree = parse_marked(text, str(path))
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    return tree
 
 
 def parse_marked(text: str, name: str) -> Marked:
@@ -95,20 +103,18 @@ def parse_marked(text: str, name: str) -> Marked:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
-        raise ConfigError(f"not valid YAML: {error.problem or error.context}", where=place) from None
+        raise ConfigError(f"not valid YAML: {error.problem or error.context}", place) from None
     except RecursionError:
-        raise ConfigError("not valid YAML: nested too deeply", where=name) from None
+        raise ConfigError("not valid YAML: nested too deeply", name) from None
     except (yaml.YAMLError, ValueError) as error:
-        raise ConfigError(
-            f"not valid YAML: {(str(error).splitlines() or ['unreadable'])[0]}", where=name
-        ) from None
+        raise ConfigError(f"not valid YAML: {(str(error).splitlines() or ['unreadable'])[0]}", name) from None
     if node is None:
-        raise ConfigError("the file is empty", where=name)
+        raise ConfigError("the file is empty", name)
     tree = _Tree(name)
     try:
         marked = tree.marked(node, frozenset())
     except RecursionError:
-        raise ConfigError("not valid YAML: nested too deeply", where=name) from None
+        raise ConfigError("not valid YAML: nested too deeply", name) from None
     if tree.duplicates:
         raise ConfigErrors(tree.duplicates)
     return marked
@@ -139,9 +145,9 @@ class _Tree:
         where = _place(node.start_mark, self._name)
         self._count += 1
         if self._count > MOST_NODES:
-            raise ConfigError(f"aliases make more than {MOST_NODES} entries of the file", where=where)
+            raise ConfigError(f"aliases make more than {MOST_NODES} entries of the file", where)
         if id(node) in above:
-            raise ConfigError("an alias refers to the node that contains it", where=where)
+            raise ConfigError("an alias refers to the node that contains it", where)
         above = above | {id(node)}
         if isinstance(node, yaml.MappingNode):
             return Marked(self._mapping(node, above), where)
@@ -154,15 +160,11 @@ class _Tree:
         for key_node, value_node in node.value:
             where = _place(key_node.start_mark, self._name)
             if not isinstance(key_node, yaml.ScalarNode):
-                raise ConfigError("a key must be a plain name", where=where)
+                raise ConfigError("a key must be a plain name", where)
             key = str(key_node.value)
             if key in entries:
                 self.duplicates.append(
-                    ConfigError(
-                        f"{key}: the key appears twice",
-                        where=where,
-                        hint=f"first at {entries[key].key_where}",
-                    )
+                    ConfigError(f"{key}: the key appears twice", where, f"first at {entries[key].key_where}")
                 )
                 continue
             entries[key] = self.marked(value_node, above)
@@ -197,7 +199,7 @@ def set_entry(root: Marked, assignment: str) -> None:
     path, equals, text = assignment.partition("=")
     where = f"--set {assignment}"
     if not equals or not path.strip():
-        raise ConfigError("not an assignment", where=where, hint="write --set key.sub=value")
+        raise ConfigError("not an assignment", where, "write --set key.sub=value")
     value = _plain_or_yaml(text, where)
     keys = _keys(path.strip())
     owner = root
@@ -208,7 +210,7 @@ def set_entry(root: Marked, assignment: str) -> None:
     elif isinstance(owner.content, dict):
         owner.content[keys[-1]] = value
     else:
-        raise ConfigError(f"'{'.'.join(keys[:-1])}' has no entries", where=where)
+        raise ConfigError(f"'{'.'.join(keys[:-1])}' has no entries", where)
 
 
 def _plain_or_yaml(text: str, where: str) -> Marked:
@@ -235,10 +237,10 @@ def _descend(owner: Marked, key: str, where: str) -> Marked:
     if isinstance(owner.content, dict):
         entry: Marked = owner.content.setdefault(key, Marked({}, where, where))
         return entry
-    raise ConfigError(f"'{key}' cannot be set inside a plain value", where=where)
+    raise ConfigError(f"'{key}' cannot be set inside a plain value", where)
 
 
 def _index(owner: Marked, key: str, where: str) -> int:
     if key.isdigit() and int(key) < len(owner.content):
         return int(key)
-    raise ConfigError(f"'{key}' is not an entry of a list of {len(owner.content)}", where=where)
+    raise ConfigError(f"'{key}' is not an entry of a list of {len(owner.content)}", where)

@@ -40,15 +40,11 @@ def write_matrix_parquet(artefact: Path, target: Path) -> None:
 def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ...]]:
     """A result and its matrices; DataError where it has none."""
     if artefact.suffix != ".json":
-        raise DataError(
-            "holds no matrix of tests", where=str(artefact), hint="they stand in identification.json"
-        )
+        raise DataError("holds no matrix of tests", artefact, "they stand in identification.json")
     identification = read_identification(artefact)
     matrices: tuple[ConditionMatrix, ...] = identification.sections.get("matrix", ())
     if not matrices:
-        raise DataError(
-            "holds no matrix of tests", where=str(artefact), hint="the pipeline needs a section matrix:"
-        )
+        raise DataError("holds no matrix of tests", artefact, "the pipeline needs a section matrix:")
     return identification, matrices
 
 
@@ -69,25 +65,12 @@ def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
             for value in point.values:
                 parameter = value.parameter
                 low, high = parameter.ci95 or (None, None)
-                rows.append(
-                    {
-                        "matrix": matrix.name,
-                        "fit": matrix.fit,
-                        **conditions,
-                        **beside,
-                        "coefficient": parameter.name,
-                        "value": parameter.value,
-                        "unit": parameter.unit,
-                        "std_error": parameter.full_error,
-                        "std_error_random": parameter.std_error,
-                        "ci95_low": low,
-                        "ci95_high": high,
-                        "repeats": value.repeats,
-                        "scatter": value.scatter,
-                        "theory": value.theory,
-                        "warnings": " ".join(point.warnings),
-                    }
-                )
+                row = {"matrix": matrix.name, "fit": matrix.fit, **conditions, **beside}
+                row |= {"coefficient": parameter.name, "value": parameter.value, "unit": parameter.unit}
+                row |= {"std_error": parameter.full_error, "std_error_random": parameter.std_error}
+                row |= {"ci95_low": low, "ci95_high": high, "repeats": value.repeats}
+                row |= {"scatter": value.scatter, "theory": value.theory}
+                rows.append({**row, "warnings": " ".join(point.warnings)})
     return pd.DataFrame(rows)
 
 
@@ -109,10 +92,8 @@ def write_rotor_xlsx(artefact: Path, target: Path) -> None:
 def write_rotor_csv(artefact: Path, target: Path) -> None:
     """The same tables below each other as CSV, the name of the sheet in the first column."""
     sheets = rotor_sheets(*_matrices(artefact))
-    write_table_csv(
-        pd.concat([table.assign(sheet=name) for name, table in sheets]).set_index("sheet").reset_index(),
-        target,
-    )
+    whole = pd.concat([table.assign(sheet=name) for name, table in sheets])
+    write_table_csv(whole.set_index("sheet").reset_index(), target)
 
 
 def rotor_sheets(
@@ -121,13 +102,11 @@ def rotor_sheets(
     """Name and table of every sheet."""
     number = 0
     for matrix in matrices:
-        place = next(
-            (n for n, axis in enumerate(matrix.axes) if condition_unit(axis.name, axis.unit) == "rpm"), None
-        )
-        if place is None:
-            raise DataError(
-                f"matrix '{matrix.name}' has no speed among its conditions", hint="over: [speed, ...]"
-            )
+        units = [condition_unit(axis.name, axis.unit) for axis in matrix.axes]
+        if "rpm" not in units:
+            what = f"matrix '{matrix.name}' has no speed among its conditions"
+            raise DataError(what, hint="over: [speed, ...]")
+        place = units.index("rpm")
         groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
         for point in matrix.points:
             groups.setdefault(point.place[:place] + point.place[place + 1 :], []).append(point)
@@ -138,26 +117,14 @@ def rotor_sheets(
             ]
             speeds = [matrix.levels_of(point)[place] for point in points]
             courses = [_course(identification, matrix, point) for point in points]
-            yield (
-                _sheet(number, "synchronous"),
-                _table(
-                    "speed",
-                    2 * np.pi * np.array(speeds),
-                    np.array(
-                        [
-                            _at(course, np.array([speed]))[0]
-                            for course, speed in zip(courses, speeds, strict=True)
-                        ]
-                    ),
-                    others,
-                ),
-            )
-            for speed, course in zip(speeds, courses, strict=True):
+            pairs = list(zip(speeds, courses, strict=True))
+            in_step = np.array([_at(course, np.array([speed]))[0] for speed, course in pairs])
+            table = _table("speed", 2 * np.pi * np.array(speeds), in_step, others)
+            yield _sheet(number, "synchronous"), table
+            for speed, course in pairs:
                 whirl = np.linspace(course[0][0], course[0][-1], N_WHIRL)
-                yield (
-                    _sheet(number, f"{60 * speed:.0f} rpm"),
-                    _table("frequency", 2 * np.pi * whirl, _at(course, whirl), others),
-                )
+                table = _table("frequency", 2 * np.pi * whirl, _at(course, whirl), others)
+                yield _sheet(number, f"{60 * speed:.0f} rpm"), table
 
 
 def _sheet(number: int, what: str) -> str:
@@ -185,9 +152,8 @@ def _course(identification: Identification, matrix: ConditionMatrix, point: Matr
 def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit]) -> Course:
     missing = [name for name in ROTOR_NAMES if point.value(name) is None]
     if missing:
-        raise DataError(
-            f"matrix '{matrix.name}' lacks {', '.join(missing)}", hint="a rotor code needs K and C whole"
-        )
+        what = f"matrix '{matrix.name}' lacks {', '.join(missing)}"
+        raise DataError(what, hint="a rotor code needs K and C whole")
     stiffness, damping, mass = (_square(point, letter) for letter in "kcm")
     band = fits[0].band_hz if fits else (0.0, 0.0)
     frequency = np.linspace(*band, N_WHIRL)
@@ -222,9 +188,8 @@ def _table(over: str, omega: FloatArray, stiffness: ComplexArray, others: list[s
     ROSS takes either name for one axis up to version 2; from version 3 on `frequency` is that of the whirl
     alone.
     """
+    flat, axes = stiffness.reshape(-1, 4).T, ("xx", "xy", "yx", "yy")
     columns: dict[str, object] = {over: omega}
-    for row, column, axes in ((0, 0, "xx"), (0, 1, "xy"), (1, 0, "yx"), (1, 1, "yy")):
-        columns[f"k{axes}"] = stiffness[:, row, column].real
-    for row, column, axes in ((0, 0, "xx"), (0, 1, "xy"), (1, 0, "yx"), (1, 1, "yy")):
-        columns[f"c{axes}"] = stiffness[:, row, column].imag / omega
+    columns |= {f"k{pair}": course.real for pair, course in zip(axes, flat, strict=True)}
+    columns |= {f"c{pair}": course.imag / omega for pair, course in zip(axes, flat, strict=True)}
     return pd.DataFrame({**columns, "at": ", ".join(others)})

@@ -75,22 +75,11 @@ def measured_header(
 
     Of raw ones with their rigs, which make them what they are.
     """
-    parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
-    rigs = [
-        dataclasses.asdict(recording.rig) for recording in recordings if isinstance(recording, RawRecording)
-    ]
-    return Header(
-        kind,
-        {**parameters, **({RIGS: rigs} if rigs else {})},
-        inputs=tuple(recording.source_ref() for recording in recordings),
-    )
-
-
-def fresh_measured(output: OutputFolder, name: str, header: Callable[[], Header]) -> Path | None:
-    """The path of what is measured already with the same *header*, which digests raw files and is asked for
-    only where there is one.
-    """
-    return fresh_path(output, name, header()) if output.read_path(name).exists() else None
+    frf = dataclasses.asdict(settings)
+    parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
+    raw = [recording for recording in recordings if isinstance(recording, RawRecording)]
+    parameters |= {RIGS: [dataclasses.asdict(recording.rig) for recording in raw]} if raw else {}
+    return Header(kind, parameters, inputs=tuple(recording.source_ref() for recording in recordings))
 
 
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
@@ -193,7 +182,9 @@ def measure_test(
     kind = KINDS[settings.gives]
     header = partial(measured_header, kind.name, recordings, settings, test, conditions)
     name = measured_file_name(test, settings)
-    if (existing := fresh_measured(output, name, header)) is not None:
+    # The header digests raw files, and is asked for only where there is something.
+    there = output.read_path(name).exists()
+    if there and (existing := fresh_path(output, name, header())) is not None:
         return kind.read(existing)
     try:
         measured: MeasuredTest = kind.make(recordings, settings, name=test, conditions=conditions)
@@ -201,9 +192,8 @@ def measure_test(
         error.where = error.where or where_recorded(recordings)
         raise
     except LinAlgError as error:
-        raise DataError(
-            f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE
-        ) from error
+        what = f"a matrix of spectra has no solution ({error})"
+        raise DataError(what, where_recorded(recordings), ALIKE) from error
     if isinstance(measured, FrequencyResponse):
         measured = measured.with_findings(seen())
     kind.write(output.write_path(name), measured, header())

@@ -10,7 +10,7 @@ import errno
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from pathlib import Path
@@ -84,10 +84,8 @@ def one_of_many(identification: Identification, folder: Path, test: str) -> Iden
     return dataclasses.replace(
         identification,
         fits=tuple(read_fits(fits)) if fits.exists() else (),
-        responses=tuple(
-            measurement for measurement in measured if isinstance(measurement, FrequencyResponse)
-        ),
-        spectra=tuple(measurement for measurement in measured if isinstance(measurement, ChannelSpectra)),
+        responses=tuple(part for part in measured if isinstance(part, FrequencyResponse)),
+        spectra=tuple(part for part in measured if isinstance(part, ChannelSpectra)),
         settings={**identification.settings, "tests": [{"name": test, "conditions": conditions}]},
         dataset=None,
     )
@@ -137,23 +135,13 @@ def result_of_test(
 def failed_result(test: Test, message: str, sources: Sequence[SourceRef] = ()) -> TestResult:
     """The result of a test that could not be evaluated, and why."""
     entries = {**identity(test, test.conditions), "failed": message, "source": digest_of_sources(sources)}
-    row = DatasetRow(**entries)  # type: ignore[arg-type]
-    return TestResult(rows=(row,))
+    return TestResult(rows=(DatasetRow(**entries),))  # type: ignore[arg-type]
 
 
 def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
     """What all rows of a test share: whose they are, of which day, at which conditions."""
-    return {
-        "rig": rig_name(test),
-        "date": day_of(test, conditions),
-        "test": test.name,
-        "conditions": dict(conditions),
-    }
-
-
-def rig_name(test: Test) -> str:
-    """The rig of the test's recordings."""
-    return next((source.rig.name for source in test.recordings if source.rig.name), UNNAMED)
+    rig = next((source.rig.name for source in test.recordings if source.rig.name), UNNAMED)
+    return {"rig": rig, "date": day_of(test, conditions), "test": test.name, "conditions": dict(conditions)}
 
 
 def day_of(test: Test, conditions: Mapping[str, str]) -> str:
@@ -161,7 +149,7 @@ def day_of(test: Test, conditions: Mapping[str, str]) -> str:
     try:
         return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
     except ValueError:
-        return _change(next(path for path in files_of(test)))
+        return change_day(files_of(test)[0])
 
 
 def files_of(test: Test) -> list[Path]:
@@ -170,20 +158,16 @@ def files_of(test: Test) -> list[Path]:
     return [*recorded, *(path for ready in test.frfs for path in ready.paths)]
 
 
-def _change(path: Path) -> str:
-    try:
-        seconds = _seconds(path)
-    except (OSError, DataError):
-        # Gone since; the test has failed for that reason.
-        seconds = 0.0
+def change_day(path: Path) -> str:
+    """The day [UTC] on which a file was last changed."""
+    seconds = 0.0
+    # Where it is gone since, the test has failed for that reason.
+    with suppress(OSError, DataError):
+        if not is_remote(path):
+            seconds = path.stat().st_mtime
+        elif (there := status(path)) is not None:
+            seconds = there.changed
     return datetime.datetime.fromtimestamp(seconds, datetime.UTC).date().isoformat()
-
-
-def _seconds(path: Path) -> float:
-    if not is_remote(path):
-        return path.stat().st_mtime
-    status_of_file = status(path)
-    return 0.0 if status_of_file is None else status_of_file.changed
 
 
 def digest_of_sources(sources: Sequence[SourceRef]) -> str:
@@ -245,9 +229,8 @@ class Job:
     def absolute(self) -> Job:
         """The same job, to be done by a process that works in another folder."""
         recordings = tuple(source.absolute() for source in self.test.recordings)
-        test = dataclasses.replace(
-            self.test, recordings=recordings, frfs=tuple(frf.absolute() for frf in self.test.frfs)
-        )
+        frfs = tuple(frf.absolute() for frf in self.test.frfs)
+        test = dataclasses.replace(self.test, recordings=recordings, frfs=frfs)
         paths = {name: getattr(self, name).absolute() for name in ("pipeline_path", "target", "scratch")}
         return dataclasses.replace(self, test=test, **paths)
 
@@ -275,10 +258,8 @@ def work(job: Job) -> Done:
         with brought(job) as near:
             sources, result = _work(near, remarks)
     except LabpipeError as error:
-        failed = Failed(job.test.name, str(error))
-        return Done(
-            job.test.name, failed=failed, remarks=tuple(remarks), halts=isinstance(error, StorageError)
-        )
+        failed, halts = Failed(job.test.name, str(error)), isinstance(error, StorageError)
+        return Done(job.test.name, failed=failed, remarks=tuple(remarks), halts=halts)
     except OSError as error:
         if error.errno is None:
             raise
@@ -326,7 +307,11 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
     recorded = _measured_as_read(job, output, tell)
     if recorded is None:
         recorded = _measured_from_calibrated(job, output, tell)
-    return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
+    return (*recorded, *_ready_sources(job))
+
+
+def _ready_sources(job: Job) -> list[SourceRef]:
+    return [source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths]
 
 
 def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
@@ -371,16 +356,11 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
-        stored.append(
-            ingest(
-                source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by
-            )
-        )
+        more = job.folder, source.joined, source.by
+        stored.append(ingest(source.path, source.rig, output, f"recordings/{name}", *more))
     if stored:
         if job.frf is None:
-            raise ConfigError(
-                "frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs"
-            )
+            raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
         conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
         measure_test(stored, job.frf, output, job.test.name, conditions, partial(_seen_in_files, job))
@@ -395,14 +375,10 @@ def _seen_in_files(job: Job) -> list[Finding]:
     if job.frf is None or job.frf.windowed is None:
         return []
     for source in job.test.recordings:
-        measured = [
-            measured_channel.column
-            for measured_channel in source.rig.channels
-            if measured_channel.channel.role == "output"
-        ]
-        finding = (
-            None if is_recording(source.path) else windows_of_copies_alone(open_table(source.path), measured)
-        )
+        if is_recording(source.path):
+            continue
+        measured = [part.column for part in source.rig.channels if part.channel.role == "output"]
+        finding = windows_of_copies_alone(open_table(source.path), measured)
         if finding is not None:
             return [finding]
     return []
@@ -414,9 +390,7 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
     """
     path = job.target / job.measured_name
     if job.test.recordings and not path.exists():
-        raise DataError(
-            "no such file", where=str(path), hint="run `labpipe frf` first, or `labpipe run` for all stages"
-        )
+        raise DataError("no such file", path, "run `labpipe frf` first, or `labpipe run` for all stages")
     recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
     if job.test.recordings and RIGS in (header := header_of(path)).parameters:
         recorded = list(header.inputs)
@@ -424,19 +398,14 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
         recorded = [reference for recording in recordings for reference in header_of(recording).inputs]
     else:
         recorded = [source_ref(path, job.target)]
-    return (
-        *recorded,
-        *(source_ref(ready_path, job.folder) for ready in job.test.frfs for ready_path in ready.paths),
-    )
+    return (*recorded, *_ready_sources(job))
 
 
 def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
     """What was measured of the test, and its ready responses."""
     measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
-    return [
-        *measured,
-        *(load_ready_measured(ready, job.test.name, job.test.conditions) for ready in job.test.frfs),
-    ]
+    test = job.test
+    return [*measured, *(load_ready_measured(ready, test.name, test.conditions) for ready in test.frfs)]
 
 
 def measured_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
@@ -450,24 +419,16 @@ def fit(job: Job, output: OutputFolder) -> None:
     """The independent fits of the test, made unless those on disk are fresh."""
     inputs = measured_refs(job, output)
     path = output.read_path(job.fits_name)
-    settings_of_test = _with_repeats(job)
+    # With what the test says of several recordings, where it does.
+    settings_of_test = tuple(with_repeats_of(settings, job.test.repeats) for settings in job.fits)
     try:
         if has_fresh_fits(path, settings_of_test, inputs):
             return
     except DamagedError as error:
         output.remarks.append(made_again(error, path))
     measured = measured_of(job, output)
-    fits = [
-        test_fit
-        for settings in settings_of_test
-        for test_fit in fits_of(measured, settings, job.pipeline_path)
-    ]
+    fits = [made for settings in settings_of_test for made in fits_of(measured, settings, job.pipeline_path)]
     write_fits(output.write_path(job.fits_name), fits, settings_of_test, inputs)
-
-
-def _with_repeats(job: Job) -> tuple[FitSettings, ...]:
-    """The fits of the job, with what its test says of several recordings where it does."""
-    return tuple(with_repeats_of(settings, job.test.repeats) for settings in job.fits)
 
 
 def finished_fits(jobs: Sequence[Job], output: OutputFolder) -> dict[str, list[Fit]]:
@@ -523,12 +484,8 @@ def _levels_of(recording: StoredRecording) -> dict[str, tuple[float, float]]:
 
 def _speed(recording: StoredRecording, source: RecordedCondition) -> tuple[float, float, str]:
     motion = shaft_motion(recording, ShaftLines(tacho=source.tacho, pulses=source.pulses))
-    turned = motion.revolutions[-1] - motion.revolutions[0]
-    return (
-        float(turned / (motion.times[-1] - motion.times[0])),
-        float(np.std(motion.speeds)),
-        QUANTITIES["speed"].display_unit,
-    )
+    mean = (motion.revolutions[-1] - motion.revolutions[0]) / (motion.times[-1] - motion.times[0])
+    return float(mean), float(np.std(motion.speeds)), QUANTITIES["speed"].display_unit
 
 
 def _text(mean: float, scatter: float, unit: str) -> str:

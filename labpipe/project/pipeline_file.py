@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.json_file import read_digested
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults, Reading, join, named_files, read_settings
 from labpipe.project.tests import EachFile, SourceFile, Test, TestReader, read_rig
@@ -53,10 +53,10 @@ class RepeatSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.file and (self.parameter or self.size):
-            raise ConfigError(
+            raise SettingError(
+                "file",
                 "'file' says which parameter scatters and by how much",
-                hint="leave 'parameter' and 'size' out",
-                field="file",
+                "leave 'parameter' and 'size' out",
             )
         if not self.file and not (self.parameter and self.size):
             raise ConfigError(
@@ -64,10 +64,8 @@ class RepeatSettings(Settings):
                 hint="parameter: k, size: 0.5 %",
             )
         if bool(self.file) != bool(self.comparison):
-            raise ConfigError(
-                "'file' and 'comparison' go together",
-                hint="comparison: the name under `compare`",
-                field="comparison",
+            raise SettingError(
+                "comparison", "'file' and 'comparison' go together", "comparison: the name under `compare`"
             )
 
 
@@ -97,12 +95,10 @@ class UncertaintySettings(Settings):
 
     def __post_init__(self) -> None:
         if not 0 < self.coverage < 1:
-            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
+            raise SettingError("coverage", "'coverage' must lie between 0 and 100 %")
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
-            raise ConfigError(
-                "'draws' are of method monte-carlo",
-                hint="method: monte-carlo, or leave it out",
-                field="draws",
+            raise SettingError(
+                "draws", "'draws' are of method monte-carlo", "method: monte-carlo, or leave it out"
             )
 
     def of(self, fit: FitSettings, repeats: tuple[RepeatSource, ...] = ()) -> FitSettings:
@@ -151,17 +147,13 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
             entry["name"]: entry for entry in comparisons if entry["kind"] == "repeatability"
         }
     except DamagedError as error:
-        raise UnitError(
-            f"'{settings.file}' is not a readable identification.json: {error.what}", error.hint
-        ) from None
+        what = f"'{settings.file}' is not a readable identification.json: {error.what}"
+        raise UnitError(what, error.hint) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(f"'{settings.file}' is not a readable identification.json") from None
     if settings.comparison not in repeatabilities:
-        hint = (
-            nearest(settings.comparison, repeatabilities)
-            if repeatabilities
-            else ("it needs a comparison of kind: repeatability")
-        )
+        hint = "it needs a comparison of kind: repeatability"
+        hint = nearest(settings.comparison, repeatabilities) if repeatabilities else hint
         raise UnitError(f"'{settings.file}' holds no repeatability '{settings.comparison}'", hint)
     comparison = repeatabilities[settings.comparison]
     try:
@@ -198,25 +190,18 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
                 model_kind(model).example,
             )
         else:
-            presets["model_settings"] = _model_settings(entries[entry], join(key, entry), model, reading)
-    rig = reading.rig
-    if rig is not None and rig.mass is not None and _takes_mass(entries):
-        presets |= {
-            "mass": rig.mass,
-            "uncertainties": () if rig.mass_uncertainty is None else (("mass", rig.mass_uncertainty),),
-        }
-    plain = Marked(
-        {entry: part for entry, part in entries.items() if not section or entry != section[1]},
-        node.where,
-        node.key_where,
-    )
-    return read_settings(FitSettings, plain, key, faults, **presets) if len(faults) == before else None
-
-
-def _takes_mass(entries: dict[str, Marked]) -> bool:
-    """Whether a fit has no mass of its own, and a model that takes one."""
-    model = entries["model"].text if "model" in entries else ""
-    return "mass" not in entries and model in MODELS and "mass" in model_kind(model).keys
+            owner = model_kind(model).settings
+            assert owner is not None
+            presets["model_settings"] = read_settings(owner, entries[entry], join(key, entry), faults)
+    rig, named = reading.rig, entries["model"].text if "model" in entries else ""
+    takes_mass = "mass" not in entries and named in MODELS and "mass" in model_kind(named).keys
+    if rig is not None and rig.mass is not None and takes_mass:
+        uncertain = () if rig.mass_uncertainty is None else (("mass", rig.mass_uncertainty),)
+        presets |= {"mass": rig.mass, "uncertainties": uncertain}
+    if len(faults) > before:
+        return None
+    plain = replace(node, content=entries).without(*section[1:] if section else ())
+    return read_settings(FitSettings, plain, key, faults, **presets)
 
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
@@ -257,12 +242,6 @@ def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
     return next(((model, section) for model, section in kinds if section and section in entries), None)
 
 
-def _model_settings(node: Marked, key: str, model: str, reading: Reading) -> Any:
-    owner = model_kind(model).settings
-    assert owner is not None
-    return read_settings(owner, node, key, reading.faults)
-
-
 # Reading one entry of the ``compare:`` section: a question to tests that differ in a condition.
 
 
@@ -282,29 +261,16 @@ def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> Comp
         presets["kind_settings"] = read_settings(
             comparison.settings, entries[comparison.section], join(key, comparison.section), faults
         )
-        node = Marked(
-            {entry: part for entry, part in entries.items() if entry != comparison.section},
-            node.where,
-            node.key_where,
-        )
+        node = node.without(comparison.section)
     for entry in sorted(set(node.content if comparison else ()) - set(settings_of(CompareSettings))):
         kinds = [name for name in COMPARISONS if comparison_kind(name).section == entry]
         if kinds:
             faults.add(
                 entries[entry], join(key, entry), f"is not for the kind {kind}", f"kind: {' or '.join(kinds)}"
             )
-    settings = read_settings(CompareSettings, node, key, faults, **presets) if len(faults) == before else None
-    if settings is not None and settings.fit and settings.fit not in reading.names:
-        faults.add(
-            node.content["fit"],
-            join(key, "fit"),
-            f"there is no fit '{settings.fit}'",
-            nearest(settings.fit, reading.names),
-        )
-    return settings
-
-
-# Reading one entry of the ``matrix:`` section.
+    if len(faults) > before:
+        return None
+    return _of_a_fit(read_settings(CompareSettings, node, key, faults, **presets), node, key, reading)
 
 
 def read_matrix(node: Marked, key: str, name: str, reading: Reading) -> MatrixSettings | None:
@@ -312,14 +278,17 @@ def read_matrix(node: Marked, key: str, name: str, reading: Reading) -> MatrixSe
     faults = reading.faults
     if name in reading.names:
         faults.add(node, key, f"the name '{name}' is taken already", "rules could not tell them apart")
-    settings = read_settings(MatrixSettings, node, key, faults, name=name)
-    if settings is not None and settings.fit not in reading.names:
-        faults.add(
-            node.content["fit"],
-            join(key, "fit"),
-            f"there is no fit '{settings.fit}'",
-            nearest(settings.fit, reading.names),
-        )
+    return _of_a_fit(read_settings(MatrixSettings, node, key, faults, name=name), node, key, reading)
+
+
+OfFit = TypeVar("OfFit", CompareSettings, MatrixSettings)
+
+
+def _of_a_fit(settings: OfFit | None, node: Marked, key: str, reading: Reading) -> OfFit | None:
+    """The settings, and a fault for a fit that is not there."""
+    if settings is not None and settings.fit and settings.fit not in reading.names:
+        hint = nearest(settings.fit, reading.names)
+        reading.faults.add_at(node.content, key, "fit", f"there is no fit '{settings.fit}'", hint)
     return settings
 
 
@@ -341,9 +310,7 @@ class ReportSettings(Settings):
     def __post_init__(self) -> None:
         for name in self.formats:
             if name not in REPORT_FORMATS:
-                raise ConfigError(
-                    f"unknown format '{name}'", hint=nearest(name, REPORT_FORMATS), field="formats"
-                )
+                raise SettingError("formats", f"unknown format '{name}'", nearest(name, REPORT_FORMATS))
 
 
 @dataclass(frozen=True)
@@ -380,17 +347,9 @@ class Pipeline:
         """Tables, bearing and rotor files and run-ups that the result depends on beside recordings and
         FRFs.
         """
-        owners = [
-            owner
-            for name, settings in self.sections.items()
-            if name != "identify"
-            for owner in _listing(settings)
-        ]
+        others = [settings for name, settings in self.sections.items() if name != "identify"]
+        owners = [owner for part in others for owner in (part if isinstance(part, tuple) else (part,))]
         return list(dict.fromkeys(path for owner in owners for path in named_files(owner, self.folder)))
-
-
-def _listing(settings: Any) -> tuple[Any, ...]:
-    return settings if isinstance(settings, tuple) else (settings,)
 
 
 def section_names() -> tuple[str, ...]:
@@ -417,7 +376,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
         """A test as each will be, so that settings are held against it."""
         per_file.append(reader.each_file())
         if reader.rig is None and not len(reader.faults):
-            raise ConfigError("no rig file is named", where=str(path), hint="add rig: FILE")
+            raise ConfigError("no rig file is named", path, "add rig: FILE")
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
         return (Test("", source, frf=per_file[0].frf),)
 
@@ -440,9 +399,7 @@ def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
 def _load(
     path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]
 ) -> Pipeline:
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     if entries:
@@ -468,8 +425,8 @@ def _load(
         # Of files written before: by the number of tests.
         results = "whole"
     if results not in RESULTS:
-        faults.add(
-            entries["results"], "results", f"no way '{results}' to keep results", nearest(results, RESULTS)
+        faults.add_at(
+            entries, "", "results", f"no way '{results}' to keep results", nearest(results, RESULTS)
         )
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
@@ -477,7 +434,7 @@ def _load(
     assert report is not None
     return Pipeline(
         path,
-        title=_title(entries, path),
+        title=(entries["title"].text if "title" in entries else "") or path.stem,
         tests=tests,
         frf=frf,
         report=report,
@@ -495,16 +452,11 @@ def _sections(
     settings: dict[str, Any] = {}
     names: tuple[str, ...] = ()
     for name, entry in sections(entries):
+        written = entries[name].content
         content = _section(entries[name], name, entry, Reading(faults, rig, names))
         # Names count even where their entries cannot be read, so that rules on them are no faults.
-        names = (
-            *names,
-            *(
-                entries[name].content
-                if entry.named and isinstance(entries[name].content, dict)
-                else names_of(name, content)
-            ),
-        )
+        by_name = entry.named and isinstance(written, dict)
+        names = (*names, *(written if by_name else names_of(name, content)))
         if content is not None:
             settings[name] = content
     return settings, names
@@ -522,10 +474,6 @@ def _read_entry(node: Marked, key: str, name: str, entry: PipelineSection, readi
     if entry.read is not None:
         return entry.read(node, key, name, reading)
     return read_settings(entry.settings, node, key, reading.faults, **({"name": name} if entry.named else {}))
-
-
-def _title(entries: dict[str, Marked], path: Path) -> str:
-    return entries["title"].text if "title" in entries and entries["title"].text else path.stem
 
 
 def _check_whole(

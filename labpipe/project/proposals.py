@@ -54,10 +54,7 @@ class FirstLook:
 
     def with_forces_apart(self) -> FirstLook:
         """The same, with forces that act at no point of a response: its phase denies it."""
-        apart = (
-            replace(channel, dof=channel.key) if channel.role == "input" else channel
-            for channel in self.channels
-        )
+        apart = (replace(c, dof=c.key) if c.role == "input" else c for c in self.channels)
         return replace(self, channels=tuple(apart))
 
     def column_of(self, role: str) -> list[int]:
@@ -68,11 +65,11 @@ def first_look(table: Table) -> FirstLook:
     """The channels of a table with what its metadata say, its rate and time column, and its first rows."""
     names, rows = first_rows(table)
     if rows.shape[0] < 2:
-        raise DataError("holds too few samples", where=str(table.path))
+        raise DataError("holds too few samples", table.path)
     times = time_columns(names, rows)
     signal_numbers = [number for number, name in enumerate(names) if name not in times]
     if not signal_numbers:
-        raise DataError("holds no column but time", where=str(table.path))
+        raise DataError("holds no column but time", table.path)
     time = times[0] if times and table.sample_rate is None else ""
     step = step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
     rate = table.sample_rate or (1 / step if step else 0.0)
@@ -139,10 +136,10 @@ def propose(
     peak, seen = highest_peak(mobility, coherence)
     turned = abs(np.angle(mobility[peak])) > np.radians(AT_ONE_POINT)
     size = np.abs(mobility)
+    lines = half_power_lines(size, peak)
     if (at_one_point and not turned) or frequency.size < MODAL_LINES:
-        return Proposal("sdof", band_of(frequency, size, peak), seen, half_power_lines(size, peak))
-    band = band_of(frequency, size, peak, MODAL_LINES)
-    return Proposal("modal", band, seen, half_power_lines(size, peak))
+        return Proposal("sdof", band_of(frequency, size, peak), seen, lines)
+    return Proposal("modal", band_of(frequency, size, peak, MODAL_LINES), seen, lines)
 
 
 def proposals(
@@ -182,10 +179,8 @@ def _proposals(
     except DataError:
         return {}
     has_quantities = all(first.channels[number].quantity != DECIDE for number in chosen)
-    return {
-        port.label: proposal_of(response, row, stated=has_quantities)
-        for row, port in enumerate(response.outputs)
-    }
+    ports = enumerate(response.outputs)
+    return {port.label: proposal_of(response, row, stated=has_quantities) for row, port in ports}
 
 
 def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Proposal:
@@ -206,9 +201,8 @@ def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Propo
 
 def _as_channel(channel: GuessedChannel) -> Channel:
     """The channel for a look at the spectra; what is not known counts as a displacement, in any unit."""
-    quantity = (
-        channel.quantity if channel.quantity in ("force", "velocity", "acceleration") else "displacement"
-    )
+    is_plain = channel.quantity in ("force", "velocity", "acceleration")
+    quantity = channel.quantity if is_plain else "displacement"
     return Channel(channel.key, quantity, channel.role, channel.dof)
 
 

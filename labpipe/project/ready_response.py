@@ -34,9 +34,7 @@ def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
     suffix = plain_suffix(path)
     if suffix not in FRF_READERS.names():
         suffixes = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
-        raise DataError(
-            f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {suffixes}"
-        )
+        raise DataError(f"FRF files with the ending '{suffix}' cannot be read", path, f"known: {suffixes}")
     response: FrequencyResponse = guard(FRF_READERS.load(suffix), path, name)
     return response
 
@@ -62,9 +60,9 @@ def load_response(path: Path, name: str = "", conditions: dict[str, str] | None 
     Name and conditions of its test take the place of its own.
     """
     if path.is_dir():
-        raise DataError("is a folder, a file is needed", where=str(path))
+        raise DataError("is a folder, a file is needed", path)
     if not path.exists():
-        raise DataError("no such file", where=str(path))
+        raise DataError("no such file", path)
     try:
         response = read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
     except DataError as error:
@@ -130,7 +128,5 @@ def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespo
 def _rename(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
     """The ports under the dofs of the entry, if it gives any."""
     if dofs and len(dofs) != len(ports):
-        raise DataError(
-            f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", where=str(path)
-        )
+        raise DataError(f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", path)
     return tuple(map(port_of, dofs)) or ports

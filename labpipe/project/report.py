@@ -68,9 +68,8 @@ def is_drawn(path: Path, source: str) -> bool:
         return False
     start = content.rfind(b"\n", 0, matches[-1].start()) + 1
     line = content[start : matches[-1].start()], content[matches[-1].end() :]
-    return (
-        line in COMMENTS.values() and hashlib.sha256(content[:start]).hexdigest() == matches[-1][2].decode()
-    )
+    digest = hashlib.sha256(content[:start]).hexdigest()
+    return line in COMMENTS.values() and digest == matches[-1][2].decode()
 
 
 SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md", ".pdf": "pdf"}
@@ -83,9 +82,7 @@ def format_of(path: Path) -> str:
         return "html"
     if suffix not in SUFFIX_FORMATS:
         raise ConfigError(
-            f"no report format for the ending '{suffix}'",
-            where=str(path),
-            hint=f"known: {', '.join(SUFFIX_FORMATS)}",
+            f"no report format for the ending '{suffix}'", path, f"known: {', '.join(SUFFIX_FORMATS)}"
         )
     return SUFFIX_FORMATS[suffix]
 
@@ -117,12 +114,16 @@ def write_test_report(
     """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the
     folder that it was read from.
     """
-    from labpipe.document.charts import figure_files
     from labpipe.report.build import build
 
     if identification.dataset is not None:
         identification = one_of_many(identification, results or path.parent, test)
-    document = build(identification, test)
+    _write_document(build(identification, test), path, figures)
+
+
+def _write_document(document: Any, path: Path, figures: Path | None) -> None:
+    from labpipe.document.charts import figure_files
+
     content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
     _write(content, path, {} if figures is None else figure_files(document), figures)
 
@@ -187,12 +188,9 @@ def write_campaign(
     """Write the report of many results (name, identification) together: trends, control limits,
     differences.
     """
-    from labpipe.document.charts import figure_files
     from labpipe.report.campaign import campaign_document
 
-    document = campaign_document(results)
-    content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
-    _write(content, path, {} if figures is None else figure_files(document), figures)
+    _write_document(campaign_document(results), path, figures)
 
 
 def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes]:
@@ -207,7 +205,7 @@ def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:
     """Report and figures, all or none."""
     if figures is not None and figures.exists() and not figures.is_dir():
-        raise DataError("is a file, a folder is needed", where=str(figures))
+        raise DataError("is a file, a folder is needed", figures)
     with ExitStack() as outputs:
         target = outputs.enter_context(output_file(path))
         target.write_bytes(content)

@@ -18,7 +18,7 @@ from labpipe.project.calibrations import (
     read_sensor_response,
 )
 from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.records.recording import ROLES, Channel, Term
@@ -110,9 +110,7 @@ class ChannelSettings(Settings):
 
 def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
     """The rig of a rig file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults()
     rig = read_rig(tree, faults)
     faults.raise_any()
@@ -126,12 +124,8 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
     for name, node in faults.mapping(entry, key).items():
         channel = tree.content.get("channels", Marked({}, tree.where)).content.get(name)
         if channel is None:
-            faults.add(
-                node,
-                join(key, name),
-                "the rig has no such channel",
-                nearest(name, tree.content["channels"].content),
-            )
+            hint = nearest(name, tree.content["channels"].content)
+            faults.add(node, join(key, name), "the rig has no such channel", hint)
         else:
             channel.content.update(faults.mapping(node, join(key, name)))
     return read_rig(tree, faults)
@@ -144,41 +138,31 @@ def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
     ConfigError for a name that is no channel of the rig.
     """
     places: dict[str, str] = {}
+    names = [channel.name for channel in rig.all_channels]
     for name, dof in dofs.items():
         of_role = [channel.name for channel in rig.all_channels if channel.role == name]
-        names = [channel.name for channel in rig.all_channels]
         if name not in names and len(of_role) != 1:
-            what = (
-                f"'{name}' is no channel of the rig"
-                if not of_role
-                else (f"the rig has {len(of_role)} channels of the role {name}")
-            )
+            what = f"the rig has {len(of_role)} channels of the role {name}"
+            what = what if of_role else f"'{name}' is no channel of the rig"
             raise ConfigError(what, hint=nearest(name, names))
         places[name if name in names else of_role[0]] = dof
-    channels = tuple(
-        replace(recorded, channel=_at(recorded.channel, places.get(recorded.channel.name)))
-        for recorded in rig.channels
-    )
-    return replace(
-        rig,
-        channels=channels,
-        derived=tuple(_at(channel, places.get(channel.name)) for channel in rig.derived),
-    )
 
+    def moved(channel: Channel) -> Channel:
+        dof = places.get(channel.name)
+        return channel if dof is None else replace(channel, dof=dof, angle=AXIS_ANGLES.get(dof))
 
-def _at(channel: Channel, dof: str | None) -> Channel:
-    return channel if dof is None else replace(channel, dof=dof, angle=AXIS_ANGLES.get(dof))
+    channels = tuple(replace(recorded, channel=moved(recorded.channel)) for recorded in rig.channels)
+    return replace(rig, channels=channels, derived=tuple(map(moved, rig.derived)))
 
 
 def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     """The rig of a marked tree; None and faults where it cannot be read."""
     before = len(faults)
     entries = faults.mapping(tree, "")
-    plain = Marked({k: v for k, v in entries.items() if k not in PARTS}, tree.where)
+    plain = replace(tree, content=entries).without(*PARTS)
     settings = read_settings(RigSettings, plain, "", faults)
-    channels, derived = _read_channels(
-        _with_listed_sums(entries, faults), entries.get("constants"), tree, faults
-    )
+    listed = _with_listed_sums(entries, faults)
+    channels, derived = _read_channels(listed, entries.get("constants"), tree, faults)
     if settings is not None:
         stated = [name for name in ("sample_rate", "time", "resample") if getattr(settings, name) is not None]
         if len(stated) > 1:
@@ -231,21 +215,13 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
         if name in together:
             faults.add(node, key, "is a channel already", "give it another name")
         elif listed is None or not isinstance(listed.content, dict):
-            faults.add(
-                listed or node,
-                join(key, "sum"),
-                "a mapping of channels to factors is needed",
-                "sum: {f: 1, a: -30 kg +- 0.1 kg}",
-            )
+            what = "a mapping of channels to factors is needed"
+            faults.add(listed or node, join(key, "sum"), what, "sum: {f: 1, a: -30 kg +- 0.1 kg}")
         else:
             text = " + ".join(f"{factor.text} * {member}" for member, factor in listed.content.items())
-            as_text = Marked(text, listed.where, listed.key_where, text)
-            content = {
-                **{entry: value for entry, value in parts.items() if entry != "sum"},
-                "derived": as_text,
-            }
-            together[name] = Marked(content, node.where, node.key_where)
-    return Marked(together, channels.where, channels.key_where, channels.text)
+            as_text = replace(listed, content=text, text=text)
+            together[name] = replace(node, content={**node.without("sum").content, "derived": as_text})
+    return replace(channels, content=together)
 
 
 def _read_channels(
@@ -264,17 +240,15 @@ def _read_channels(
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
     derived = _read_sums(sums, entries, read_constants(constants, faults), channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
-    # A force in a sum is no force of its own unless the file says so.
-    free = [
-        channel.channel.name for channel in channels if "role" not in entries[channel.channel.name].content
-    ]
-    channels = [
-        replace(recorded, channel=replace(recorded.channel, role="reference"))
-        if recorded.channel.name in members & set(free)
-        else recorded
-        for recorded in channels
-    ]
-    return channels, derived
+
+    def as_member(recorded: RigChannel) -> RigChannel:
+        """A force in a sum is no force of its own unless the file says so."""
+        name = recorded.channel.name
+        if name not in members or "role" in entries[name].content:
+            return recorded
+        return replace(recorded, channel=replace(recorded.channel, role="reference"))
+
+    return list(map(as_member, channels)), derived
 
 
 def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChannel]:
@@ -285,11 +259,8 @@ def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChanne
         if channel is None:
             continue
         if channel.column in columns:
-            faults.add(
-                entry,
-                join("channels", name),
-                f"takes the column '{channel.column}' of channel '{columns[channel.column]}'",
-            )
+            what = f"takes the column '{channel.column}' of channel '{columns[channel.column]}'"
+            faults.add(entry, join("channels", name), what)
         columns[channel.column] = name
         channels.append(channel)
     return channels
@@ -307,8 +278,11 @@ def _read_sums(
     A channel that could not be read is no second fault.
     """
     quantities = {
-        name: entry.content["quantity"].text for name, entry in entries.items() if _has_quantity(entry)
+        name: entry.content["quantity"].text
+        for name, entry in entries.items()
+        if isinstance(entry.content, dict) and "quantity" in entry.content
     }
+    quantities = {name: quantity for name, quantity in quantities.items() if quantity in QUANTITIES}
     reader = SumReader(quantities, constants)
     settings = {
         name: read_settings(ChannelSettings, entry, join("channels", name), faults)
@@ -337,14 +311,6 @@ def _read_sums(
     return tuple(channel for channel in channels if channel is not None)
 
 
-def _has_quantity(entry: Marked) -> bool:
-    return (
-        isinstance(entry.content, dict)
-        and "quantity" in entry.content
-        and entry.content["quantity"].text in QUANTITIES
-    )
-
-
 def _sum_channel(
     name: str,
     entry: Marked,
@@ -360,16 +326,13 @@ def _sum_channel(
     key = join("channels", name)
     assert settings is not None
     try:
-        terms = expand({sum_name: sums[sum_name] for sum_name in sums}, name)
+        terms = expand(sums, name)
     except UnitError as error:
         faults.add_unit(entry.content["derived"], join(key, "derived"), error)
         return None
     by_name = {channel.channel.name: channel.channel for channel in recorded}
-    chains = {
-        (by_name[term.channel].delay, by_name[term.channel].response)
-        for term in terms
-        if term.channel in by_name
-    }
+    members = [by_name[term.channel] for term in terms if term.channel in by_name]
+    chains = {(member.delay, member.response) for member in members}
     delay, response = chains.pop() if len(chains) == 1 else (0.0, ())
     dof, angle = _direction(settings.dof or name, entry, key, faults)
     member = any(term.channel == name for other in sums.values() for term in other)
@@ -389,9 +352,9 @@ def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, C
         return node, None
     if certified.response and "response" in node.content:
         what = "the certificate states it"
-        faults.add(node.content["response"], join(key, "response"), what, "leave it out")
-    number = Marked(certified.text, entry.where, entry.key_where, certified.text)
-    return Marked({**node.content, "sensitivity": number}, node.where, node.key_where), certified
+        faults.add_at(node.content, key, "response", what, "leave it out")
+    number = replace(entry, content=certified.text, text=certified.text)
+    return replace(node, content={**node.content, "sensitivity": number}), certified
 
 
 def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChannel | None:
@@ -421,20 +384,10 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
         return None
     sign = -1.0 if settings.invert else 1.0
     role = settings.role or DEFAULT_ROLES.get(settings.quantity, "reference")
-    channel = Channel(
-        name,
-        settings.quantity,
-        role,
-        dof,
-        angle,
-        settings.delay,
-        response,
-        uncertainties=uncertainties,
-        position=settings.position,
-    )
-    return RigChannel(
-        channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits
-    )
+    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response)
+    channel = replace(channel, uncertainties=uncertainties, position=settings.position)
+    column, unit = settings.column or name, settings.unit or channel.unit
+    return RigChannel(channel, column, unit, sign * scale, sign * offset, limits)
 
 
 def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, float | None]:
@@ -475,9 +428,8 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
     try:
-        return unit.factor / _sensitivity(
-            split_uncertainty(settings.sensitivity)[0], unit, si_unit, node
-        ), 0.0
+        stated = split_uncertainty(settings.sensitivity)[0]
+        return unit.factor / _sensitivity(stated, unit, si_unit, node), 0.0
     except UnitError as error:
         faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
         return 1.0, 0.0
@@ -503,10 +455,8 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
             return number * reading.factor
         if reading.dimension == tuple(-w for w in wanted):
             return 1.0 / (number * reading.factor)
-    raise UnitError(
-        f"'{match[2]}' does not lead from the channel's unit to {si_unit}",
-        "write recorded unit per quantity, e.g. 'V/mm'",
-    )
+    what = f"'{match[2]}' does not lead from the channel's unit to {si_unit}"
+    raise UnitError(what, "write recorded unit per quantity, e.g. 'V/mm'")
 
 
 def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float] | None:

@@ -8,8 +8,9 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any
 
+from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import Marked
-from labpipe.project.settings_reader import Faults, join
+from labpipe.project.settings_reader import Faults, join, listed
 from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
 from labpipe.registry import nearest
 from labpipe.uncertainty.decisions import OUTCOMES, PASS
@@ -90,6 +91,10 @@ class Rule:
     decision: Decision | None = None
     together: tuple[Rule, ...] = ()
 
+    def fault(self, what: str, hint: str = "") -> ConfigError:
+        """What is wrong with the rule, at its place."""
+        return ConfigError(f"{self.section}.{self.address}: {what}", self.place, hint)
+
     @property
     def text(self) -> str:
         """The rule as people read it."""
@@ -113,11 +118,9 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
         if address == EVERY_WARNING:
             # Which warnings refuse a result, of every fit.
             texts = _rule_texts(entry, key, faults)
-            for fit in fits:
-                match = _ADDRESS.match(f"{fit}.{EVERY_WARNING}")
-                assert match is not None
-                rules.extend(_rule(section, match[0], entry, match, text) for text in texts)
-        elif _is_decision(entry):
+            addresses = filter(None, (_ADDRESS.match(f"{fit}.{EVERY_WARNING}") for fit in fits))
+            rules.extend(_rule(section, at[0], entry, at, text) for at in addresses for text in texts)
+        elif isinstance(entry.content, dict) and any(name in DECISION_KEYS for name in entry.content):
             if "together" in entry.content:
                 rules.extend(_together(section, address, entry, faults, fits))
             elif match := _match(address, entry, key, faults, fits):
@@ -144,10 +147,6 @@ def _match(
 
 
 # Rules that give limits: {limits: [134 kN/m, 135 kN/m], rule: guarded, risk: 5 %}.
-
-
-def _is_decision(entry: Marked) -> bool:
-    return isinstance(entry.content, dict) and any(name in DECISION_KEYS for name in entry.content)
 
 
 def _decide(
@@ -192,7 +191,7 @@ def _together(
         return ()
     decision = replace(members[0].decision or Decision(), low="", high="")
     if decision.rule == GUARDED:
-        faults.add(entry.content["rule"], join(key, "rule"), "guard bands hold for one limit", "write risk")
+        faults.add_at(entry.content, key, "rule", "guard bands hold for one limit", "write risk")
         return ()
     rule = replace(members[0], address=address, fit="", which="", item="", bound="", place=entry.place)
     return (replace(rule, kind="together", decision=decision, together=tuple(members)),)
@@ -206,21 +205,19 @@ def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
     rule = nodes["rule"].text if "rule" in nodes else SIMPLE
     if rule not in DECISIONS:
         hint = nearest(rule, DECISIONS)
-        faults.add(nodes["rule"], join(key, "rule"), f"unknown rule '{rule}'", hint)
+        faults.add_at(nodes, key, "rule", f"unknown rule '{rule}'", hint)
     if "guard" in nodes and ("risk" in nodes or rule != GUARDED):
         what = "a guard band takes the place of the risk" if "risk" in nodes else "only 'guarded' has one"
-        faults.add(nodes["guard"], join(key, "guard"), what, "rule: guarded with guard or with risk")
+        faults.add_at(nodes, key, "guard", what, "rule: guarded with guard or with risk")
     if "risk" in nodes and rule == SIMPLE:
-        faults.add(
-            nodes["risk"], join(key, "risk"), "simple acceptance has none", "rule: guarded or rule: risk"
-        )
+        faults.add_at(nodes, key, "risk", "simple acceptance has none", "rule: guarded or rule: risk")
     low, high = _read_limits(entry, key, faults)
     risk = _read_number(nodes.get("risk"), join(key, "risk"), faults, (0.0, 0.5))
     guard = _read_number(nodes.get("guard"), join(key, "guard"), faults, (-10.0, 10.0))
     process = nodes["process"].text if "process" in nodes else ""
     if "process" in nodes and "+-" not in process.replace("±", "+-"):
         hint = "mean and standard deviation: 134.5 kN/m +- 0.2 kN/m"
-        faults.add(nodes["process"], join(key, "process"), f"'{process}' has no spread", hint)
+        faults.add_at(nodes, key, "process", f"'{process}' has no spread", hint)
     outcomes = _read_outcomes(nodes.get("outcomes"), join(key, "outcomes"), faults)
     if len(faults) > before:
         return None
@@ -239,13 +236,13 @@ def _read_limits(entry: Marked, key: str, faults: Faults) -> tuple[str, str]:
     """The limits as texts, empty where a side is open."""
     nodes = entry.content
     if "limits" in nodes and ("min" in nodes or "max" in nodes):
-        faults.add(nodes["limits"], join(key, "limits"), "limits are given twice", "leave min and max out")
+        faults.add_at(nodes, key, "limits", "limits are given twice", "leave min and max out")
     pair = [nodes.get("min"), nodes.get("max")]
     if "limits" in nodes:
         listed = nodes["limits"].content
         if not isinstance(listed, list) or len(listed) != 2:
             hint = "[134 kN/m, 135 kN/m], or [134 kN/m, null] for an open side"
-            faults.add(nodes["limits"], join(key, "limits"), "two limits are needed", hint)
+            faults.add_at(nodes, key, "limits", "two limits are needed", hint)
             return "", ""
         pair = listed
     texts = ["" if node is None or node.content is None else node.text.strip() for node in pair]
@@ -288,7 +285,7 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
     """The outcomes with which a rule holds: one, or a list of them."""
     if node is None:
         return (PASS,)
-    texts = [entry.text for entry in node.content] if isinstance(node.content, list) else [node.text]
+    texts = [entry.text for entry in listed(node)]
     for text in texts:
         if text not in OUTCOMES:
             faults.add(node, key, f"unknown outcome '{text}'", nearest(text, OUTCOMES))
@@ -302,26 +299,18 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
 
 def _rule_texts(entry: Marked, key: str, faults: Faults) -> list[str]:
     """The texts of an entry: one, or a list of which all must hold."""
-    nodes = entry.content if isinstance(entry.content, list) else [entry]
-    try:
-        return [_checked_text(node) for node in nodes]
-    except UnitError as error:
-        faults.add_unit(entry, key, error)
+    nodes = listed(entry)
+    if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
+        hint = "write for example '>= 0.95', '45.2 kN/m +- 1 %' or 'collinear'"
+        faults.add(entry, key, "a rule is missing", hint)
         return []
-
-
-def _checked_text(node: Marked) -> str:
-    if isinstance(node.content, (dict, list)) or not node.text.strip():
-        raise UnitError("a rule is missing", "write for example '>= 0.95', '45.2 kN/m +- 1 %' or 'collinear'")
-    return node.text.strip()
+    return [node.text.strip() for node in nodes]
 
 
 def _rule(section: str, address: str, entry: Marked, match: re.Match[str], text: str) -> Rule:
     comparison = _COMPARISON.match(text)
-    if comparison:
-        kind, bound = comparison[1], comparison[2]
-    else:
-        kind, bound = ("+-" if "+-" in text or "±" in text else "="), text
+    plain = ("+-" if "+-" in text or "±" in text else "="), text
+    kind, bound = (comparison[1], comparison[2]) if comparison else plain
     return Rule(
         section=section,
         address=address,

@@ -99,9 +99,7 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
     """
     names = [declared.name for declared in pipeline.tests]
     if test not in names or len(names) < MANY:
-        raise ConfigError(
-            f"no test '{test}' among several", where=str(pipeline.path), hint=nearest(test, names)
-        )
+        raise ConfigError(f"no test '{test}' among several", pipeline.path, nearest(test, names))
     with staging_folder(existing_home(target)) as scratch:
         return work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
 
@@ -109,11 +107,9 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
 def identify_many(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification | None:
     """The fits of responses that are there, where so many tests are kept as a dataset; None for fewer."""
     independent = independent_fits(pipeline)
-    return (
-        _run_many(pipeline, output, manner, independent, measured_before=True)
-        if keeps_dataset(pipeline, independent)
-        else None
-    )
+    if not keeps_dataset(pipeline, independent):
+        return None
+    return _run_many(pipeline, output, manner, independent, measured_before=True)
 
 
 def _run_many(
@@ -147,27 +143,22 @@ def measure_tests(
         if len(jobs) > 1:
             done = {outcome.test: outcome for outcome in _outcomes(jobs, manner)}
         else:
-            done = {job.test.name: _measure(job, output, manner) for job in jobs}
+            done = {}
+            for job in jobs:
+                # The only test of a pipeline, measured here.
+                with brought(job) as near:
+                    done[job.test.name] = Done(job.test.name, measure(near, output, manner.tell))
     output.remarks.extend(remark for outcome in done.values() for remark in outcome.remarks)
     finished = [job for job in jobs if done[job.test.name].failed is None]
-    failed = tuple(
-        outcome.failed for outcome in (done[job.test.name] for job in jobs) if outcome.failed is not None
-    )
+    failed = tuple(failure for job in jobs if (failure := done[job.test.name].failed) is not None)
     if failed and not finished:
-        raise DataError(
-            f"{failed[0].message} (and none of the other {len(failed) - 1} tests could be evaluated)"
-        )
+        others = f"and none of the other {len(failed) - 1} tests could be evaluated"
+        raise DataError(f"{failed[0].message} ({others})")
     sources = [source for job in finished for source in done[job.test.name].sources]
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     tests = [part for job in finished for part in measured_of(job, output)]
     inputs = tuple(reference for job in finished for reference in measured_refs(job, output))
     return Measured(tuple(tests), tuple(sources), finished_fits(finished, output), failed, inputs)
-
-
-def _measure(job: Job, output: OutputFolder, manner: Manner) -> Done:
-    """The only test of a pipeline, measured here."""
-    with brought(job) as near:
-        return Done(job.test.name, measure(near, output, manner.tell))
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:
@@ -190,11 +181,8 @@ def _jobs(
     for test in pipeline.tests:
         other = files.setdefault(file_stem(test.name), test.name)
         if other != test.name:
-            raise ConfigError(
-                f"tests '{other}' and '{test.name}' would write the same file",
-                where=str(pipeline.path),
-                hint="rename one",
-            )
+            what = f"tests '{other}' and '{test.name}' would write the same file"
+            raise ConfigError(what, pipeline.path, "rename one")
     test_names = [
         name
         for test in pipeline.tests
@@ -230,10 +218,8 @@ def _outcomes(jobs: Sequence[Job], manner: Manner) -> Iterator[Done]:
             count += 1
             manner.progress(count, len(jobs), outcome.test)
             if outcome.halts and outcome.failed is not None:
-                raise DataError(
-                    outcome.failed.message,
-                    hint=f"{count - 1} of {len(jobs)} tests are finished and kept; {AGAIN}",
-                )
+                hint = f"{count - 1} of {len(jobs)} tests are finished and kept; {AGAIN}"
+                raise DataError(outcome.failed.message, hint=hint)
             yield outcome
     except KeyboardInterrupt:
         remark = f"{count} of {len(jobs)} tests are finished and kept"

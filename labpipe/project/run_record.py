@@ -26,6 +26,7 @@ from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import RECORD_FAULTS
 from labpipe.artefacts.writing import is_remote, only_one, output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
+from labpipe.project.catalogue import verdict
 from labpipe.records.identification import Identification
 
 RECORD = "labpipe-runs.jsonl"
@@ -66,9 +67,9 @@ class Run:
 def begin(folder: Path) -> Path:
     """Begin the record of a folder; ConfigError where there is one in or above it."""
     if not folder.is_dir():
-        raise DataError("no such folder", where=str(folder), hint="name the folder that holds your results")
+        raise DataError("no such folder", folder, "name the folder that holds your results")
     if (there := record_of_runs(folder)) is not None:
-        raise ConfigError("the record was begun already", where=str(there))
+        raise ConfigError("the record was begun already", there)
     results = {name: digest for name, digest in _digests(folder).items() if digest}
     with output_file(folder / RECORD) as path:
         path.write_bytes(_next([], NOTHING, outcome=BEGUN, results=results).line)
@@ -95,12 +96,7 @@ def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
         _add(folder, pipeline, None, f"failed: {cut(what[0])}")
         raise
     identification = made[0] if made else None
-    outcome = "no result"
-    if identification is not None:
-        outcome = "accepted" if identification.accepted else "not accepted"
-        outcome = (
-            "incomplete" if identification.failed else outcome if identification.outcomes else "no rules"
-        )
+    outcome = "no result" if identification is None else verdict(identification)
     _add(folder, pipeline, identification, outcome)
 
 
@@ -181,7 +177,7 @@ def _read(path: Path) -> tuple[list[Run], str]:
             if runs[-1].line != line:
                 raise ValueError("another layout")
         except (*RECORD_FAULTS, UnicodeDecodeError) as error:
-            raise DataError(f"line {number} is no run ({cut(str(error))})", where=str(path)) from None
+            raise DataError(f"line {number} is no run ({cut(str(error))})", path) from None
         digest = hashlib.sha256(line).hexdigest()
     return runs, digest
 

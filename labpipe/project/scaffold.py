@@ -71,12 +71,8 @@ class Scaffold:
     def decisions(self) -> list[str]:
         """The marked lines, with the file that they stand in."""
         files = (("rig.yaml", self.rig), ("pipeline.yaml", self.pipeline))
-        return [
-            f"{name}:{n}"
-            for name, text in files
-            for n, line in enumerate(text.splitlines(), 1)
-            if MARK in line
-        ]
+        lines = ((name, n, line) for name, text in files for n, line in enumerate(text.splitlines(), 1))
+        return [f"{name}:{n}" for name, n, line in lines if MARK in line]
 
 
 def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
@@ -148,14 +144,14 @@ def _rig(first: FirstLook, path: Path) -> str:
             "not state it"
         )
     lines.append("channels:                      # key = the name used everywhere else")
-    open_units = [
-        channel.quantity for channel in first.channels if channel.unit == DECIDE != channel.quantity
-    ]
-    for number, channel in enumerate(first.channels):
-        before = [channel.quantity for channel in first.channels[:number] if channel.unit == DECIDE]
-        anchor = "&" if channel.quantity not in before else "*"
+    undecided = [channel for channel in first.channels if channel.unit == DECIDE]
+    open_units = [channel.quantity for channel in undecided if channel.quantity != DECIDE]
+    seen: set[str] = set()
+    for channel in first.channels:
         several = channel.unit == DECIDE and open_units.count(channel.quantity) > 1
+        anchor = "*" if channel.quantity in seen else "&"
         lines.append(_channel_line(channel, anchor if several else ""))
+        seen |= {channel.quantity} if channel.unit == DECIDE else set()
     lines.extend(f"# not used: {unused}" for unused in first.unused)
     lines.append(
         "# mass: 1 kg                   # that moves with the response; without it the mass is estimated"
@@ -191,7 +187,9 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     inputs, outputs = first.column_of("input"), first.column_of("output")
     excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
     decays = {} if inputs else decay_bands(first, outputs)
-    if excitation is not None and _side_by_side(first, outputs):
+    # Displacements and accelerations were recorded together, which one response matrix cannot hold.
+    quantities = {first.channels[number].quantity for number in outputs}
+    if excitation is not None and {"displacement", "acceleration"} <= quantities:
         return _pipeline_of_stator(first, excitation, paths)
     peaks: Mapping[str, Proposal] = {}
     if excitation is not None and first.rate:
@@ -205,21 +203,13 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "identify:",
     ]
     if decays:
-        return (
-            "\n".join([*lines, *(line for fit in decays.items() for line in _decay_lines(*fit, first.rate))])
-            + "\n"
-        )
-    force = (
-        first.channels[inputs[0]].key
-        if inputs
-        else (f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one")
-    )
+        lines += [line for fit in decays.items() for line in _decay_lines(*fit, first.rate)]
+        return "\n".join(lines) + "\n"
+    force = f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one"
+    force = first.channels[inputs[0]].key if inputs else force
     if not outputs:
-        lines.extend(
-            _fit_lines(
-                "fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", UNSEEN
-            )
-        )
+        response = f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one"
+        lines.extend(_fit_lines("fit", force, response, UNSEEN))
     keys = [first.channels[number].key for number in outputs]
     lines.extend(_all_fit_lines(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
     lines.append(
@@ -236,13 +226,6 @@ def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[st
     if rate:
         lines.append(f"    band: {band[0]:.4g}-{band[1]:.4g} Hz".ljust(31) + "# around the highest peak")
     return lines
-
-
-def _side_by_side(first: FirstLook, outputs: Sequence[int]) -> bool:
-    """Whether displacements and accelerations were recorded together, which one response matrix cannot
-    hold.
-    """
-    return {"displacement", "acceleration"} <= {first.channels[number].quantity for number in outputs}
 
 
 def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> str:
@@ -279,11 +262,8 @@ def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str
 
 def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     if excitation is None:
-        return [
-            "frf:",
-            f"  excitation: {DECIDE}    {MARK} periodic (with period: 1 s), random or impact (with block: 1 "
-            "s), decay (no force)",
-        ]
+        kinds = "periodic (with period: 1 s), random or impact (with block: 1 s), decay (no force)"
+        return ["frf:", f"  excitation: {DECIDE}    {MARK} {kinds}"]
     remark = {
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
         "random": "force without a period",
@@ -291,11 +271,8 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         "sweep": f"{excitation.repeats} sweep(s)",
     }[excitation.kind]
     low, high = excitation.band
-    length = (
-        f"{excitation.length / rate:.12g} s"
-        if rate
-        else (f"{DECIDE}    {MARK} the time that {excitation.length} samples take")
-    )
+    length = f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
+    length = f"{excitation.length / rate:.12g} s" if rate else length
     lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {remark}"]
     if excitation.kind != "sweep":
         lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
@@ -372,16 +349,17 @@ def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
     return lines or ["  modes:", "    model: modal"]
 
 
+HEAD_OF_FRFS = (
+    "# What to do with the FRFs. Paths are relative to this file.",
+    "title: Stiffness and damping from measured FRFs",
+)
+
+
 def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
     """A pipeline that begins with FRFs: one fit for each response, to the first force."""
     files = [Path(path) for path in paths]
     estimator = "ml" if response.covariance is not None else "ls"
-    lines = [
-        "# What to do with the FRFs. Paths are relative to this file.",
-        "title: Stiffness and damping from measured FRFs",
-    ]
-    lines.extend(_sources(files, paths, "frfs"))
-    lines.append("identify:")
+    lines = [*HEAD_OF_FRFS, *_sources(files, paths, "frfs"), "identify:"]
     fits = {
         json.dumps(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
         for row, port in enumerate(response.outputs)
@@ -393,22 +371,14 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
 def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Sequence[str]) -> str:
     """A pipeline that begins with FRFs of another program: one file, or one for each point."""
     guessed = _with_falling_phase(guessed)
-    lines = [
-        "# What to do with the FRFs. Paths are relative to this file.",
-        "title: Stiffness and damping from measured FRFs",
-        *(f"# a guess, {doubt}" for doubt in guessed.doubts),
-        "frfs:",
-    ]
+    lines = [*HEAD_OF_FRFS, *(f"# a guess, {doubt}" for doubt in guessed.doubts), "frfs:"]
     pattern = _pattern_of([Path(path).stem for path in paths])
     if len(paths) > 1:
         lines.append(f"  each: {json.dumps(list(paths), ensure_ascii=False)}")
-        lines.append(
-            f"  pattern: {json.dumps(pattern, ensure_ascii=False)}".ljust(31)
-            + "# a guess: the one part in which the names differ"
-            if pattern
-            else f"  pattern: {DECIDE}    {MARK} where the dofs stand in the files' names, for example "
-            "'H_{output}_{input}'"
-        )
+        where = "where the dofs stand in the files' names, for example 'H_{output}_{input}'"
+        guess = f"  pattern: {json.dumps(pattern, ensure_ascii=False)}".ljust(31)
+        guess += "# a guess: the one part in which the names differ"
+        lines.append(guess if pattern else f"  pattern: {DECIDE}    {MARK} {where}")
     else:
         lines.append(f"  file: {json.dumps(paths[0], ensure_ascii=False)}")
     if guessed.word:
@@ -420,10 +390,8 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     if guessed.elements:
         outputs = _labels(guessed.elements)
         lines.append("  elements:                    # the dof of each response: any name, such as 3.z")
-        lines += [
-            f"    {json.dumps(name)}: {_flow(parts)}"
-            for name, parts in zip(outputs, guessed.elements.values(), strict=True)
-        ]
+        pairs = zip(outputs, guessed.elements.values(), strict=True)
+        lines += [f"    {json.dumps(name)}: {_flow(parts)}" for name, parts in pairs]
     elif len(paths) == 1:
         lines.append("  output: y".ljust(31) + "# the dof of the response: any name, such as 3.z")
     if len(paths) == 1 or pattern:
@@ -502,11 +470,8 @@ def _order(guessed: GuessedFrf) -> int:
 
 
 def _flow(columns: Mapping[str, str]) -> str:
-    return (
-        "{"
-        + ", ".join(f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in columns.items())
-        + "}"
-    )
+    entries = (f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in columns.items())
+    return f"{{{', '.join(entries)}}}"
 
 
 def _unit_lines(guessed: GuessedFrf) -> list[str]:

@@ -39,22 +39,15 @@ def rig_schema() -> dict[str, Any]:
     certified = object_schema(CertificateSettings)
     channel["properties"]["sensitivity"] = {"anyOf": [typed, certified], "description": typed["description"]}
     schema["properties"]["channels"] = {"type": "object", "additionalProperties": channel}
-    constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
-    schema["properties"]["constants"] = {
-        **constants,
-        "description": "numbers in sums of channels, with their uncertainty: m_s: 30 kg +- 0.1 kg",
-    }
-    factors = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    numbers = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    described = "numbers in sums of channels, with their uncertainty: m_s: 30 kg +- 0.1 kg"
+    schema["properties"]["constants"] = {**numbers, "description": described}
     listed = object_schema(ChannelSettings)
-    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")} | {
-        "sum": factors
-    }
+    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")}
+    listed["properties"]["sum"] = numbers
     described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
-    schema["properties"]["derived"] = {
-        "type": "object",
-        "additionalProperties": listed,
-        "description": described,
-    }
+    sums = {"type": "object", "additionalProperties": listed, "description": described}
+    schema["properties"]["derived"] = sums
     schema["required"] = ["channels"]
     return {"$schema": DRAFT, "title": "labpipe rig", **schema}
 
@@ -87,13 +80,8 @@ def _recordings() -> dict[str, Any]:
 def _frfs() -> dict[str, Any]:
     """`frfs:`: files of frequency responses, by name or with their layout."""
     described = object_schema(FrfLayout)
-    return {
-        "anyOf": [
-            {"type": "string"},
-            described,
-            {"type": "array", "items": {"anyOf": [{"type": "string"}, described]}},
-        ]
-    }
+    one = [{"type": "string"}, described]
+    return {"anyOf": [*one, {"type": "array", "items": {"anyOf": one}}]}
 
 
 def pipeline_schema() -> dict[str, Any]:
@@ -123,12 +111,8 @@ def pipeline_schema() -> dict[str, Any]:
             "description": "what fits make of several recordings of the same FRFs: in place of their own",
         },
     }
-    rules = {
-        "type": "object",
-        "additionalProperties": {
-            "anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}, _decision()]
-        },
-    }
+    rule = {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}, _decision()]}
+    rules = {"type": "object", "additionalProperties": rule}
     properties = {
         "title": {"type": "string"},
         "rig": {"type": "string", "description": "rig file, relative to this file"},

@@ -188,7 +188,7 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
     suffix = plain_suffix(path)
     if suffix in SETTINGS_SUFFIXES:
         hint = "labpipe.run, bearing, rotor and virtual_rig read these"
-        raise ConfigError("is a settings file", where=str(path), hint=hint)
+        raise ConfigError("is a settings file", path, hint)
     if suffix == ".json":
         return read_identification(path)
     if path.name.endswith(DECAY_SUFFIX):
@@ -224,11 +224,7 @@ def _by_itself(path: Path) -> Recording:
     names, rows = first_rows(table)
     time = time_columns(names, rows)[:1] if table.sample_rate is None else []
     if table.sample_rate is None and not time:
-        raise DataError(
-            "states no sampling rate and has no time column",
-            where=str(path),
-            hint="read it with rig='rig.yaml'",
-        )
+        raise DataError("states no sampling rate and has no time column", path, "read it with rig='rig.yaml'")
     guessed = guess_channels([name for name in names if name not in time], table.units)
     undecided = [
         channel.column
@@ -239,7 +235,7 @@ def _by_itself(path: Path) -> Recording:
         what = (
             f"does not say quantity, unit or sensitivity of {', '.join(repr(column) for column in undecided)}"
         )
-        raise DataError(what, where=str(path), hint="read it with rig='rig.yaml'; labpipe init proposes one")
+        raise DataError(what, path, "read it with rig='rig.yaml'; labpipe init proposes one")
     return _recording(table, guessed, time)
 
 

@@ -40,7 +40,13 @@ class Faults:
     def add(self, node: Marked, key: str, message: str, hint: str = "") -> None:
         """A fault of the entry *key* at its place in the file."""
         text = f"{key}: {message}" if key else message
-        self._faults.append(ConfigError(text, where=node.place, hint=hint))
+        self._faults.append(ConfigError(text, node.place, hint))
+
+    def add_at(
+        self, entries: Mapping[str, Marked], key: str, name: str, message: str, hint: str = ""
+    ) -> None:
+        """A fault of the entry *name* of a mapping that stands under *key*."""
+        self.add(entries[name], join(key, name), message, hint)
 
     def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
         """A value that could not be read, with the hint of the unit table."""
@@ -50,10 +56,8 @@ class Faults:
         """A fault of the settings that a mapping holds, at the entry that the error names, else at the
         mapping itself.
         """
-        entry = node.content.get(error.field) if isinstance(node.content, dict) else None
-        self.add(
-            entry or node, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint
-        )
+        entry = node.content.get(error.field, node) if isinstance(node.content, dict) else node
+        self.add(entry, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
 
     def add_missing_file(self, node: Marked, key: str) -> None:
         """A fault for the name of a file that is not there."""
@@ -98,12 +102,8 @@ def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> st
     begins with the word.
     """
     stem = name.lower().rstrip("s")
-    by_meaning = (
-        [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]
-        if len(stem) > 3
-        else []
-    )
-    if len(by_meaning) != 1 or difflib.get_close_matches(name, list(allowed), 1, TYPED):
+    by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]
+    if len(stem) <= 3 or len(by_meaning) != 1 or difflib.get_close_matches(name, list(allowed), 1, TYPED):
         return nearest(name, allowed)
     return f"did you mean '{by_meaning[0]}' ({meanings[by_meaning[0]]})?"
 
@@ -129,11 +129,13 @@ def read_value(node: Marked, setting: Setting) -> Any:
 
 
 def _plain(node: Marked, by_content: bool) -> Any:
+    if by_content:
+        return node.plain()
     if isinstance(node.content, dict):
-        return {name: _plain(entry, by_content) for name, entry in node.content.items()}
+        return {name: _plain(entry, False) for name, entry in node.content.items()}
     if isinstance(node.content, list):
-        return [_plain(entry, by_content) for entry in node.content]
-    return node.content if by_content or node.content is None else node.text
+        return [_plain(entry, False) for entry in node.content]
+    return node.content if node.content is None else node.text
 
 
 # What the reader of a pipeline's section may know: the faults so far, the rig, and the names that are
@@ -222,14 +224,8 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
             faults.add(node, join(key, name), "is missing", setting.help)
         if len(faults) > count:
             unread |= {name, setting.into}
-    instance = _instance(
-        owner,
-        {name: value for name, value in fields.items() if name not in unread},
-        node,
-        key,
-        faults,
-        unread,
-    )
+    readable = {name: value for name, value in fields.items() if name not in unread}
+    instance = _instance(owner, readable, node, key, faults, unread)
     return instance if len(faults) == before else None
 
 
@@ -285,18 +281,10 @@ def in_one_line(node: Marked, setting: Setting) -> Marked:
     size = next((parts[name] for name in SIZES if name in parts), "")
     shape = parts.get("shape", "rectangular" if "limits" in parts else "")
     expanded = [f"k={parts.get('k', '2')}"] if "expanded" in parts or "k" in parts else []
-    qualities = [
-        *([shape] if shape else []),
-        *expanded,
-        *(f"{name}={parts[name]}" for name in ("dof", "source") if name in parts),
-    ]
-    unknown = [f"{name}={parts[name]}" for name in parts if name not in LONG_FORM]
-    text = (
-        f"{parts['value']} +- {size} ({', '.join([*qualities, *unknown])})"
-        if qualities or unknown
-        else f"{parts['value']} +- {size}"
-    )
-    return Marked(text, node.where, node.key_where, text)
+    more = [name for name in parts if name in ("dof", "source") or name not in LONG_FORM]
+    qualities = [*filter(None, [shape]), *expanded, *(f"{name}={parts[name]}" for name in more)]
+    text = f"{parts['value']} +- {size}" + (f" ({', '.join(qualities)})" if qualities else "")
+    return replace(node, content=text, text=text)
 
 
 def _read_uncertain(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import asyncio
 import datetime
+import glob
 import hashlib
 import io
 import json
 import logging
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,12 +72,10 @@ def _signer(key: Key) -> Iterator[Any]:
     signers = _library("pyhanko.sign.signers")
     if key.file is not None:
         if not key.file.is_file():
-            raise ConfigError(
-                "no such file", where=str(key.file), hint="name your key as PKCS#12 (.p12, .pfx)"
-            )
+            raise ConfigError("no such file", key.file, "name your key as PKCS#12 (.p12, .pfx)")
         signer = signers.SimpleSigner.load_pkcs12(str(key.file), passphrase=key.secret.encode())
         if signer is None or signer.signing_cert is None:
-            raise ConfigError("is no PKCS#12 file, or its password is another", where=str(key.file))
+            raise ConfigError("is no PKCS#12 file, or its password is another", key.file)
         _check_valid(signer.signing_cert, str(key.file))
         yield signer
         return
@@ -86,13 +86,13 @@ def _signer(key: Key) -> Iterator[Any]:
         session = hardware.open_pkcs11_session(key.module, token_criteria=criteria, user_pin=key.secret)
     except (errors.PKCS11Error, RuntimeError, OSError) as error:
         what = str(error) or type(error).__name__
-        raise ConfigError(f"the token '{key.token}' cannot be opened ({what})", where=key.module) from None
+        raise ConfigError(f"the token '{key.token}' cannot be opened ({what})", key.module) from None
     with session:
         signer = hardware.PKCS11Signer(session, cert_label=key.label, key_label=key.label)
         try:
             certificate = signer.signing_cert
         except Exception as error:
-            raise ConfigError(f"no certificate '{key.label}' ({error})", where=key.token) from None
+            raise ConfigError(f"no certificate '{key.label}' ({error})", key.token) from None
         _check_valid(certificate, key.token)
         yield signer
 
@@ -103,7 +103,7 @@ def _check_valid(certificate: Any, where: str) -> None:
     if not begin <= now <= end:
         raise ConfigError(
             f"the certificate of {person(certificate)} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only",
-            where=where,
+            where,
         )
 
 
@@ -124,9 +124,7 @@ def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "")
     ConfigError for a key that cannot be used or a role that has signed; DataError for no file to sign.
     """
     if not path.is_file():
-        raise DataError(
-            "no such file", where=str(path), hint="sign a report (.pdf) or an archive (.zip, .eln)"
-        )
+        raise DataError("no such file", path, "sign a report (.pdf) or an archive (.zip, .eln)")
     timestamper = _library("pyhanko.sign.timestamps").HTTPTimeStamper(timestamp) if timestamp else None
     with _signer(key) as signer:
         try:
@@ -134,7 +132,7 @@ def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "")
                 return _sign_pdf(path, signer, role, reason, timestamper)
             return _sign_detached(path, signer, role, reason, timestamper)
         except (OSError, _library("pyhanko.sign.timestamps").TimestampRequestError) as error:
-            raise DataError(f"could not be signed ({error})", where=str(path)) from None
+            raise DataError(f"could not be signed ({error})", path) from None
 
 
 def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any) -> Path:
@@ -142,7 +140,7 @@ def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any)
     writer = _library("pyhanko.pdf_utils.incremental_writer")
     target = path if path.name.endswith(SIGNED_PDF) else path.with_name(f"{path.stem}{SIGNED_PDF}")
     if target != path and target.exists():
-        raise ConfigError("is there already", where=str(target), hint=f"sign {target.name} itself")
+        raise ConfigError("is there already", target, f"sign {target.name} itself")
     meta = signers.PdfSignatureMetadata(
         field_name=role,
         reason=f"{role}: {reason}" if reason else role,
@@ -154,10 +152,10 @@ def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any)
     try:
         document = writer.IncrementalPdfFileWriter(io.BytesIO(path.read_bytes()))
         if any(role == name for name, *_ in fields.enumerate_sig_fields(document)):
-            raise ConfigError(f"was signed as '{role}' already", where=str(path))
+            raise ConfigError(f"was signed as '{role}' already", path)
         signed = signers.PdfSigner(meta, signer, timestamper=timestamper).sign_pdf(document)
     except _library("pyhanko.pdf_utils.misc").PdfError as error:
-        raise DataError(f"is no PDF that can be signed ({error})", where=str(path)) from None
+        raise DataError(f"is no PDF that can be signed ({error})", path) from None
     with output_file(target) as temporary:
         temporary.write_bytes(signed.getvalue())
     return target
@@ -166,7 +164,7 @@ def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any)
 def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper: Any) -> Path:
     target = path.with_name(f"{path.name}.{role}{DETACHED}")
     if target.exists():
-        raise ConfigError(f"was signed as '{role}' already", where=str(target))
+        raise ConfigError(f"was signed as '{role}' already", target)
     content = path.read_bytes()
     words = {"file": path.name, "role": role, "reason": reason, "members": members_of(path)}
     settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(
@@ -254,12 +252,7 @@ def signed_files(path: Path) -> list[Path]:
         return sorted(file for end in (SIGNED_PDF, DETACHED) for file in path.rglob(f"*{end}"))
     if path.suffix.lower() in (".pdf", DETACHED):
         return [path]
-    return sorted(path.parent.glob(f"{glob_of(path.name)}.*{DETACHED}"))
-
-
-def glob_of(name: str) -> str:
-    """A name as a pattern that matches nothing else."""
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
+    return sorted(path.parent.glob(f"{glob.escape(path.name)}.*{DETACHED}"))
 
 
 def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
@@ -285,16 +278,17 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
             roots += list(keys.load_certs_from_pemder([str(file)]))
             [root.subject.native for root in roots]  # A damaged one shows when it is read.
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"is no certificate ({cut(str(error))})", where=str(file)) from None
-    lists = []
+            raise ConfigError(f"is no certificate ({cut(str(error))})", file) from None
+    lists, pem = [], _library("asn1crypto.pem")
     for file in trust.revoked:
         try:
-            lists.append(crl.CertificateList.load(_unarmoured(file.read_bytes())))
+            content = file.read_bytes()
+            lists.append(
+                crl.CertificateList.load(pem.unarmor(content)[2] if pem.detect(content) else content)
+            )
             lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(
-                f"is no list of revoked certificates ({cut(str(error))})", where=str(file)
-            ) from None
+            raise ConfigError(f"is no list of revoked certificates ({cut(str(error))})", file) from None
     return _library("pyhanko_certvalidator").ValidationContext(
         trust_roots=roots,
         moment=moment,
@@ -305,14 +299,17 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
     )
 
 
-def _unarmoured(content: bytes) -> bytes:
-    pem = _library("asn1crypto.pem")
-    return bytes(pem.unarmor(content)[2]) if pem.detect(content) else content
-
-
-def _usage() -> Any:
+def _status(validate: Callable[..., Any], trust: Trust) -> Any:
+    """The state of a signature now, or where a time stamp says when it was made, at that time."""
     constraints = _library("pyhanko.sign.validation.settings").KeyUsageConstraints
-    return constraints(key_usage=USAGES, match_all_key_usages=False)
+    usage = constraints(key_usage=USAGES, match_all_key_usages=False)
+    moment = None
+    for _ in range(2):
+        status = validate(_context(trust, moment), _context(trust), key_usage_settings=usage)
+        moment = _time_of_stamp(status)
+        if moment is None:
+            break
+    return status
 
 
 def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
@@ -321,21 +318,12 @@ def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
     content = path.read_bytes()
     try:
         embedded = list(reader.PdfFileReader(io.BytesIO(content), strict=False).embedded_signatures)
-        states = []
-        for signature in embedded:
-            moment = None
-            for _ in range(2):
-                status = validation.validate_pdf_signature(
-                    signature, _context(trust, moment), _context(trust), key_usage_settings=_usage()
-                )
-                moment = _time_of_stamp(status)
-                if moment is None:
-                    break
-            states.append((signature, status))
+        validate = validation.validate_pdf_signature
+        states = [(one, _status(partial(validate, one), trust)) for one in embedded]
     except ConfigError:
         raise
     except Exception as error:  # A damaged PDF raises whatever its place happens to be read as.
-        raise DataError(f"its signatures cannot be read ({cut(str(error))})", where=str(path)) from None
+        raise DataError(f"its signatures cannot be read ({cut(str(error))})", path) from None
     whole = _library("pyhanko.sign.validation.status").SignatureCoverageLevel.ENTIRE_FILE
     for number, (signature, status) in enumerate(states, 1):
         faults = _faults(status, trust)
@@ -410,24 +398,12 @@ def _detach(path: Path, trust: Trust) -> Signature:
         data = info["content"]
         words = _words(data["signer_infos"][0])
         content = signed.read_bytes() if signed.is_file() else None
-        moment = None
-        for _ in range(2):
-            status = asyncio.run(
-                validation.async_validate_detached_cms(
-                    content or b"",
-                    data,
-                    _context(trust, moment),
-                    _context(trust),
-                    key_usage_settings=_usage(),
-                )
-            )
-            moment = _time_of_stamp(status)
-            if moment is None:
-                break
+        validate = partial(validation.async_validate_detached_cms, content or b"", data)
+        status = _status(lambda *contexts, **more: asyncio.run(validate(*contexts, **more)), trust)
     except ConfigError:
         raise
     except Exception as error:  # Damaged DER raises whatever it happens to be read as.
-        raise DataError(f"is no readable signature ({cut(str(error))})", where=str(path)) from None
+        raise DataError(f"is no readable signature ({cut(str(error))})", path) from None
     faults = _faults(status, trust)
     if content is None:
         faults = (f"'{signed.name}', which it signs, is not there",)
@@ -450,11 +426,9 @@ def _changes(path: Path, members: dict[str, str]) -> Sequence[str]:
     """The files of an archive that are not those that were signed, by their names."""
     now = members_of(path)
     changed = [name for name in members if name in now and now[name] != members[name]]
-    gone = [name for name in members if name not in now]
-    added = [name for name in now if name not in members]
     kinds = (
         (changed, "is not the file that was signed"),
-        (gone, "was signed, and is gone"),
-        (added, "was added"),
+        ([name for name in members if name not in now], "was signed, and is gone"),
+        ([name for name in now if name not in members], "was added"),
     )
     return [f"{cut(name)}: {what}" for names, what in kinds for name in names]

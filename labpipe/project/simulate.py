@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from labpipe.artefacts.parquet import arrow_array
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.project.marked_yaml import load_marked, set_entry
+from labpipe.project.marked_yaml import load_marked
 from labpipe.project.settings_reader import Faults, read_settings
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.response import FrequencyResponse
@@ -35,9 +35,7 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
 
     ConfigErrors with every fault at its place.
     """
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     kind = entries["kind"].text if "kind" in entries else ""

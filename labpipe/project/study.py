@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from labpipe.errors import ConfigError, LabpipeError
+from labpipe.errors import LabpipeError
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
@@ -189,23 +189,19 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     """
     match = _STUDIED.match(rule.item)
     if match is None:
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: is no address",
-            where=rule.place,
-            hint="write study.fit[1 %].coverage",
-        )
+        raise rule.fault("is no address", "write study.fit[1 %].coverage")
     if match["item"] == "threshold":
         values = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
     else:
-        cases = [
-            case
+        noise = None if match["noise"] is None else parse_value(match["noise"], "1")
+        values = [
+            _value(rule, case, match["item"])
             for study in studies
             for case in study.cases
-            if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)
+            if case.fit == match["fit"] and (noise is None or math.isclose(noise, case.noise))
         ]
-        values = [_value(rule, case, match["item"]) for case in cases]
     if not values:
-        raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
+        raise rule.fault("no such case in the study")
     outcomes = [compare_number(rule, value, "1") for value in values]
     return RuleOutcome(
         rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
@@ -214,15 +210,8 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
 
 def _value(rule: Rule, case: StudyCase, item: str) -> float | None:
     if item not in _CASE_VALUES:
-        hint = nearest(item, [*_CASE_VALUES, "threshold"])
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: the study has no '{item}'", where=rule.place, hint=hint
-        )
+        raise rule.fault(f"the study has no '{item}'", nearest(item, [*_CASE_VALUES, "threshold"]))
     return _CASE_VALUES[item](case)
-
-
-def _is_noise(text: str | None, noise: float) -> bool:
-    return text is None or math.isclose(parse_value(text, "1"), noise)
 
 
 def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
@@ -232,31 +221,19 @@ def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
     for study in studies:
         for case in study.cases:
             test = f"{100 * case.noise:g} %, {case.lines} lines"
-            for name, value in _figures(case).items():
-                parameter = Parameter(name, value, "1", derived=True)
-                yield ListedParameter(
-                    fit=f"study.{case.fit}",
-                    parameter=parameter,
-                    test=test,
-                    model="study",
-                    estimator=case.estimator,
-                )
-
-
-def _figures(case: StudyCase) -> dict[str, float]:
-    figures = {
-        "mean_error": case.mean_error,
-        "success": case.success[0],
-        "rmse_over_bound": case.rmse_over_bound,
-        "coverage": case.coverage,
-    }
-    return {name: value for name, value in figures.items() if value is not None and value == value}
+            for name in ("mean_error", "success", "rmse_over_bound", "coverage"):
+                value = _CASE_VALUES[name](case)
+                if value is not None and value == value:
+                    parameter = Parameter(name, value, "1", derived=True)
+                    fit, estimator = f"study.{case.fit}", case.estimator
+                    yield ListedParameter(
+                        fit=fit, parameter=parameter, test=test, model="study", estimator=estimator
+                    )
 
 
 def study_lines(studies: Studies) -> Iterator[str]:
     """One line for every fit at every noise level, then the thresholds."""
-    for study in studies:
-        yield from _study_lines(study)
+    return (line for study in studies for line in _study_lines(study))
 
 
 def _study_lines(study: Study) -> Iterator[str]:

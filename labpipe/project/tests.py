@@ -79,13 +79,8 @@ def _describe(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
     if layout.file:
         files = [(path,) for path in files_of(node.content["file"], join(key, "file"), faults)]
     else:
-        files = [
-            tuple(
-                path
-                for item in listed(node.content["each"])
-                for path in files_of(item, join(key, "each"), faults)
-            )
-        ]
+        named = [files_of(item, join(key, "each"), faults) for item in listed(node.content["each"])]
+        files = [tuple(path for paths in named for path in paths)]
     frfs = []
     for paths in filter(None, files):
         before = len(faults)
@@ -115,15 +110,10 @@ def _name(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults)
     if matched is not None and set(matched) <= {"output", "input"}:
         return matched
     what = (
-        f"does not match '{plain_stem(path)}'"
-        if matched is None
-        else ("holds more than {output} and {input}")
+        f"does not match '{plain_stem(path)}'" if matched is None else "holds more than {output} and {input}"
     )
-    faults.add(
-        node.content["pattern"],
-        join(key, "pattern"),
-        what,
-        "for example 'H_{output}_{input}'; {} stands for any other part",
+    faults.add_at(
+        node.content, key, "pattern", what, "for example 'H_{output}_{input}'; {} stands for any other part"
     )
     return {"output": "?", "input": "?"}
 
@@ -234,17 +224,11 @@ class RecordingReader:
         if rig is None or not paths:
             return []
         if named == ["join"]:
-            return [
-                SourceFile(
-                    paths[0], self._move(rig, paths[0], entry, key), tuple(paths[1:]), self._by(entry, key)
-                )
-            ]
+            moved = self._move(rig, paths[0], entry, key)
+            return [SourceFile(paths[0], moved, tuple(paths[1:]), self._by(entry, key))]
         if "by" in entry.content:
-            self.faults.add(
-                entry.content["by"],
-                join(key, "by"),
-                "belongs to files that are joined",
-                "write join: [a.csv, b.csv]",
+            self.faults.add_at(
+                entry.content, key, "by", "belongs to files that are joined", "write join: [a.csv, b.csv]"
             )
         sources = []
         before = len(self.faults)
@@ -268,12 +252,8 @@ class RecordingReader:
             return rig
         dofs = conditions_in(plain_stem(path), node.text)
         if dofs is None:
-            self.faults.add(
-                node,
-                join(key, "pattern"),
-                f"does not match '{plain_stem(path)}'",
-                "for example '{}_{output}_{input}'",
-            )
+            what = f"does not match '{plain_stem(path)}'"
+            self.faults.add(node, join(key, "pattern"), what, "for example '{}_{output}_{input}'")
             return rig
         try:
             return move(rig, dofs)
@@ -288,15 +268,11 @@ class RecordingReader:
             self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
             return None
         if "channels" not in entry.content:
-            return (
-                self.rig
-                if "rig" not in entry.content
-                else read_rig(rig_node, self.folder, self.faults, join(key, "rig"))
-            )
+            own = "rig" in entry.content
+            return read_rig(rig_node, self.folder, self.faults, join(key, "rig")) if own else self.rig
         try:
-            return override_channels(
-                self.folder / rig_node.text, entry.content["channels"], self.faults, join(key, "channels")
-            )
+            path, channels = self.folder / rig_node.text, entry.content["channels"]
+            return override_channels(path, channels, self.faults, join(key, "channels"))
         except ConfigError as error:
             self.faults.merge(error)
             return None
@@ -352,14 +328,8 @@ class EachFile:
         stem = _stem(source.path)
         if self.pattern and conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
-        return Test(
-            name or stem,
-            (source,),
-            (),
-            {**self.conditions, **self.named(source.path)},
-            self.recorded,
-            self.frf,
-        )
+        conditions = {**self.conditions, **self.named(source.path)}
+        return Test(name or stem, (source,), (), conditions, self.recorded, self.frf)
 
 
 def _stem(path: Path) -> str:
@@ -419,16 +389,13 @@ class TestReader:
             try:
                 test = per_file.test(source)
             except ConfigError as error:
-                self.faults.add(entries["pattern"], join(key, "pattern"), error.what, error.hint)
+                self.faults.add_at(entries, key, "pattern", error.what, error.hint)
                 test = Test(source.path.name)
-            conditions = {
-                part: text for part, text in per_file.named(source.path).items() if part not in together
-            }
+            named = per_file.named(source.path).items()
+            conditions = {part: text for part, text in named if part not in together}
             place = tuple(conditions.items()) if together else (("file", str(source.path)),)
-            first = tests.get(
-                place,
-                replace(test, name="-".join(conditions.values()) if together else test.name, recordings=()),
-            )
+            name = "-".join(conditions.values()) if together else test.name
+            first = tests.get(place, replace(test, name=name, recordings=()))
             common = {name: text for name, text in test.conditions.items() if name not in together}
             tests[place] = replace(first, recordings=(*first.recordings, source), conditions=common)
         yield from tests.values()
@@ -441,22 +408,16 @@ class TestReader:
     def each_file(self) -> EachFile:
         """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
         node = self.top.get("tests", Marked(None, "", ""))
-        entries = (
-            node.content[0].content if isinstance(node.content, list) and len(node.content) == 1 else None
-        )
+        is_one = isinstance(node.content, list) and len(node.content) == 1
+        entries = node.content[0].content if is_one else None
         if not isinstance(entries, dict) or "each" not in entries:
-            self.faults.add(
-                node, "tests", "cannot be of recordings to come", "write one entry: - {each: '*.parquet'}"
-            )
+            hint = "write one entry: - {each: '*.parquet'}"
+            self.faults.add(node, "tests", "cannot be of recordings to come", hint)
             return EachFile()
         self.faults.unknown_keys(node.content[0], "tests.1", EACH)
         if "together" in entries:
-            self.faults.add(
-                entries["together"],
-                "tests.1.together",
-                "recordings to come are tests of their own",
-                "leave it out",
-            )
+            what = "recordings to come are tests of their own"
+            self.faults.add_at(entries, "tests.1", "together", what, "leave it out")
         return self._each(entries, "tests.1")
 
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
@@ -467,39 +428,29 @@ class TestReader:
         parts = [node.text for node in listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
-                self.faults.add(
-                    entries["together"],
-                    join(key, "together"),
-                    f"the pattern has no part '{{{part}}}'",
-                    f"pattern: {pattern}",
+                self.faults.add_at(
+                    entries, key, "together", f"the pattern has no part '{{{part}}}'", f"pattern: {pattern}"
                 )
         return parts
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
         entries = node.content if isinstance(node.content, dict) else {}
-        recordings = (
-            self._recordings(entries["recordings"], join(key, "recordings"))
-            if "recordings" in entries
-            else []
-        )
+        recordings: list[SourceFile] = []
+        if "recordings" in entries:
+            recordings = self._recordings(entries["recordings"], join(key, "recordings"))
         frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
         if not recordings and not frfs and not len(self.faults):
-            self.faults.add(
-                node if node.place else next(iter(self.top.values())), key, "neither recordings nor frfs"
-            )
+            place = node if node.place else next(iter(self.top.values()))
+            self.faults.add(place, key, "neither recordings nor frfs")
         conditions, recorded = self._conditions(entries, key)
         if frfs and recorded:
             what = "a ready FRF has no channels to take conditions from"
-            self.faults.add(
-                entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN"
-            )
+            self.faults.add_at(entries, key, "conditions", what, "write the amount, e.g. load: 1 kN")
         repeats = entries["repeats"].content if "repeats" in entries else ""
         if "repeats" in entries and repeats not in REPEATS:
-            place = join(key, "repeats")
-            self.faults.add(entries["repeats"], place, f"unknown '{repeats}'", "write each or pool")
-        return Test(
-            name, tuple(recordings), tuple(frfs), conditions, recorded, self._frf(entries, key), repeats
-        )
+            self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
+        frf = self._frf(entries, key)
+        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, frf, repeats)
 
     def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
         """The pipeline's frf: with the entries that the test itself gives.
@@ -508,17 +459,12 @@ class TestReader:
         """
         if "frf" not in entries or key == "":
             return None
-        common = (
-            self.top["frf"].content if "frf" in self.top and isinstance(self.top["frf"].content, dict) else {}
-        )
-        frf_entries = self.faults.mapping(entries["frf"], join(key, "frf"))
-        whole = {name: node for name, node in {**common, **frf_entries}.items() if node.content is not None}
-        return read_settings(
-            FrfSettings,
-            Marked(whole, entries["frf"].where, entries["frf"].key_where),
-            join(key, "frf"),
-            self.faults,
-        )
+        common = self.top["frf"].content if "frf" in self.top else {}
+        own = self.faults.mapping(entries["frf"], join(key, "frf"))
+        both = {**(common if isinstance(common, dict) else {}), **own}
+        whole = {name: node for name, node in both.items() if node.content is not None}
+        node = replace(entries["frf"], content=whole)
+        return read_settings(FrfSettings, node, join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)

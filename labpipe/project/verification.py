@@ -7,6 +7,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,14 +70,9 @@ def _header_inputs(path: Path) -> Sequence[Reference]:
     return [(reference.path, reference.sha256) for reference in header_of(path).inputs]
 
 
-def _raw_files(path: Path) -> Sequence[Reference]:
-    """What was measured from raw files names those."""
-    return _header_inputs(path) if RIGS in header_of(path).parameters else ()
-
-
-def _recordings(path: Path) -> Sequence[Reference]:
-    """What was measured from calibrated recordings names those."""
-    return () if RIGS in header_of(path).parameters else _header_inputs(path)
+def _from(raw: bool, path: Path) -> Sequence[Reference]:
+    """What something was measured from: raw files, or calibrated recordings; none of the other ones."""
+    return _header_inputs(path) if (RIGS in header_of(path).parameters) == raw else ()
 
 
 def _json_digest(path: Path) -> str:
@@ -89,26 +85,18 @@ def _entries(key: str, path: Path) -> Sequence[Reference]:
 
 
 def _measure(read: Callable[[Path], Any]) -> _Kind:
-    return _Kind(read, lambda path: header_of(path).digest, _raw_files, _recordings)
+    return _Kind(read, _digest_of, partial(_from, True), partial(_from, False))
 
 
-def _read_part(path: Path) -> Any:
-    return read_part(Part(path, "", ""))
+def _digest_of(path: Path) -> str:
+    return header_of(path).digest
 
 
 KINDS: Mapping[str, _Kind] = {
-    NAME: _Kind(
-        read_identification,
-        _json_digest,
-        lambda path: _entries("sources", path),
-        lambda path: _entries("inputs", path),
-    ),
-    RESULTS_SUFFIX: _Kind(_read_part, lambda path: header_of(path).digest, _nothing, _nothing),
+    NAME: _Kind(read_identification, _json_digest, partial(_entries, "sources"), partial(_entries, "inputs")),
+    RESULTS_SUFFIX: _Kind(lambda path: read_part(Part(path, "", "")), _digest_of, _nothing, _nothing),
     RECORDING_SUFFIX: _Kind(
-        lambda path: open_recording(path).in_memory(),
-        lambda path: header_of(path).digest,
-        _header_inputs,
-        _nothing,
+        lambda path: open_recording(path).in_memory(), _digest_of, _header_inputs, _nothing
     ),
     RESPONSE_SUFFIX: _measure(read_response),
     DECAY_SUFFIX: _measure(read_decays),
@@ -117,7 +105,7 @@ KINDS: Mapping[str, _Kind] = {
 # Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a
 # damaged one.
 ARTEFACTS = Registry("artefact")
-FITS = _Kind(read_fits, _json_digest, _nothing, lambda path: _entries("responses", path))
+FITS = _Kind(read_fits, _json_digest, _nothing, partial(_entries, "responses"))
 
 
 def _kind(path: Path) -> _Kind | None:
@@ -125,14 +113,10 @@ def _kind(path: Path) -> _Kind | None:
         return FITS
     if path.name in ARTEFACTS.names():
         return _Kind(ARTEFACTS.load(path.name), _json_digest, _nothing, _nothing)
-    return next(
-        (
-            kind
-            for suffix, kind in KINDS.items()
-            if path.name == suffix or (suffix[0] == "." and path.name.endswith(suffix))
-        ),
-        None,
-    )
+    for suffix, kind in KINDS.items():
+        if path.name == suffix or (suffix[0] == "." and path.name.endswith(suffix)):
+            return kind
+    return None
 
 
 def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
@@ -142,16 +126,11 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     DataError for no folder, or one without artefacts.
     """
     if not folder.is_dir():
-        raise DataError(
-            "no such folder", where=str(folder), hint="name the folder that holds the results of your runs"
-        )
+        raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
     artefacts = artefacts_below(folder)
     if not artefacts:
-        raise DataError(
-            "holds no artefact of labpipe",
-            where=str(folder),
-            hint="results appear with `labpipe run PIPELINE -o FOLDER`",
-        )
+        hint = "results appear with `labpipe run PIPELINE -o FOLDER`"
+        raise DataError("holds no artefact of labpipe", folder, hint)
     for path in artefacts:
         kind = _kind(path)
         assert kind is not None
@@ -216,15 +195,8 @@ def pipeline_folder(path: Path) -> Path | None:
     except DataError:
         return None
     above = list(path.resolve().parents)[:ABOVE]
-    return next(
-        (
-            folder
-            for place in above
-            for folder in (place, place / "pipelines")
-            if name and (folder / name).is_file()
-        ),
-        None,
-    )
+    near = (folder for place in above for folder in (place, place / "pipelines"))
+    return next((folder for folder in near if name and (folder / name).is_file()), None)
 
 
 def _near(path: Path) -> list[Path]:

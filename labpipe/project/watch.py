@@ -12,6 +12,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -59,29 +60,19 @@ def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
 
 def _files(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
     for path in folder.rglob(names):
-        try:
+        with suppress(FileNotFoundError):
             status = path.stat()
-        except FileNotFoundError:
-            continue
-        if path.is_file():
-            yield Arrived(
-                path,
-                status.st_size,
-                status.st_mtime,
-                bool(marker) and path.with_name(path.name + marker).exists(),
-            )
+            marked = bool(marker) and path.with_name(path.name + marker).exists()
+            if path.is_file():
+                yield Arrived(path, status.st_size, status.st_mtime, marked)
 
 
 def _objects(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
     objects = {status.path: status for status in below(folder)}
     for path, status in objects.items():
         if path.match(names):
-            yield Arrived(
-                path,
-                status.size,
-                status.changed,
-                bool(marker) and path.with_name(path.name + marker) in objects,
-            )
+            marked = bool(marker) and path.with_name(path.name + marker) in objects
+            yield Arrived(path, status.size, status.changed, marked)
 
 
 LOG, METRICS, QUARANTINE, REASON = "watch.log.jsonl", "watch.prom", "quarantine", ".reason.txt"
@@ -182,7 +173,7 @@ class Watch:
         before = self.results / NAME
         if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
-            raise ConfigError("holds results of other settings", where=str(self.results), hint=hint)
+            raise ConfigError("holds results of other settings", self.results, hint)
         written = parts(self.results)
         self._summary = summed(read_summary(part) for part in written)
         rows = [row for part in written for row in read_part(part, ("test", "failed")).to_pylist()]
@@ -264,8 +255,8 @@ class Watch:
         if other != test.name:
             raise DataError(
                 f"its results would have the file name of those of '{other}'",
-                where=test.name,
-                hint="rename the recording",
+                test.name,
+                "rename the recording",
             )
         return Job(
             test,
@@ -288,9 +279,7 @@ class Watch:
     def _take(self, done: Done, job: Job) -> None:
         if done.halts and done.failed is not None:
             raise DataError(
-                done.failed.message,
-                where=str(self.results),
-                hint="what was worked on is kept; start the watch again",
+                done.failed.message, self.results, "what was worked on is kept; start the watch again"
             )
         self._keep(outcome_of(done, job.test))
         for remark in done.remarks:
@@ -359,64 +348,29 @@ class Watch:
         return is_remote(self.folder) or self.home not in (None, self.results)
 
     def _log(self, event: str, test: str, **entries: object) -> None:
-        line = {
-            "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock())),
-            "event": event,
-            "test": test,
-            **entries,
-        }
+        now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock()))
+        line = {"time": now, "event": event, "test": test, **entries}
+        line = {name: entry for name, entry in line.items() if entry not in (None, "")}
         logs = self.logs or self.results
         logs.mkdir(parents=True, exist_ok=True)
         with (logs / LOG).open("a") as log:
-            log.write(
-                json.dumps({name: entry for name, entry in line.items() if entry not in (None, "")}) + "\n"
-            )
+            log.write(json.dumps(line) + "\n")
 
     def _write_metrics(self) -> None:
         """Counters for Prometheus, as a text file of the node exporter's collector."""
-        index = self._summary.index
-        values = {
-            "labpipe_watch_recordings_evaluated_total": (
-                "counter",
-                "Recordings worked on since the watch began",
-                self.counts.evaluated,
-            ),
-            "labpipe_watch_recordings_failed_total": (
-                "counter",
-                "Recordings that could not be evaluated since then",
-                self.counts.failed,
-            ),
-            "labpipe_watch_results_waiting": (
-                "gauge",
-                "Results not yet appended to the dataset",
-                self.counts.waiting,
-            ),
-            "labpipe_watch_recordings_arriving": (
-                "gauge",
-                "Recordings that are not complete yet",
-                self.counts.arriving,
-            ),
-            "labpipe_dataset_tests": ("gauge", "Tests with a result in the dataset", index.tests),
-            "labpipe_dataset_tests_failed": ("gauge", "Tests without a result in the dataset", index.failed),
-            "labpipe_dataset_tests_not_accepted": (
-                "gauge",
-                "Tests in the dataset whose rules do not all hold",
-                index.not_accepted,
-            ),
-            "labpipe_watch_cpu_seconds_total": (
-                "counter",
-                "Processor time of the watch",
-                sum(os.times()[:4]),
-            ),
-            "labpipe_watch_last_look_seconds": (
-                "gauge",
-                "Time of the last look, seconds since 1970",
-                self.clock(),
-            ),
-        }
-        lines = (
-            f"# HELP {name} {text}\n# TYPE {name} {kind}\n{name} {value}\n"
-            for name, (kind, text, value) in values.items()
-        )
+        index, n = self._summary.index, self.counts
+        lines = f"""\
+labpipe_watch_recordings_evaluated_total counter {n.evaluated} Recordings worked on since the watch began
+labpipe_watch_recordings_failed_total counter {n.failed} Recordings that could not be evaluated since then
+labpipe_watch_results_waiting gauge {n.waiting} Results not yet appended to the dataset
+labpipe_watch_recordings_arriving gauge {n.arriving} Recordings that are not complete yet
+labpipe_dataset_tests gauge {index.tests} Tests with a result in the dataset
+labpipe_dataset_tests_failed gauge {index.failed} Tests without a result in the dataset
+labpipe_dataset_tests_not_accepted gauge {index.not_accepted} Tests in the dataset whose rules do not all hold
+labpipe_watch_cpu_seconds_total counter {sum(os.times()[:4])} Processor time of the watch
+labpipe_watch_last_look_seconds gauge {self.clock()} Time of the last look, seconds since 1970
+"""
         with output_file((self.logs or self.results) / METRICS) as file:
-            file.write_text("".join(lines))
+            parts = (line.split(" ", 3) for line in lines.splitlines())
+            entry = "# HELP {0} {3}\n# TYPE {0} {1}\n{0} {2}\n"
+            file.write_text("".join(entry.format(*part) for part in parts))

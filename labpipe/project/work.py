@@ -14,9 +14,10 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.settings import FitSettings
 from labpipe.project.measured import MeasuredTest
-from labpipe.project.pipeline_file import Pipeline
+from labpipe.project.pipeline_file import Pipeline, read_fit
 from labpipe.records.identification import Failed, Fit
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.sections import PipelineSection
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 
@@ -80,9 +81,7 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
             made = list(work.test_fits[fit.name])
         else:
             # A test that failed is named among the failures.
-            check_tested(
-                fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)]
-            )
+            check_tested(fit, [of_test.name for of_test in (*work.tests, *work.failed)])
             said = {test.name: test.repeats for test in work.pipeline.tests}
             try:
                 made = fits_of(work.tests, _begin(fit, fits, work), work.pipeline.path, said)
@@ -112,7 +111,7 @@ def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
         for failure in work.failed:
             if failure.name in tests:
                 what = f"it begins with '{earlier}', which has no result: {failure.message}"
-                raise FitError(what, where=where, hint="mend that one first")
+                raise FitError(what, where, "mend that one first")
     try:
         return settings.kind.begin(settings, fits)
     except LabpipeError as error:
@@ -145,21 +144,15 @@ def fits_of(
         if settings.test and measured.name not in settings.test:
             continue
         try:
-            test_fits = [
-                with_repeat_sources(
-                    fit, settings.between, measured.name, measured.conditions, settings.coverage
-                )
-                for fit in identify(measured, with_repeats_of(settings, repeats.get(measured.name, "")))
-            ]
+            of_test = settings.between, measured.name, measured.conditions, settings.coverage
+            with_repeats = with_repeats_of(settings, repeats.get(measured.name, ""))
+            test_fits = [with_repeat_sources(fit, *of_test) for fit in identify(measured, with_repeats)]
         except (LabpipeError, LinAlgError) as error:
             test = f", test {measured.name}" if measured.name else ""
             where = f"{pipeline_path}: identify.{settings.name}{test}"
             if not isinstance(error, LabpipeError):
-                raise FitError(
-                    f"the data leave a matrix of the fit without a solution ({error})",
-                    where=where,
-                    hint=SINGULAR,
-                ) from error
+                what = f"the data leave a matrix of the fit without a solution ({error})"
+                raise FitError(what, where, SINGULAR) from error
             error.where = error.where or where
             raise
         fits.extend(dataclasses.replace(fit, test=measured.name) for fit in test_fits)
@@ -170,6 +163,15 @@ def check_tested(settings: FitSettings, test_names: Sequence[str]) -> None:
     """ConfigError when a fit names a test that is not *test_names*."""
     for name in settings.test:
         if name not in test_names:
-            raise ConfigError(
-                f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, test_names)
-            )
+            what = f"identify.{settings.name}.test: no test '{name}'"
+            raise ConfigError(what, hint=nearest(name, test_names))
+
+
+IDENTIFY = PipelineSection(
+    words="One entry per fit, under a name of your choice.",
+    settings=FitSettings,
+    named=True,
+    read=read_fit,
+    run=run_fits,
+    fits=True,
+)

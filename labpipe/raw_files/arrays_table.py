@@ -16,22 +16,16 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
+from labpipe.raw_files.text_table import check_filled, not_readable
 
 # Named arrays of one file as a table: the longest vectors of equal length are the channels, a scalar such
 # as fs or dt their rate.
 
 CHUNK_ROWS = 1 << 17
 RATES = (
-    "fs",
-    "f_s",
-    "fsamp",
-    "rate",
-    "samplerate",
-    "sample_rate",
-    "sampling_rate",
-    "samplingrate",
+    "fs", "f_s", "fsamp", "rate", "samplerate", "sample_rate", "sampling_rate", "samplingrate",
     "sampling_frequency",
-)
+)  # fmt: skip
 STEPS = ("dt", "delta_t", "deltat", "time_step", "timestep", "sample_interval")
 _SAME = 1e-4
 
@@ -59,10 +53,9 @@ class Column:
 
 def is_numeric(array: Any) -> bool:
     """True for an array of real numbers in one or two dimensions that is not sparse."""
-    kind = getattr(array, "dtype", np.dtype(object)).kind
-    return (
-        kind in "iuf" and not hasattr(array, "tocsr") and len(array.shape) in (1, 2) and min(array.shape) > 0
-    )
+    if getattr(array, "dtype", np.dtype(object)).kind not in "iuf" or hasattr(array, "tocsr"):
+        return False
+    return len(array.shape) in (1, 2) and min(array.shape) > 0
 
 
 def columns_of(name: str, array: Any) -> dict[str, Column]:
@@ -78,9 +71,7 @@ def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
     """The columns of the greatest length; DataError when none has two values."""
     length = max((column.n_value for column in columns.values()), default=0)
     if length < 2:
-        raise DataError(
-            "holds no vector of numbers", where=str(where), hint="equally long vectors make a recording"
-        )
+        raise DataError("holds no vector of numbers", where, "equally long vectors make a recording")
     return {name: column for name, column in columns.items() if column.n_value == length}
 
 
@@ -98,7 +89,7 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
         return None
     if min(rates) <= 0 or max(rates) > min(rates) * (1 + _SAME):
         contradictions = ", ".join(f"{name}: {rate:g} Hz" for name, rate in rates_by_name.items())
-        raise DataError(f"has no valid sampling rate ({contradictions})", where=str(where))
+        raise DataError(f"has no valid sampling rate ({contradictions})", where)
     return rates[0]
 
 
@@ -191,7 +182,7 @@ class ArraysTable:
                     [self._columns[name].part(start, start + CHUNK_ROWS) for name in columns]
                 )
             except OSError as error:
-                raise DataError(f"cannot be read: {error}", where=str(self.path)) from None
+                raise DataError(f"cannot be read: {error}", self.path) from None
 
 
 # NumPy's .npy and .npz files; nothing in them is unpickled.
@@ -208,21 +199,18 @@ def load_arrays(path: Path) -> dict[str, Any]:
 
     DataError for a damaged file or one of pickled objects.
     """
-    if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+    check_filled(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            stored = np.load(
-                path, allow_pickle=False, mmap_mode="r" if path.suffix.lower() == ".npy" else None
-            )
+            mode: Any = "r" if path.suffix.lower() == ".npy" else None
+            stored = np.load(path, allow_pickle=False, mmap_mode=mode)
             if isinstance(stored, np.ndarray):
                 return {"": stored}
             with stored:
                 return {name: stored[name] for name in stored.files}
     except _BROKEN as error:
-        reason = (str(error).splitlines() or ["damaged"])[0]
-        raise DataError(f"is not a readable NumPy file of numbers ({reason[:80]})", where=str(path)) from None
+        raise not_readable(path, "NumPy file of numbers", error) from None
 
 
 def numpy_table(path: Path) -> ArraysTable:

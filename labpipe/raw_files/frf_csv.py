@@ -4,18 +4,18 @@
 
 from __future__ import annotations
 
-import io
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import cell
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.table import check_columns
-from labpipe.raw_files.text_table import CsvTable, open_unpacked
+from labpipe.raw_files.text_table import CsvTable, open_text
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
@@ -33,26 +33,28 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     check_columns(table, [FREQUENCY])
     pairs = [match for column in table.columns if (match := _COLUMN.match(column))]
     if not pairs:
-        raise DataError(
-            "no columns 'output/input:re' and 'output/input:im'",
-            where=str(path),
-            hint="for example 'x/f:re', 'x/f:im'",
-        )
+        what = "no columns 'output/input:re' and 'output/input:im'"
+        raise DataError(what, path, "for example 'x/f:re', 'x/f:im'")
     outputs = tuple(dict.fromkeys(match["output"] for match in pairs))
     inputs = tuple(dict.fromkeys(match["input"] for match in pairs))
     required = [f"{o}/{i}:{part}" for o in outputs for i in inputs for part in ("re", "im")]
     check_columns(table, required)
     columns = dict(zip(table.columns, np.concatenate(list(table.chunks(table.columns))).T, strict=True))
-    real, imaginary = (_cube(columns, outputs, inputs, part) for part in ("re", "im"))
-    variance, coherence = (_optional_cube(columns, outputs, inputs, part) for part in ("var", "coh"))
+
+    def part(name: str) -> Any:
+        """The cube where every element has the column, else None."""
+        complete = all(f"{o}/{i}:{name}" in columns for o in outputs for i in inputs)
+        return cube(outputs, inputs, lambda o, i: columns[f"{o}/{i}:{name}"]) if complete else None
+
+    variance = part("var")
     return FrequencyResponse(
         frequency=columns[FREQUENCY],
-        matrix=real + 1j * imaginary,
+        matrix=part("re") + 1j * part("im"),
         outputs=tuple(port_of(label) for label in outputs),
         inputs=tuple(port_of(label) for label in inputs),
         form=_form(path),
         covariance=None if variance is None else uncorrelated(variance),
-        coherence=coherence,
+        coherence=part("coh"),
         name=name,
     )
 
@@ -68,35 +70,21 @@ def port_of(label: str) -> Port:
 
 def _form(path: Path) -> str:
     """The form named in the comment lines above the table; receptance by default."""
-    with (
-        open_unpacked(path) as stream,
-        io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines,
-    ):
+    with open_text(path, "utf-8-sig") as lines:
         for line in lines:
             if not line.startswith("#"):
                 break
             match = re.match(r"#\s*form:\s*(\S+)", line)
             if match and match[1] not in FORMS:
-                raise DataError(
-                    f"unknown form '{match[1]}'", where=f"{path}:1", hint=nearest(match[1], FORMS)
-                )
+                raise DataError(f"unknown form '{match[1]}'", f"{path}:1", nearest(match[1], FORMS))
             if match:
                 return match[1]
     return "receptance"
 
 
-def _cube(
-    columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str
-) -> FloatArray:
-    return np.stack([np.stack([columns[f"{o}/{i}:{part}"] for i in inputs], -1) for o in outputs], 1)
-
-
-def _optional_cube(
-    columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str
-) -> FloatArray | None:
-    """The cube where every element has the column, else None."""
-    complete = all(f"{o}/{i}:{part}" in columns for o in outputs for i in inputs)
-    return _cube(columns, outputs, inputs, part) if complete else None
+def cube(outputs: Sequence[Any], inputs: Sequence[Any], values: Callable[[Any, Any], Any]) -> Any:
+    """The *values* (n_line,) [any unit] of every pair of output and input as (n_line, n_output, n_input)."""
+    return np.stack([np.stack([values(o, i) for i in inputs], -1) for o in outputs], 1)
 
 
 def write_frf_csv(path: Path, response: FrequencyResponse) -> None:

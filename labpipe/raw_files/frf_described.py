@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -15,10 +14,10 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.arrays_table import load_arrays
-from labpipe.raw_files.frf_csv import port_of
+from labpipe.raw_files.frf_csv import cube, port_of
 from labpipe.raw_files.mat_table import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
-from labpipe.raw_files.text_table import fields_of, find_layout, open_unpacked, plain_suffix
+from labpipe.raw_files.text_table import fields_of, find_layout, open_text, plain_suffix
 from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout
 from labpipe.records.response import FORMS, FrequencyResponse
 from labpipe.registry import nearest
@@ -62,17 +61,14 @@ class TextColumns:
     def _read(self) -> list[tuple[int, list[str]]]:
         """(line number from 1, fields) of every row; DataError for a row of another length."""
         layout, rows = self.layout, []
-        with (
-            open_unpacked(self.path) as stream,
-            io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines,
-        ):
+        with open_text(self.path, layout.encoding) as lines:
             for number, line in enumerate(lines, 1):
                 if number <= layout.first_line or not line.strip():
                     continue
                 fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
                 if len(fields) != len(layout.names):
                     what = f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before"
-                    raise DataError(what, where=f"{self.path}:{number}")
+                    raise DataError(what, f"{self.path}:{number}")
                 rows.append((number, fields))
         return rows
 
@@ -88,7 +84,7 @@ class TextColumns:
             except ValueError:
                 name = self.columns[index] or str(index + 1)
                 what = f"column '{name}': '{fields[index].strip()[:40]}' is not a number"
-                raise DataError(what, where=f"{self.path}:{number}") from None
+                raise DataError(what, f"{self.path}:{number}") from None
         return values
 
     def line(self, row: int) -> str:
@@ -127,16 +123,13 @@ class DescribedColumns:
             return self.names.index(described)
         if count > 1:
             what = f"the {self.word} '{described}' appears {count} times"
-            raise DataError(what, where=str(self.path), hint="write its number, counted from 1")
+            raise DataError(what, self.path, "write its number, counted from 1")
         if described.isdigit() and self.word == "column":
             if 1 <= int(described) <= len(self.names):
                 return int(described) - 1
-            raise DataError(f"no column {described}: the table has {len(self.names)}", where=str(self.path))
-        raise DataError(
-            f"no {self.word} '{described}'",
-            where=str(self.path),
-            hint=nearest(described, [n for n in self.names if n]),
-        )
+            raise DataError(f"no column {described}: the table has {len(self.names)}", self.path)
+        names = [name for name in self.names if name]
+        raise DataError(f"no {self.word} '{described}'", self.path, nearest(described, names))
 
     def _number(self, described: str) -> tuple[str, int] | None:
         """The variable and the column (or row) of a matrix that is named as `inspect` does: H_2."""
@@ -153,9 +146,7 @@ class DescribedColumns:
         matrix = np.asarray(self._read(self._index(base)))
         columns = matrix if matrix.ndim == 2 and matrix.shape[0] >= matrix.shape[1] else matrix.T
         if matrix.ndim != 2 or not 1 <= number <= columns.shape[1]:
-            raise DataError(
-                f"the variable '{base}' of size {matrix.shape} has no column {number}", where=str(self.path)
-            )
+            raise DataError(f"the variable '{base}' of size {matrix.shape} has no column {number}", self.path)
         return columns[:, number - 1]
 
     def unit(self, described: str) -> str:
@@ -174,14 +165,12 @@ class DescribedColumns:
         """
         numbers = self._numbers(described)
         if numbers.dtype.kind not in "iufc" or not numbers.size:
-            raise DataError(f"{self.word} '{described}' holds no numbers", where=str(self.path))
+            raise DataError(f"{self.word} '{described}' holds no numbers", self.path)
         numbers = numbers.astype(np.complex128)
         numbers = numbers.ravel() if numbers.size == max(numbers.shape, default=1) else numbers
         if not np.all(np.isfinite(numbers)):
             row = int(np.argmax(~np.isfinite(numbers.ravel())))
-            raise DataError(
-                f"{self.word} '{described}' has no number at value {row + 1}", where=self.place(row)
-            )
+            raise DataError(f"{self.word} '{described}' has no number at value {row + 1}", self.place(row))
         return numbers
 
     def real(self, described: str) -> FloatArray:
@@ -189,33 +178,26 @@ class DescribedColumns:
         numbers = self.values(described)
         if np.any(numbers.imag):
             row = int(np.argmax(numbers.imag.ravel() != 0))
-            raise DataError(
-                f"{self.word} '{described}' holds complex numbers, real ones are needed",
-                where=self.place(row),
-            )
+            what = f"{self.word} '{described}' holds complex numbers, real ones are needed"
+            raise DataError(what, self.place(row))
         return np.asarray(numbers.real, np.float64)
 
 
 def columns_of_table(path: Path) -> DescribedColumns:
     """The columns of a text or another table; DataError where the file holds variables."""
     if plain_suffix(path) in VARIABLE_SUFFIXES:
-        raise DataError(
-            "holds variables, no columns", where=str(path), hint="write 'variables' in place of 'columns'"
-        )
+        raise DataError("holds variables, no columns", path, "write 'variables' in place of 'columns'")
     if plain_suffix(path) in TEXT_SUFFIXES:
         if not path.is_file():
-            raise DataError("is a folder, a file is needed", where=str(path))
+            raise DataError("is a folder, a file is needed", path)
         text = TextColumns(path)
         return DescribedColumns(path, text.columns, text.units, text.column, text.line)
     table = open_table(path)
 
     def read(index: int) -> FloatArray:
         if table.columns.count(table.columns[index]) > 1:
-            raise DataError(
-                f"the column '{table.columns[index]}' appears several times",
-                where=str(path),
-                hint="rename one of them",
-            )
+            what = f"the column '{table.columns[index]}' appears several times"
+            raise DataError(what, path, "rename one of them")
         return np.concatenate(list(table.chunks([table.columns[index]])))[:, 0]
 
     return DescribedColumns(path, table.columns, table.units, read, lambda row: f"{path}: row {row + 1}")
@@ -227,7 +209,7 @@ def columns_of_variables(path: Path) -> DescribedColumns:
     """
     if plain_suffix(path) not in VARIABLE_SUFFIXES:
         what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
-        raise DataError(what, where=str(path), hint="write 'columns' in place of 'variables'")
+        raise DataError(what, path, "write 'columns' in place of 'variables'")
     if plain_suffix(path) == ".npz":
         arrays = load_arrays(path)
         names = list(arrays)
@@ -272,25 +254,25 @@ def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespon
     source = columns_of_table(path) if layout.columns is not None else columns_of_variables(path)
     if table.matrix:
         frequency = _frequency(source, table, None)
-        matrix = _whole(
-            source.values(table.matrix),
-            (frequency.size, len(dofs.outputs), len(dofs.inputs)),
-            layout.axes,
-            source,
-            table.matrix,
-        )
-        coherence = _whole_coherence(source, table, matrix.shape, layout.axes)
         outputs, inputs = dofs.outputs, dofs.inputs
+        shape = (frequency.size, len(outputs), len(inputs))
+        matrix = _whole(source.values(table.matrix), shape, layout.axes, source, table.matrix)
+        coherence = None
+        if table.coherence:
+            coherence = _whole(source.real(table.coherence), shape, layout.axes, source, table.coherence)
     else:
         elements = _elements(layout, table, dofs)
         values = {pair: _element(source, columns, layout) for pair, columns in elements.items()}
         outputs, inputs = _labels(elements, source)
         frequency = _frequency(source, table, next(iter(values.values())).size)
-        _check_lengths(source, values, frequency)
-        matrix = _cube(outputs, inputs, lambda pair: values[pair])
+        for (output, reference), element in values.items():
+            if element.shape != frequency.shape:
+                what = f"{output}/{reference} has {element.size} values, the frequency axis {frequency.size}"
+                raise DataError(what, source.path)
+        matrix = cube(outputs, inputs, lambda o, i: values[o, i])
         coherence = None
         if all(columns.coherence for columns in elements.values()):
-            coherence = _cube(outputs, inputs, lambda pair: source.real(elements[pair].coherence))
+            coherence = cube(outputs, inputs, lambda o, i: source.real(elements[o, i].coherence))
     return FrequencyResponse(
         frequency,
         (matrix.conj() if layout.conjugate else matrix) * scale,
@@ -318,28 +300,20 @@ def _labels(
     outputs, inputs = (tuple(dict.fromkeys(pair[side] for pair in elements)) for side in (0, 1))
     missing = [f"{o}/{i}" for o in outputs for i in inputs if (o, i) not in elements]
     if missing:
-        raise DataError(
-            f"'elements' do not name {missing[0]}", where=str(source.path), hint="a full matrix is required"
-        )
+        raise DataError(f"'elements' do not name {missing[0]}", source.path, "a full matrix is required")
     return outputs, inputs
-
-
-def _cube(outputs: tuple[str, ...], inputs: tuple[str, ...], values: Callable[[tuple[str, str]], Any]) -> Any:
-    return np.stack([np.stack([values((o, i)) for i in inputs], -1) for o in outputs], 1)
 
 
 def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayout) -> ComplexArray:
     """One element (n_frequency,) [unit of the file]."""
     first, *second = (getattr(columns, name) for name in columns.given)
-    if columns.given[0] not in ("amplitude_db",):
+    if columns.given[0] != "amplitude_db":
         _check_stated(source, first, layout)
     if not second:
         values = source.values(first)
         if not np.any(values.imag):
             what = f"{source.word} '{first}' has no imaginary part anywhere"
-            raise DataError(
-                what, where=str(source.path), hint="an amplitude needs its phase: amplitude and phase_deg"
-            )
+            raise DataError(what, source.path, "an amplitude needs its phase: amplitude and phase_deg")
         return values
     size, other = source.real(first), source.real(second[0])
     if columns.given == ("re", "im"):
@@ -350,7 +324,7 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
     elif np.any(size < 0):
         row = int(np.argmax(size < 0))
         what = f"{source.word} '{first}' holds the negative amplitude {size[row]:g}"
-        raise DataError(what, where=source.place(row), hint="amplitude_db for decibels")
+        raise DataError(what, source.place(row), "amplitude_db for decibels")
     phase = np.deg2rad(other) if columns.given[1] == "phase_deg" else other
     return np.asarray(size * np.exp(1j * phase), np.complex128)
 
@@ -366,7 +340,7 @@ def _check_stated(source: DescribedColumns, column: str, layout: FrfLayout) -> N
             f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the "
             "entry under frfs"
         )
-        raise DataError(what, where=str(source.path), hint=f"write unit: {stated}")
+        raise DataError(what, source.path, f"write unit: {stated}")
 
 
 def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
@@ -376,9 +350,7 @@ def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
     if stated in ("deg", "°", "rad") and (stated == "rad") != (described == "rad"):
         other = "phase_rad" if stated == "rad" else "phase_deg"
         raise DataError(
-            f"{source.word} '{column}' is in {stated} by the file's own header",
-            where=str(source.path),
-            hint=f"write {other}",
+            f"{source.word} '{column}' is in {stated} by the file's own header", source.path, f"write {other}"
         )
 
 
@@ -395,21 +367,16 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
         unit = unit_of(stated, "Hz") if stated else parse_unit("rad/s" if table.omega else "Hz")
     except UnitError:
         what = f"{source.word} '{column}' is in {stated} by the file's own header, which is no frequency"
-        raise DataError(what, where=str(source.path)) from None
+        raise DataError(what, source.path) from None
     if table.omega and stated and not unit.dimension[5]:
-        raise DataError(
-            f"{source.word} '{column}' is in {stated} by the file's own header",
-            where=str(source.path),
-            hint="write frequency",
-        )
+        what = f"{source.word} '{column}' is in {stated} by the file's own header"
+        raise DataError(what, source.path, "write frequency")
     frequency = numbers * unit.factor / ((2 * np.pi) if unit.dimension[5] else 1.0)
     falling = np.flatnonzero(np.diff(frequency) <= 0)
     if falling.size:
         row = int(falling[0]) + 1
-        raise DataError(
-            f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})",
-            where=source.place(row),
-        )
+        what = f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})"
+        raise DataError(what, source.place(row))
     return np.asarray(frequency, np.float64)
 
 
@@ -419,22 +386,11 @@ def _scalar(source: DescribedColumns, text: str) -> float:
         try:
             return parse_value(text, "Hz")
         except UnitError as error:
-            raise DataError(error.what, where=str(source.path), hint=error.hint) from None
+            raise DataError(error.what, source.path, error.hint) from None
     values = source.real(text)
     if values.size != 1:
-        raise DataError(
-            f"{source.word} '{text}' holds {values.size} numbers, one is needed", where=str(source.path)
-        )
+        raise DataError(f"{source.word} '{text}' holds {values.size} numbers, one is needed", source.path)
     return float(values.flat[0])
-
-
-def _check_lengths(
-    source: DescribedColumns, values: dict[tuple[str, str], ComplexArray], frequency: FloatArray
-) -> None:
-    for (output, reference), element in values.items():
-        if element.shape != frequency.shape:
-            what = f"{output}/{reference} has {element.size} values, the frequency axis {frequency.size}"
-            raise DataError(what, where=str(source.path))
 
 
 def _whole(
@@ -451,32 +407,16 @@ def _whole(
     ]
     needed = f"{shape[0]} frequencies, {shape[1]} outputs, {shape[2]} inputs"
     if not fitting:
-        raise DataError(
-            f"the variable '{name}' has the size {values.shape}; needed are {needed}", where=str(source.path)
-        )
+        what = f"the variable '{name}' has the size {values.shape}; needed are {needed}"
+        raise DataError(what, source.path)
     arrays = [
         values.reshape(tuple(shape[n] for n in order)).transpose(np.argsort(order)) for order in fitting
     ]
     if any(not np.array_equal(arrays[0], other) for other in arrays[1:]):
-        hint = "name their order, for example axes: [output, input, frequency]"
-        raise DataError(
-            f"the dimensions {values.shape} of '{name}' could be ordered in several ways",
-            where=str(source.path),
-            hint=hint,
-        )
+        what = f"the dimensions {values.shape} of '{name}' could be ordered in several ways"
+        raise DataError(what, source.path, "name their order, for example axes: [output, input, frequency]")
     return arrays[0]
 
 
 def _squeeze(shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(length for length in shape if length != 1)
-
-
-def _whole_coherence(
-    source: DescribedColumns, table: FrfColumns, shape: tuple[int, ...], axes: tuple[str, ...]
-) -> FloatArray | None:
-    if not table.coherence:
-        return None
-    values: FloatArray = _whole(
-        source.real(table.coherence), (shape[0], shape[1], shape[2]), axes, source, table.coherence
-    )
-    return values

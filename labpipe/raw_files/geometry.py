@@ -47,18 +47,16 @@ def read_geometry_uff(path: Path) -> Geometry:
                 length = _real(lines[1].split()[0])
         except (ValueError, IndexError):
             raise DataError(
-                f"the record {number} cannot be read",
-                where=str(path),
-                hint="numbers are missing, or are none",
+                f"the record {number} cannot be read", path, "numbers are missing, or are none"
             ) from None
     if not nodes:
-        raise DataError("holds no nodes", where=str(path), hint="records 15 or 2411 are needed")
+        raise DataError("holds no nodes", path, "records 15 or 2411 are needed")
     if not length > 0:
-        raise DataError("the factors of the units record 164 cannot be read", where=str(path))
+        raise DataError("the factors of the units record 164 cannot be read", path)
     place = {label: n for n, label in enumerate(nodes)}
     lost = [label for pair in pairs for label in pair if label not in place]
     if lost:
-        raise DataError(f"a line leads to node {lost[0]}, which is not in the file", where=str(path))
+        raise DataError(f"a line leads to node {lost[0]}, which is not in the file", path)
     lines_between = np.array(sorted({(place[a], place[b]) for a, b in pairs if a != b}), int).reshape(-1, 2)
     return Geometry(
         tuple(str(label) for label in nodes), np.array(list(nodes.values())) / length, lines_between
@@ -119,7 +117,7 @@ _COLUMN = re.compile(r"^\s*(?P<name>[A-Za-z]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*$")
 def read_geometry(path: Path) -> Geometry:
     """The points and lines of a file; DataError with the place of a fault."""
     if not path.exists():
-        raise DataError("no such file", where=str(path))
+        raise DataError("no such file", path)
     try:
         return (
             read_geometry_uff(path) if path.suffix.lower() in UFF_SUFFIXES else read_geometry_csv(path)
@@ -139,7 +137,7 @@ def read_geometry_csv(path: Path) -> Geometry:
     try:
         lines = path.read_text("utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        raise DataError("is no text in UTF-8", where=str(path), hint="save the table as CSV") from None
+        raise DataError("is no text in UTF-8", path, "save the table as CSV") from None
     delimiter = next((mark for mark in ";\t" if any(mark in line for line in lines)), ",")
     numbered = enumerate(csv.reader(lines, delimiter=delimiter), 1)
     rows = [
@@ -148,7 +146,7 @@ def read_geometry_csv(path: Path) -> Geometry:
         if any(map(str.strip, row)) and not row[0].lstrip().startswith("#")
     ]
     if not rows:
-        raise DataError("holds no point", where=str(path))
+        raise DataError("holds no point", path)
     columns = _columns(rows[0][1], f"{path}:{rows[0][0]}")
     names: list[str] = []
     positions: list[list[float]] = []
@@ -173,13 +171,11 @@ def _columns(header: Sequence[str], where: str) -> dict[str, str]:
         column = _COLUMN.match(cell)
         name = column["name"].lower() if column else cell.strip()
         if column is None or name not in (POINT, JOINED, *AXES) or name in columns:
-            raise DataError(
-                f"column '{cell.strip()}' is unknown or stands twice", where=where, hint=f"known: {HEADER}"
-            )
+            raise DataError(f"column '{cell.strip()}' is unknown or stands twice", where, f"known: {HEADER}")
         columns[name] = column["unit"] or "m"
     missing = [name for name in (POINT, "x", "y") if name not in columns]
     if missing:
-        raise DataError(f"column '{missing[0]}' is missing", where=where, hint=f"the header is {HEADER}")
+        raise DataError(f"column '{missing[0]}' is missing", where, f"the header is {HEADER}")
     return columns
 
 
@@ -189,16 +185,16 @@ def _coordinate(text: str, unit: str, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise DataError(f"the coordinate '{text.strip()}' is no number", where=where)
+        raise DataError(f"the coordinate '{text.strip()}' is no number", where)
     try:
         return parse_value(f"{value!r} {unit or 'm'}", "m")
     except UnitError as error:
-        raise DataError(error.what, where=where, hint=error.hint) from None
+        raise DataError(error.what, where, error.hint) from None
 
 
 def _number_of(point: str, names: Sequence[str], where: str) -> int:
     if point not in names:
-        raise DataError(f"there is no point '{point}' to draw a line to", where=where)
+        raise DataError(f"there is no point '{point}' to draw a line to", where)
     return names.index(point)
 
 

@@ -89,11 +89,7 @@ class JoinedTable:
             if skip or rest
         ]
         if not row:
-            raise DataError(
-                "the files have no time in common",
-                where=str(self.path),
-                hint="by: sample joins them row by row",
-            )
+            raise DataError("the files have no time in common", self.path, "by: sample joins them row by row")
 
     def _align(
         self, streams: Sequence[Iterator[FloatArray]], members: Sequence[int]
@@ -101,7 +97,7 @@ class JoinedTable:
         """The streams again, and the rows of each before the first common time."""
         firsts = [next(stream) for stream in streams]
         if min(first.shape[0] for first in firsts) < 2:
-            raise DataError("a file has fewer than two rows", where=str(self.path))
+            raise DataError("a file has fewer than two rows", self.path)
         starts = [float(first[0, 0]) for first in firsts]
         steps = [float(first[-1, 0] - first[0, 0]) / (first.shape[0] - 1) for first in firsts]
         for number, step in enumerate(steps):
@@ -124,9 +120,7 @@ class JoinedTable:
                     f"the times of {name} lie {abs(offset - round(offset)):.2f} steps beside those of "
                     f"{self.path.name}"
                 )
-                raise DataError(
-                    what, where=str(self.path), hint="resample one of them; by: sample joins row by row"
-                )
+                raise DataError(what, self.path, "resample one of them; by: sample joins row by row")
         skipped = [round((max(starts) - start) / steps[0]) for start in starts]
         return [chain([first], stream) for first, stream in zip(firsts, streams, strict=True)], skipped
 
@@ -205,8 +199,8 @@ class ResampledTable:
             if rate > self.sample_rate * (1 + SAME_RATE):
                 raise DataError(
                     f"'{names[0]}' is sampled at {rate:g} Hz, above resample: {self.sample_rate:g} Hz",
-                    where=str(self.path),
-                    hint=f"resample: {rate:g} Hz keeps all of it",
+                    self.path,
+                    f"resample: {rate:g} Hz keeps all of it",
                 )
             self._rates[number] = rate
             splines[number] = CubicSpline(times, rows, axis=0), names
@@ -214,7 +208,7 @@ class ResampledTable:
         first, last = max(start for start, _ in ends), min(stop for _, stop in ends)
         grid = first + np.arange(int((last - first) * self.sample_rate * (1 + 1e-12)) + 1) / self.sample_rate
         if last <= first or grid.size < 2:
-            raise DataError("its groups have no time in common", where=str(self.path))
+            raise DataError("its groups have no time in common", self.path)
         # The last time may lie beyond the end by rounding.
         values = {n: spline(np.minimum(grid, last)) for n, (spline, _) in splines.items()}
         yield np.column_stack([values[n][:, splines[n][1].index(name)] for n, name in chosen])
@@ -244,11 +238,11 @@ def _timed(table: Table, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     time = _time_of(table)
     rows = np.concatenate(list(table.chunks([time, *names] if time else names)))
     if rows.shape[0] < 2 or not np.isfinite(rows).all():
-        raise DataError(f"'{names[0]}' lacks numbers, and is not resampled", where=str(table.path))
+        raise DataError(f"'{names[0]}' lacks numbers, and is not resampled", table.path)
     if time:
         times, rows = rows[:, 0], rows[:, 1:]
         if np.any(np.diff(times) <= 0):
-            raise DataError(f"the times of '{names[0]}' do not increase", where=str(table.path))
+            raise DataError(f"the times of '{names[0]}' do not increase", table.path)
         return times, rows
     return getattr(table, "start", 0.0) + np.arange(rows.shape[0]) / float(table.sample_rate or 1.0), rows
 

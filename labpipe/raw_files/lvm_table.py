@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.screening import plain_rate
 from labpipe.raw_files.table import unique
-from labpipe.raw_files.text_table import open_unpacked
+from labpipe.raw_files.text_table import open_text
 
 END = "***End_of_Header***"
 X_VALUE = "X_Value"
@@ -23,16 +23,9 @@ CHUNK_ROWS = 1 << 14
 # LabVIEW's spectral measurements name their channels so, and write "Time" as the dimension of X all the same.
 SPECTRUM = re.compile(r"\((FFT\b|FRF\b|(power|amplitude|cross) spectr)", re.IGNORECASE)
 UNITS = {
-    "volts": "V",
-    "newtons": "N",
-    "meters": "m",
-    "amps": "A",
-    "amperes": "A",
-    "pascals": "Pa",
-    "seconds": "s",
-    "hertz": "Hz",
-    "pounds": "lbf",
-}
+    "volts": "V", "newtons": "N", "meters": "m", "amps": "A", "amperes": "A", "pascals": "Pa",
+    "seconds": "s", "hertz": "Hz", "pounds": "lbf",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -95,10 +88,7 @@ class LvmTable:
         return tuple(LvmTable(self.path, rate) for rate in rates)
 
     def _lines(self) -> Iterator[str]:
-        with (
-            open_unpacked(self.path) as stream,
-            io.TextIOWrapper(stream, encoding="utf-8", errors="replace") as lines,
-        ):
+        with open_text(self.path) as lines:
             yield from (line.rstrip("\r\n") for line in lines)
 
     def _read_header(self) -> LvmHeader:
@@ -107,33 +97,19 @@ class LvmTable:
         for number, line in enumerate(self._lines(), 1):
             if number == 1 and not line.startswith("LabVIEW Measurement"):
                 raise DataError(
-                    "is not a LabVIEW measurement file",
-                    where=str(self.path),
-                    hint="its first words are LabVIEW Measurement",
+                    "is not a LabVIEW measurement file", self.path, "its first words are LabVIEW Measurement"
                 )
             if line.startswith(("Separator\t", "Separator,")):
                 delimiter = "," if "Comma" in line else "\t"
             fields = line.split(delimiter)
             if fields[0] == X_VALUE:
-                return _header(
-                    entries,
-                    [field.strip() for field in fields],
-                    delimiter,
-                    self._first_row(number),
-                    number + 1,
-                    self.path,
-                )
+                below = (line for n, line in enumerate(self._lines(), 1) if n > number and line.strip())
+                titles = [field.strip() for field in fields]
+                return _header(entries, titles, delimiter, next(below, ""), number + 1, self.path)
             ended += fields[0].startswith(END)
             entries[fields[0]] = [field.strip() for field in fields]
-        raise DataError(
-            "is cut off in its header" if ended < 2 else f"has no line of titles ('{X_VALUE} ...')",
-            where=str(self.path),
-        )
-
-    def _first_row(self, titles: int) -> str:
-        return next(
-            (line for number, line in enumerate(self._lines(), 1) if number > titles and line.strip()), ""
-        )
+        untitled = f"has no line of titles ('{X_VALUE} ...')"
+        raise DataError("is cut off in its header" if ended < 2 else untitled, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file].
@@ -171,9 +147,8 @@ class LvmTable:
         """DataError for a further segment where nothing says when it was recorded."""
         if X_VALUE not in self._places:
             hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
-            raise DataError(
-                "a second segment begins, and no X values say when", where=f"{self.path}:{number}", hint=hint
-            )
+            what = "a second segment begins, and no X values say when"
+            raise DataError(what, f"{self.path}:{number}", hint)
 
     def _numbers(self, line: str, places: Sequence[int], number: int) -> list[float]:
         fields = line.split(self._header.delimiter)
@@ -186,7 +161,7 @@ class LvmTable:
                 )
             except ValueError:
                 what = f"column '{self._header.titles[place]}': '{text[:40]}' is not a number"
-                raise DataError(what, where=f"{self.path}:{number}") from None
+                raise DataError(what, f"{self.path}:{number}") from None
         return row
 
 
@@ -209,35 +184,29 @@ def _header(
         if title and title != "Comment" and padded["Samples"][place] != "0" and (title != X_VALUE or with_x)
     ]
     if not [place for place in used if titles[place] != X_VALUE]:
-        raise DataError("holds no channel with samples", where=str(path))
+        raise DataError("holds no channel with samples", path)
     # The first field is the word Y_Unit_Label itself.
     units = ["", *(UNITS.get(unit.lower(), unit) for unit in padded["Y_Unit_Label"][1:])]
-    spectrum = _is_spectrum(
-        [(titles[place], padded["X_Dimension"][place]) for place in used if titles[place] != X_VALUE]
-    )
     channels = [place for place in used if titles[place] != X_VALUE]
+    # The X values are frequencies where the titles or the dimensions of X of all channels say so.
+    spectrum = all(
+        padded["X_Dimension"][place].lower().startswith("freq") or SPECTRUM.search(titles[place])
+        for place in channels
+    )
     texts = [padded["Delta_X"][place] for place in channels]
+    header = partial(
+        LvmHeader, delimiter, decimal, tuple(titles), tuple(units), first_line=first_line, spectrum=spectrum
+    )
     if len(set(texts)) > 1 and not spectrum:
         # Every channel has X values of its own, or none: its step says the same.
         rates = tuple(_rate([text], decimal, path) or 0.0 for text in texts)
         if all(0 < rate < float("inf") for rate in rates) and len(set(rates)) > 1:
             counts = tuple(_whole(text) for text in padded["Samples"])
             starts = tuple(_seconds(text, decimal) for text in padded["X0"])
-            return LvmHeader(
-                delimiter,
-                decimal,
-                tuple(titles),
-                tuple(units),
-                tuple(channels),
-                None,
-                first_line,
-                spectrum,
-                rates,
-                counts,
-                starts,
-            )
+            header = partial(header, rates=rates, counts=counts, starts=starts)
+            return header(used=tuple(channels), sample_rate=None)
     rate = None if with_x or spectrum else _rate(texts, decimal, path)
-    return LvmHeader(delimiter, decimal, tuple(titles), tuple(units), tuple(used), rate, first_line, spectrum)
+    return header(used=tuple(used), sample_rate=rate)
 
 
 def _whole(text: str) -> int:
@@ -251,14 +220,6 @@ def _seconds(text: str, decimal: str) -> float:
         return 0.0
 
 
-def _is_spectrum(channels: Sequence[tuple[str, str]]) -> bool:
-    """Whether the X values of channels with these titles and dimensions of X are frequencies."""
-    return all(
-        dimension.lower().startswith("freq") or SPECTRUM.search(title) is not None
-        for title, dimension in channels
-    )
-
-
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
     """The sampling rate [Hz] of the printed steps; DataError where channels differ."""
     texts = {step.replace(",", ".") if decimal == "," else step for step in steps if step}
@@ -267,11 +228,9 @@ def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
     try:
         numbers = {float(text) for text in texts}
     except ValueError:
-        raise DataError(f"Delta_X '{texts.pop()}' is not a number", where=str(path)) from None
+        raise DataError(f"Delta_X '{texts.pop()}' is not a number", path) from None
     if len(numbers) > 1 or min(numbers) <= 0:
-        raise DataError(
-            "not every channel has a positive step Delta_X", where=str(path), hint="one for each channel"
-        )
+        raise DataError("not every channel has a positive step Delta_X", path, "one for each channel")
     (text,), (step,) = list(texts)[:1], numbers
     mantissa, _, exponent = text.upper().partition("E")
     last_digit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))

@@ -70,7 +70,7 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     missing = [key for key in needed if key not in variables]
     if missing:
         hint = "frequency_hz, H (frequency, output, input), form, outputs and inputs make a response"
-        raise DataError(f"lacks the variable {', '.join(missing)}", where=str(path), hint=hint)
+        raise DataError(f"lacks the variable {', '.join(missing)}", path, hint)
     outputs, inputs = (_ports(variables, side, path) for side in ("output", "input"))
     frequency = _numbers(variables, "frequency_hz", path).ravel()
     shape = (frequency.size, len(outputs), len(inputs))
@@ -78,33 +78,22 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     sizes = {"covariance": (shape[0], n, n), "coherence": shape}
     # MATLAB drops trailing dimensions of 1.
     optional = {key: _shape(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
-    dof = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
-    matrix = _shape(variables, "H", shape, path)
-    return FrequencyResponse(
-        frequency,
-        matrix,
-        outputs,
-        inputs,
-        form=text_of(variables["form"]),
-        **optional,
-        covariance_dof=dof,
-        name=name,
-    )
+    optional["covariance_dof"] = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
+    matrix, form = _shape(variables, "H", shape, path), text_of(variables["form"])
+    return FrequencyResponse(frequency, matrix, outputs, inputs, form=form, **optional, name=name)
 
 
 def _numbers(variables: dict[str, Any], key: str, path: Path) -> Any:
     values = np.asarray(variables[key])
     if values.dtype.kind not in "iufc" or values.size == 0:
-        raise DataError(f"the variable {key} holds no numbers", where=str(path))
+        raise DataError(f"the variable {key} holds no numbers", path)
     return values
 
 
 def _shape(variables: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Any:
     values = _numbers(variables, key, path)
     if values.shape != shape[: values.ndim] or values.size != math.prod(shape):
-        raise DataError(
-            f"the variable {key} has the size {values.shape}, {shape} is required", where=str(path)
-        )
+        raise DataError(f"the variable {key} has the size {values.shape}, {shape} is required", path)
     return values.reshape(shape)
 
 
@@ -113,7 +102,7 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
     dofs = _texts(variables.get(f"{side}_dofs", variables[f"{side}s"]))
     angles = np.asarray(variables.get(f"{side}_angles_rad", np.full(len(labels), np.nan)), float).ravel()
     if not labels or not len(labels) == len(dofs) == angles.size:
-        raise DataError(f"{side}s, {side}_dofs and {side}_angles_rad differ in length", where=str(path))
+        raise DataError(f"{side}s, {side}_dofs and {side}_angles_rad differ in length", path)
     ports = zip(labels, dofs, angles, strict=True)
     return tuple(
         Port(label, label, dof, None if math.isnan(angle) else float(angle)) for label, dof, angle in ports
@@ -137,16 +126,9 @@ def write_recording_mat(path: Path, recording: Recording) -> None:
     names = [name if name[:1].isalpha() else f"x{name}" for name in names]
     if len({*names, "fs", "units"}) < len(names) + 2:
         raise DataError(
-            "two channels have the same name in MATLAB",
-            where=recording.name,
-            hint="fs and units are reserved",
+            "two channels have the same name in MATLAB", recording.name, "fs and units are reserved"
         )
     variables: dict[str, Any] = {name: recording.samples[:, n : n + 1] for n, name in enumerate(names)}
     units = {name: channel.unit for name, channel in zip(names, recording.channels, strict=True)}
-    scipy.io.savemat(
-        path,
-        {**variables, "fs": recording.sample_rate, "units": units},
-        do_compression=True,
-        long_field_names=True,
-        appendmat=False,
-    )
+    variables |= {"fs": recording.sample_rate, "units": units}
+    scipy.io.savemat(path, variables, do_compression=True, long_field_names=True, appendmat=False)

@@ -19,6 +19,7 @@ from scipy.io.matlab import MatlabOpaque, MatReadError
 from labpipe.errors import DataError
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
 from labpipe.raw_files.table import check_in_child
+from labpipe.raw_files.text_table import check_filled, not_readable
 
 # Variables of an HDF5 file by name, as in MATLAB 7.3 or plain HDF5.
 
@@ -57,10 +58,10 @@ def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
     check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
-            return {name: _value(file, file[name]) for name in names if _is_own_dataset(file, name)}
+            own = [n for n in names if isinstance(file.get(n, getlink=True), h5py.HardLink)]
+            return {name: _value(file, file[name]) for name in own if isinstance(file[name], h5py.Dataset)}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
-        reason = (str(error).splitlines() or ["damaged"])[0]
-        raise DataError(f"is not a readable HDF5 file ({reason[:80]})", where=str(path)) from None
+        raise not_readable(path, "HDF5 file", error) from None
 
 
 def hdf5_names(path: Path) -> tuple[str, ...]:
@@ -76,13 +77,8 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
         with h5py.File(path, "r") as file:
             file.visititems(add)
     except (OSError, RuntimeError, KeyError) as error:
-        reason = (str(error).splitlines() or ["damaged"])[0]
-        raise DataError(f"is not a readable HDF5 file ({reason[:80]})", where=str(path)) from None
+        raise not_readable(path, "HDF5 file", error) from None
     return tuple(names)
-
-
-def _is_own_dataset(file: h5py.File, name: str) -> bool:
-    return isinstance(file.get(name, getlink=True), h5py.HardLink) and isinstance(file[name], h5py.Dataset)
 
 
 def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
@@ -208,16 +204,14 @@ def is_hdf5(path: Path) -> bool:
 
 def load_variables(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file up to version 7; DataError for an unreadable file."""
-    if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+    check_filled(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             check_elements(path)
             variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
     except _BROKEN as error:
-        reason = (str(error).splitlines() or ["damaged"])[0].rstrip(".")
-        raise DataError(f"is not a readable MATLAB file ({reason[:80]})", where=str(path)) from None
+        raise not_readable(path, "MATLAB file", error) from None
     return {name: value for name, value in variables.items() if not name.startswith("__")}
 
 
@@ -339,7 +333,7 @@ def hdf5_table(path: Path) -> ArraysTable:
     Links into other files are not followed.
     """
     if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     check_hdf5(path)
     try:
         file = h5py.File(path, "r")
@@ -347,9 +341,7 @@ def hdf5_table(path: Path) -> ArraysTable:
         scalars = {name: float(np.asarray(item[()]).item()) for name, item in sets.items() if item.size == 1}
         scalars |= _rate_attributes(file, sets)
     except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise DataError(
-            f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", where=str(path)
-        ) from None
+        raise DataError(f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", path) from None
     columns = {
         name: column
         for key, item in sets.items()

@@ -19,6 +19,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import check_in_child, check_names, load_extra, unique
+from labpipe.raw_files.text_table import check_filled, not_readable
 
 CHUNK_ROWS = 1 << 17
 TIME = "time [s]"
@@ -30,8 +31,7 @@ def mdf_table(path: Path) -> MdfTable:
     """The table of a file that a child process has looked at: places beyond a sample make the library
     crash.
     """
-    if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+    check_filled(path)
     load_extra("asammdf", "mdf", path)
     check_in_child(path, "MDF", touch)
     return MdfTable(path)
@@ -84,7 +84,7 @@ class MdfTable:
                 groups = [groups[group]]
             self._length, self._group = max(groups, default=(0, -1))
             if self._length < 2:
-                raise DataError("holds no group of samples", where=str(path))
+                raise DataError("holds no group of samples", path)
             self._check_amount(file.groups[self._group])
             self._others = [n for length, n in groups if n != self._group and length > 1]
             self.unused = {
@@ -118,11 +118,8 @@ class MdfTable:
         for all of them.
         """
         # Marks of invalid samples stand behind each sample, except in files that keep every column by itself.
-        marks = (
-            0
-            if getattr(group, "uses_ld", False)
-            else int(getattr(group.channel_group, "invalidation_bytes_nr", 0))
-        )
+        marks = int(getattr(group.channel_group, "invalidation_bytes_nr", 0))
+        marks = 0 if getattr(group, "uses_ld", False) else marks
         size, record = self.path.stat().st_size, int(group.channel_group.samples_byte_nr) + marks
         room = sum(
             min(info.original_size, MOST_SQUEEZED * min(info.compressed_size, size))
@@ -133,7 +130,7 @@ class MdfTable:
                 f"is not a readable MDF file ({self._length} samples of {record} bytes are stated, "
                 f"{room} bytes are there)"
             )
-            raise DataError(what, where=str(self.path), hint="the file is cut off or damaged")
+            raise DataError(what, self.path, "the file is cut off or damaged")
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
@@ -154,10 +151,7 @@ class MdfTable:
                     raise
                 except Exception as error:
                     reason = str(error)
-        raise DataError(
-            f"is not a readable MDF file ({(reason.splitlines() or ['damaged'])[0][:80]})",
-            where=str(self.path),
-        )
+        raise not_readable(self.path, "MDF file", reason)
 
     def _opened(self, folder: str) -> tuple[Any, str]:
         """The file, or why it cannot be opened."""
@@ -200,11 +194,8 @@ class MdfTable:
             for name in columns
         ]
         if len(times) != count:
-            raise DataError(
-                f"ends within its {self._length} samples",
-                where=str(self.path),
-                hint="the file is cut off or damaged",
-            )
+            what = f"ends within its {self._length} samples"
+            raise DataError(what, self.path, "the file is cut off or damaged")
         return np.column_stack([np.asarray(signal, np.float64) for signal in signals])
 
 

@@ -19,7 +19,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import batches, numpy_array, open_parquet
 from labpipe.errors import DataError
 from labpipe.raw_files.table import load_extra
-from labpipe.raw_files.text_table import StampClock, bracketed_unit, header_of
+from labpipe.raw_files.text_table import StampClock, bracketed_unit, check_filled, header_of, not_readable
 
 CHUNK_ROWS = 1 << 17
 # Integers of up to so many bits are exact as float64; of longer ones pyarrow refuses those that are not.
@@ -37,7 +37,7 @@ class ParquetTable:
         self.sample_rate: float | None = None
         self.n_row = open_parquet(path).metadata.num_rows
         if self.n_row == 0:
-            raise DataError("has no rows", where=str(path))
+            raise DataError("has no rows", path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
@@ -57,7 +57,7 @@ class ParquetTable:
         for name in columns:
             kind = self._schema.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                raise DataError(f"column '{name}' holds {kind}, numbers are required", where=str(self.path))
+                raise DataError(f"column '{name}' holds {kind}, numbers are required", self.path)
         for batch in batches(self.path, list(dict.fromkeys(columns)), CHUNK_ROWS):
             yield [_numbers(batch.column(name)) for name in columns]
 
@@ -75,6 +75,9 @@ def _numbers(column: pa.Array) -> FloatArray:
 # WAV files: one column per track, 1 at full scale; the rig's sensitivity converts full scale.
 
 
+_BROKEN = ValueError, TypeError, OSError, EOFError, struct.error, UnboundLocalError, ZeroDivisionError
+
+
 class WavTable:
     """The tracks "1", "2", ... of a WAV file as shares of full scale. Satisfies Table."""
 
@@ -82,7 +85,7 @@ class WavTable:
         self.path = path
         rate, self._samples = _read(path)
         if self._samples.shape[0] < 1:
-            raise DataError("holds no samples", where=str(path))
+            raise DataError("holds no samples", path)
         self.columns = tuple(str(n + 1) for n in range(self._samples.shape[1]))
         self.units = dict.fromkeys(self.columns, "1")
         self.sample_rate: float | None = float(rate)
@@ -96,8 +99,7 @@ class WavTable:
 
 def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
-    if path.stat().st_size == 0:
-        raise DataError("the file is empty", where=str(path))
+    check_filled(path)
     _check_length(path)
     try:
         with warnings.catch_warnings(record=True) as caught:
@@ -106,21 +108,12 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
                 rate, samples = wavfile.read(str(path), mmap=True)
             except ValueError:
                 rate, samples = wavfile.read(str(path))
-    except (
-        ValueError,
-        TypeError,
-        OSError,
-        EOFError,
-        struct.error,
-        UnboundLocalError,
-        ZeroDivisionError,
-    ) as error:
-        reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
-        raise DataError(f"is not a readable WAV file ({reason[:80]})", where=str(path)) from None
+    except _BROKEN as error:
+        raise not_readable(path, "WAV file", str(error) or "cut off") from None
     if any("EOF" in str(warning.message) for warning in caught):
-        raise DataError("ends before its last sample", where=str(path), hint="the file is truncated")
+        raise DataError("ends before its last sample", path, "the file is truncated")
     if rate <= 0:
-        raise DataError("has no sampling rate", where=str(path))
+        raise DataError("has no sampling rate", path)
     return rate, samples.reshape(samples.shape[0], -1)
 
 
@@ -143,7 +136,7 @@ def _check_length(path: Path) -> None:
     with path.open("rb") as stream:
         for name, place, length in wav_chunks(stream):
             if name == b"data" and place + length > path.stat().st_size:
-                raise DataError("ends before its last sample", where=str(path), hint="the file is truncated")
+                raise DataError("ends before its last sample", path, "the file is truncated")
 
 
 def _share(samples: NDArray[np.generic]) -> FloatArray:
@@ -183,8 +176,7 @@ class XlsxTable:
     def _rows_of_numbers(self) -> tuple[str, list[Row]]:
         """Name and rows of the only sheet that holds numbers."""
         openpyxl = load_extra("openpyxl", "excel", self.path)
-        if self.path.stat().st_size == 0:
-            raise DataError("the file is empty", where=str(self.path))
+        check_filled(self.path)
         try:
             with warnings.catch_warnings():
                 # Of styles and extensions that are no numbers.
@@ -194,18 +186,12 @@ class XlsxTable:
                 book.close()
         # The library has errors of many kinds for a damaged file.
         except Exception as error:
-            reason = (str(error).splitlines() or ["damaged"])[0]
-            raise DataError(
-                f"is not a readable Excel workbook ({reason[:80]})", where=str(self.path)
-            ) from None
+            raise not_readable(self.path, "Excel workbook", error) from None
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
         if len(numeric) != 1:
-            what = (
-                "no sheet holds a row of numbers"
-                if not numeric
-                else (f"several sheets hold numbers: {', '.join(numeric)}")
-            )
-            raise DataError(what, where=str(self.path), hint="a workbook with one table is needed")
+            what = f"several sheets hold numbers: {', '.join(numeric)}"
+            what = what if numeric else "no sheet holds a row of numbers"
+            raise DataError(what, self.path, "a workbook with one table is needed")
         return next(iter(numeric.items()))
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
@@ -228,7 +214,7 @@ class XlsxTable:
                 values[number] = np.nan if cell is None else cell
             else:
                 what = f"column '{self._names[place]}': '{str(cell)[:40]}' is not a number"
-                raise DataError(what, where=f"{self.path}: sheet {self._sheet}, row {row_number}")
+                raise DataError(what, f"{self.path}: sheet {self._sheet}, row {row_number}")
         return values
 
 

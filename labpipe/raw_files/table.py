@@ -65,9 +65,7 @@ def readable(path: Path) -> Iterator[None]:
 def _unreadable(path: Path, error: Exception) -> DataError:
     said = (str(error).splitlines() or [""])[0].rstrip(".")
     return DataError(
-        f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, said))))})",
-        where=str(path),
-        hint=DAMAGED,
+        f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, said))))})", path, DAMAGED
     )
 
 
@@ -136,9 +134,7 @@ def check_in_child(path: Path, kind: str, touch: Touch) -> None:
             if code in (-signal.SIGXCPU, -signal.SIGKILL)
             else (f"fails inside the {kind} library")
         )
-        raise DataError(
-            f"is not a readable {kind} file (reading it {how})", where=str(path), hint="the file is damaged"
-        )
+        raise DataError(f"is not a readable {kind} file (reading it {how})", path, "the file is damaged")
 
 
 def _look(path: Path, touch: Touch, seconds: int) -> int:
@@ -224,18 +220,16 @@ class Table(Protocol):
 def open_table(path: Path) -> Table:
     """The table of a file by its suffix; DataError for a missing file, a folder, or an unknown kind."""
     if path.is_dir():
-        raise DataError("is a folder, not a file", where=str(path))
+        raise DataError("is a folder, not a file", path)
     if not path.exists():
-        raise DataError("no such file", where=str(path))
+        raise DataError("no such file", path)
     suffix = plain_suffix(path)
     if suffix not in READERS.names():
         raise DataError(
-            f"files with the ending '{suffix}' cannot be read",
-            where=str(path),
-            hint=f"known: {', '.join(READERS.names())}",
+            f"files with the ending '{suffix}' cannot be read", path, f"known: {', '.join(READERS.names())}"
         )
     if not path.is_file():
-        raise DataError("is no regular file", where=str(path))
+        raise DataError("is no regular file", path)
     table: Table = GuardedTable(guard(READERS.load(suffix), path))
     return table
 
@@ -264,16 +258,14 @@ def load_extra(module: str, extra: str, path: Path) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        raise DataError(
-            f"needs the package {module}", where=str(path), hint=f"pip install 'labpipe[{extra}]'"
-        ) from None
+        raise DataError(f"needs the package {module}", path, f"pip install 'labpipe[{extra}]'") from None
 
 
 def check_names(path: Path, required: Sequence[str], columns: Sequence[str]) -> None:
     """DataError for a *required* column that is not among the *columns* of a file, with the nearest."""
     for name in required:
         if name not in columns:
-            raise DataError(f"no column '{name}'", where=str(path), hint=nearest(name, columns))
+            raise DataError(f"no column '{name}'", path, nearest(name, columns))
 
 
 def check_columns(table: Table, required: Sequence[str]) -> None:
@@ -282,9 +274,7 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
         count = table.columns.count(name)
         if count == 0 and name in getattr(table, "unused", {}) and bool(getattr(table, "others", None)):
             hint = "resample: RATE in the rig file brings all to one rate"
-            raise DataError(f"'{name}' has another rate than the others", where=str(table.path), hint=hint)
+            raise DataError(f"'{name}' has another rate than the others", table.path, hint)
         check_names(table.path, [name], table.columns)
         if count > 1:
-            raise DataError(
-                f"the column '{name}' appears {count} times", where=str(table.path), hint="rename one of them"
-            )
+            raise DataError(f"the column '{name}' appears {count} times", table.path, "rename one of them")

@@ -15,6 +15,7 @@ from nptdms.log import log_manager
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import check_names, unique
+from labpipe.raw_files.text_table import check_filled, not_readable
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -50,8 +51,7 @@ class TdmsTable:
         self.path = path
         # Suppresses npTDMS's log of a damaged file: there is one error message.
         log_manager.set_level(logging.ERROR)
-        if path.stat().st_size == 0:
-            raise DataError("the file is empty", where=str(path))
+        check_filled(path)
         try:
             with path.open("rb") as stream, TdmsFile.open(stream) as file:
                 _check_whole(file, path)
@@ -60,12 +60,12 @@ class TdmsTable:
                 ]
                 self._keep(channels)
         except _BROKEN as error:
-            raise self._damaged(error) from None
+            raise not_readable(path, "TDMS file", str(error) or "cut off") from None
 
     def _keep(self, candidates: list[Any]) -> None:
         length = max((len(channel) for channel in candidates), default=0)
         if length < 1:
-            raise DataError("holds no channel of numbers", where=str(self.path))
+            raise DataError("holds no channel of numbers", self.path)
         channels = [channel for channel in candidates if len(channel) == length]
         names = [channel.name for channel in channels]
         self.columns = unique(
@@ -73,16 +73,9 @@ class TdmsTable:
         )
         self._places = {name: (c.group_name, c.name) for name, c in zip(self.columns, channels, strict=True)}
         self.n_row = length
-        self.units = {
-            name: unit
-            for name, channel in zip(self.columns, channels, strict=True)
-            if (unit := _unit(channel))
-        }
-        self.sensitivities = {
-            name: text
-            for name, channel in zip(self.columns, channels, strict=True)
-            if (text := _sensitivity(channel))
-        }
+        of_name = dict(zip(self.columns, channels, strict=True))
+        self.units = {name: unit for name, channel in of_name.items() if (unit := _unit(channel))}
+        self.sensitivities = {name: text for name, c in of_name.items() if (text := _sensitivity(c))}
         self.sample_rate = _rate(channels, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
@@ -115,20 +108,13 @@ class TdmsTable:
                     if whole:
                         values = [np.concatenate(pieces) for pieces in parts]
                         yield from _blocks(values, whole)
-                        parts, waiting, done = (
-                            [[column[whole:]] for column in values],
-                            waiting - whole,
-                            done + whole,
-                        )
+                        parts = [[column[whole:]] for column in values]
+                        waiting, done = waiting - whole, done + whole
             if np.any(done + waiting != self.n_row):
                 raise EOFError("cut off")
             yield from _blocks([np.concatenate(pieces) for pieces in parts], self.n_row - done)
         except _BROKEN as error:
-            raise self._damaged(error) from None
-
-    def _damaged(self, error: Exception) -> DataError:
-        reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
-        return DataError(f"is not a readable TDMS file ({reason[:80]})", where=str(self.path))
+            raise not_readable(self.path, "TDMS file", str(error) or "cut off") from None
 
 
 def growing_rows(
@@ -162,11 +148,8 @@ def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:
 
 def _check_whole(file: TdmsFile, path: Path) -> None:
     if file.file_status.incomplete_final_segment:
-        raise DataError(
-            "its last segment is truncated",
-            where=str(path),
-            hint="the logger was interrupted, or the copy is incomplete",
-        )
+        hint = "the logger was interrupted, or the copy is incomplete"
+        raise DataError("its last segment is truncated", path, hint)
 
 
 def _is_numeric(channel: Any) -> bool:
@@ -197,9 +180,7 @@ def _rate(channels: list[Any], path: Path) -> float | None:
     low, high = min(steps.values()), max(steps.values())
     if low <= 0 or high > low * (1 + _SAME):
         raise DataError(
-            f"its channels have time steps from {low:g} s to {high:g} s",
-            where=str(path),
-            hint="one rate is required",
+            f"its channels have time steps from {low:g} s to {high:g} s", path, "one rate is required"
         )
     rate = 1 / low
     return float(round(rate)) if abs(round(rate) / rate - 1) < _SAME else rate

@@ -39,20 +39,35 @@ def plain_suffix(path: Path) -> str:
 def open_unpacked(path: Path) -> BinaryIO:
     """The bytes of a file, decompressed according to its suffix."""
     if path.suffix.lower() in PACKED:
-        stream: BinaryIO = pa.input_stream(
-            str(path), compression="gzip" if path.suffix.lower() == ".gz" else "zstd"
-        )
+        compression = "gzip" if path.suffix.lower() == ".gz" else "zstd"
+        stream: BinaryIO = pa.input_stream(str(path), compression=compression)
         return stream
     return path.open("rb")
 
 
+@contextmanager
+def open_text(path: Path, encoding: str = "utf-8") -> Iterator[io.TextIOWrapper]:
+    """The lines of a file, unpacked if need be; what is no text of the *encoding* is marked."""
+    with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding, errors="replace") as lines:
+        yield lines
+
+
+def not_readable(path: Path, kind: str, error: object) -> DataError:
+    """The error of a file of a *kind* for which its library has none of its own."""
+    reason = (str(error).splitlines() or ["damaged"])[0].rstrip(".")
+    return DataError(f"is not a readable {kind} ({reason[:80]})", path)
+
+
+def check_filled(path: Path) -> None:
+    """DataError for a file without a byte."""
+    if path.stat().st_size == 0:
+        raise DataError("the file is empty", path)
+
+
 def damaged(path: Path, error: Exception) -> DataError:
     """The error of a compressed file that cannot be decompressed."""
-    return DataError(
-        f"cannot be unpacked ({str(error).splitlines()[0][:80]})",
-        where=str(path),
-        hint="the file is damaged or cut off",
-    )
+    what = f"cannot be unpacked ({str(error).splitlines()[0][:80]})"
+    return DataError(what, path, "the file is damaged or cut off")
 
 
 # A text table whose fields any number of blanks keeps apart, as a stream with one blank between two fields.
@@ -134,17 +149,11 @@ class StampClock:
         if match["half"]:
             hour = hour % 12 + (12 if match["half"].upper() == "PM" else 0)
         second = hour * 3600 + int(match["minute"]) * 60 + float(match["second"].replace(",", "."))
-        new_day = (
-            second < self._last - DAY / 2
-            if match["date"] is None
-            else self._date not in (None, match["date"])
-        )
-        if new_day:
+        earlier = second < self._last - DAY / 2
+        if earlier if match["date"] is None else self._date not in (None, match["date"]):
             if second > self._last:
-                raise DataError(
-                    f"the column '{self._column}' leaves out time between {self._date} and {stamp}",
-                    hint="split the file there",
-                )
+                what = f"the column '{self._column}' leaves out time between {self._date} and {stamp}"
+                raise DataError(what, hint="split the file there")
             self._midnight += DAY
         self._date, self._last = match["date"], second
         return self._midnight + second
@@ -202,11 +211,6 @@ def is_number(field: str, decimal: str) -> bool:
     return True
 
 
-def is_number_or_missing(field: str, decimal: str, number: IsNumber = is_cell) -> bool:
-    """True if a field is a number or a known mark for a missing one."""
-    return is_missing(field) or number(field, decimal)
-
-
 def is_missing(field: str) -> bool:
     """True if a field is a known mark for a missing number."""
     return field.strip().strip('"') in MISSING
@@ -241,11 +245,7 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
         layouts, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3])
     )
     if not rows:
-        raise DataError(
-            "no row of numbers in it",
-            where=str(path),
-            hint="a table of numbers below one header line is needed",
-        )
+        raise DataError("no row of numbers in it", path, "a table of numbers below one header line is needed")
     first = next(
         n
         for n, line in enumerate(lines)
@@ -263,24 +263,21 @@ def _head(path: Path) -> tuple[str, list[str]]:
     except OSError as error:
         raise damaged(path, error) if path.suffix.lower() in PACKED else error from None
     if not head.strip():
-        raise DataError("the file is empty", where=str(path))
+        raise DataError("the file is empty", path)
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encoding = "utf-16"
     elif b"\0" in head:
-        raise DataError("is not a text file", where=str(path))
+        raise DataError("is not a text file", path)
     else:
-        encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else _utf8_or_latin(head)
+        encoding = "utf-8"
+        try:
+            head[:-4].decode() if len(head) == HEAD_BYTES else head.decode()
+        except UnicodeDecodeError:
+            encoding = "latin-1"
+        encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else encoding
     # Not splitlines(): pyarrow, which skips the header by its number of lines, counts line feeds only.
     lines = [line.rstrip("\r") for line in head.decode(encoding, errors="ignore").split("\n")]
     return encoding, lines[:-1] if len(head) == HEAD_BYTES else lines
-
-
-def _utf8_or_latin(head: bytes) -> str:
-    try:
-        head[:-4].decode("utf-8") if len(head) == HEAD_BYTES else head.decode("utf-8")
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
 
 
 def _sample(n_line: int) -> list[int]:
@@ -411,7 +408,7 @@ class CsvTable:
             raise self._locate(columns, str(error)) from None
         except UnicodeError as error:
             what = f"is not {self.layout.encoding.upper()} text as its first bytes say ({cut(str(error))})"
-            raise DataError(what, where=str(self.path), hint="the file is damaged or cut off") from None
+            raise DataError(what, self.path, "the file is damaged or cut off") from None
         except OSError as error:
             raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
 
@@ -427,9 +424,7 @@ class CsvTable:
             batches = list(self._open(source, fields, 0))
         except pa.ArrowInvalid as error:
             reason = cut(str(error).splitlines()[0])
-            raise DataError(
-                f"a line that was appended cannot be read: {reason}", where=str(self.path)
-            ) from None
+            raise DataError(f"a line that was appended cannot be read: {reason}", self.path) from None
         rows = [
             np.array([self._numbers(batch.column(field), self._clocks.get(field)) for field in fields]).T
             for batch in batches
@@ -439,23 +434,19 @@ class CsvTable:
 
     def _open(self, source: Any, fields: list[str], skipped: int) -> pc.CSVStreamingReader:
         layout = self.layout
-        encoding = (
-            "utf8" if layout.encoding.startswith("utf-8") or layout.delimiter == BLANKS else layout.encoding
-        )
-        n_field = len(layout.names)
+        plain = layout.encoding.startswith("utf-8") or layout.delimiter == BLANKS
+        types = {field: pa.string() if int(field) in layout.stamps else pa.float64() for field in fields}
         return pc.open_csv(
             source,
             pc.ReadOptions(
                 block_size=BLOCK_BYTES,
                 skip_rows=skipped,
-                column_names=[str(n) for n in range(n_field)],
-                encoding=encoding,
+                column_names=[str(n) for n in range(len(layout.names))],
+                encoding="utf8" if plain else layout.encoding,
             ),
             pc.ParseOptions(delimiter=layout.delimiter),
             pc.ConvertOptions(
-                column_types={
-                    field: pa.string() if int(field) in layout.stamps else pa.float64() for field in fields
-                },
+                column_types=types,
                 include_columns=fields,
                 null_values=sorted(MISSING),
                 decimal_point=layout.decimal,
@@ -483,23 +474,17 @@ class CsvTable:
     def _locate(self, columns: Sequence[str], reason: str) -> DataError:
         """The error with the first faulty line, found by reading the file again as text."""
         layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
-        with (
-            open_unpacked(self.path) as stream,
-            io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines,
-        ):
+        with open_text(self.path, layout.encoding) as lines:
             for number, line in enumerate(lines):
                 if number < layout.first_line or not line.strip():
                     continue
                 fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
                 where = f"{self.path}:{number + 1}"
                 if len(fields) != len(layout.names):
-                    return DataError(
-                        f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before",
-                        where=where,
-                    )
+                    what = f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before"
+                    return DataError(what, where)
                 for index, name in zip(indices, columns, strict=True):
-                    if not is_number_or_missing(fields[index], layout.decimal):
-                        return DataError(
-                            f"column '{name}': '{fields[index].strip()[:40]}' is not a number", where=where
-                        )
-        return DataError(f"cannot be read: {reason.splitlines()[0]}", where=str(self.path))
+                    if not (is_missing(fields[index]) or is_cell(fields[index], layout.decimal)):
+                        what = f"column '{name}': '{fields[index].strip()[:40]}' is not a number"
+                        return DataError(what, where)
+        return DataError(f"cannot be read: {reason.splitlines()[0]}", self.path)

@@ -79,7 +79,7 @@ class UffScale:
     force: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class UffRecord:
     """One record 58 or 58b.
 
@@ -128,9 +128,7 @@ class _Lines:
         lines = [self.next() for _ in range(count)]
         complete = [line for line in lines if line is not None]
         if len(complete) < count:
-            raise DataError(
-                "ends within the header of a record", where=str(self.path), hint="the file is truncated"
-            )
+            raise DataError("ends within the header of a record", self.path, "the file is truncated")
         return complete
 
     def mark(self) -> re.Match[bytes] | None:
@@ -151,7 +149,7 @@ def open_uff(path: Path) -> mmap.mmap:
         try:
             return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError:
-            raise DataError("the file is empty", where=str(path)) from None
+            raise DataError("the file is empty", path) from None
 
 
 def read_uff(path: Path) -> tuple[UffRecord, ...]:
@@ -165,9 +163,8 @@ def read_uff(path: Path) -> tuple[UffRecord, ...]:
         shapes = len(records_55(path))
         if shapes:
             what = f"holds {shapes} mode shape(s) in records 55, and no recording or FRF"
-            raise DataError(what, where=str(path), hint="`labpipe inspect` shows them")
-        hint = "records 58 and 58b are read, and shapes in records 55"
-        raise DataError("holds no record 58", where=str(path), hint=hint)
+            raise DataError(what, path, "`labpipe inspect` shows them")
+        raise DataError("holds no record 58", path, "records 58 and 58b are read, and shapes in records 55")
     return records
 
 
@@ -197,8 +194,7 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
             continue
         if line.strip() != "-1":
             raise DataError(
-                f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'",
-                where=str(lines.path),
+                f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'", lines.path
             )
         kind = lines.needed(1)[0]
         if kind[:6].strip() == "58":
@@ -212,9 +208,7 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
 def _to_end(lines: _Lines, kind: str) -> None:
     mark = lines.mark()
     if mark is None:
-        raise DataError(
-            f"the record {kind.strip()[:6]} has no end", where=str(lines.path), hint="the file is truncated"
-        )
+        raise DataError(f"the record {kind.strip()[:6]} has no end", lines.path, "the file is truncated")
     lines.position = mark.end() + 1
 
 
@@ -226,7 +220,7 @@ def _scale(lines: _Lines) -> UffScale:
     except ValueError:
         length = force = 0.0
     if not (length > 0 and force > 0):
-        raise DataError("the factors of the units record 164 cannot be read", where=str(lines.path))
+        raise DataError("the factors of the units record 164 cannot be read", lines.path)
     return UffScale(length, force)
 
 
@@ -242,24 +236,11 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
         abscissa, ordinate, denominator = (_axis(_cut(line, _AXIS)) for line in header[7:10])
         layout = _layout(lines, kind, ordinate_type, n_value, even)
     except ValueError as error:
-        raise DataError(f"record {number} ({title}): {error}", where=str(lines.path)) from None
+        raise DataError(f"record {number} ({title}): {error}", lines.path) from None
     lines.position = layout.end
-    return UffRecord(
-        number=number,
-        title=title,
-        function=function,
-        response=response,
-        reference=reference,
-        n_value=n_value,
-        even=even,
-        start=start,
-        step=step,
-        abscissa=abscissa,
-        ordinate=ordinate,
-        denominator=denominator,
-        scale=scale,
-        layout=layout,
-    )
+    points = function, response, reference
+    axes = abscissa, ordinate, denominator
+    return UffRecord(number, title, *points, n_value, even, start, step, *axes, scale, layout)
 
 
 def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
@@ -269,9 +250,10 @@ def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bo
         codes = kind[kind.lower().index("b") + 1 :].split()
         return _binary_layout(lines.buffer, lines.position, codes, ordinate_type, n_value, even)
     mark = lines.mark()
-    return _text_layout(
-        lines.position, len(lines.buffer) if mark is None else mark.start(), ordinate_type, n_value, even
-    )
+    end = len(lines.buffer) if mark is None else mark.start()
+    _check_type(ordinate_type)
+    parts, width = _PARTS[ordinate_type], _TEXT_WIDTH[ordinate_type]
+    return NumberLayout(lines.position, end, n_value, parts, even, width)
 
 
 def _cut(line: str, widths: tuple[int, ...]) -> list[str]:
@@ -304,12 +286,6 @@ def _point(fields: list[str]) -> UffPoint:
 
 def _axis(fields: list[str]) -> UffAxis:
     return UffAxis(_integer(fields[0]), _name(fields[4]), _name(fields[5]))
-
-
-def _text_layout(begin: int, end: int, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
-    """The layout of numbers as text; ValueError for an unknown ordinate type."""
-    _check_type(ordinate_type)
-    return NumberLayout(begin, end, n_value, _PARTS[ordinate_type], even, _TEXT_WIDTH[ordinate_type])
 
 
 def _binary_layout(
@@ -349,10 +325,8 @@ def read_numbers(
         abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
     else:
         values = np.frombuffer(buffer[layout.begin : layout.end], layout.dtype)
-        abscissa, ordinate = (
-            (None if layout.even else values["x"].astype(np.float64)),
-            values["y"].astype(np.float64),
-        )
+        abscissa = None if layout.even else values["x"].astype(np.float64)
+        ordinate = values["y"].astype(np.float64)
     return abscissa, ordinate[:, 0] if layout.parts == 1 else ordinate[:, 0] + 1j * ordinate[:, 1]
 
 
@@ -372,15 +346,8 @@ def _split(text: bytes, layout: NumberLayout) -> FloatArray:
     try:
         return np.array(text.split(), dtype=np.float64)
     except ValueError:
-        widths = [] if layout.even else [_ABSCISSA_WIDTH]
-        return np.array(
-            [
-                field
-                for line in text.splitlines()
-                for field in _fields(line, [*widths, *[layout.width] * layout.parts])
-            ],
-            float,
-        )
+        widths = [*([] if layout.even else [_ABSCISSA_WIDTH]), *[layout.width] * layout.parts]
+        return np.array([field for line in text.splitlines() for field in _fields(line, widths)], float)
 
 
 def _fields(line: bytes, widths: list[int]) -> list[bytes]:
@@ -427,7 +394,7 @@ def read_shapes_uff(path: Path) -> FileShapes | None:
             sets.append(_Mode.of_lines(lines))
         except (ValueError, IndexError):
             what = f"the record 55 number {number} is cut off or damaged"
-            raise DataError(what, where=str(path), hint="export the shapes again") from None
+            raise DataError(what, path, "export the shapes again") from None
     modes = [mode for mode in sets if mode.analysis in (NORMAL, *COMPLEX)]
     alike = [mode for mode in modes if (mode.nodes, mode.width) == (modes[0].nodes, modes[0].width)]
     if not alike:

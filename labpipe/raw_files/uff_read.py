@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import mmap
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value, unit_of
+from labpipe.raw_files.frf_csv import cube
 from labpipe.raw_files.table import unique
 from labpipe.raw_files.uff import (
     COHERENCE,
@@ -46,7 +45,6 @@ AXES = ("", "x", "y", "z", "rx", "ry", "rz")
 # Relative tolerance between the frequency axes of records, which are printed with six digits.
 _SAME_AXIS = 1e-5
 Key = tuple[str, int, int]
-Numbers = TypeVar("Numbers", np.floating, np.complexfloating)
 CHUNK_ROWS = 1 << 17
 # The time step is printed with six digits: rates are rounded to a whole number of hertz within this relative
 # tolerance.
@@ -69,19 +67,13 @@ def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> Fr
     frfs = [record for record in records if record.function == FRF]
     try:
         if not frfs:
-            raise DataError(
-                "holds no FRF records", hint="time records belong under recordings: in a pipeline"
-            )
+            hint = "time records belong under recordings: in a pipeline"
+            raise DataError("holds no FRF records", hint=hint)
         form = stated[0] if stated else _one_form(frfs)
         with open_uff(path) as buffer:
-            return _response(
-                buffer,
-                frfs,
-                [record for record in records if record.function == COHERENCE],
-                form,
-                [_stated_factor(record, *stated) if stated else frf_factor(record) for record in frfs],
-                name,
-            )
+            factors = [_stated_factor(record, *stated) if stated else frf_factor(record) for record in frfs]
+            coherences = [record for record in records if record.function == COHERENCE]
+            return _response(buffer, frfs, coherences, form, factors, name)
     except DataError as error:
         error.where = error.where or str(path)
         raise
@@ -91,9 +83,8 @@ def _one_form(frfs: Sequence[UffRecord]) -> str:
     forms = [form_of(record) for record in frfs]
     for record, form in zip(frfs, forms, strict=True):
         if form != forms[0]:
-            raise DataError(
-                f"{record.where} is a {form}, {frfs[0].where} a {forms[0]}", hint="one file holds one form"
-            )
+            what = f"{record.where} is a {form}, {frfs[0].where} a {forms[0]}"
+            raise DataError(what, hint="one file holds one form")
     return forms[0]
 
 
@@ -116,23 +107,13 @@ def _response(
         record = _element(elements, output, reference)
         return _values(buffer, record, frequency, factor_of[record.number])
 
-    matrix = _cube(outputs, inputs, values)
-    coherence_records = _elements(coherences)
-    has_all = all((o, i) in coherence_records for o in outputs for i in inputs)
-    coherence = (
-        _cube(outputs, inputs, lambda o, i: _same_lines(buffer, coherence_records[o, i], frequency).real)
-        if has_all
-        else None
-    )
-    return FrequencyResponse(
-        frequency,
-        matrix,
-        _ports(outputs, several),
-        _ports(inputs, several),
-        form=form,
-        coherence=coherence,
-        name=name,
-    )
+    matrix = cube(outputs, inputs, values)
+    of_pair = _elements(coherences)
+    coherence = None
+    if all((o, i) in of_pair for o in outputs for i in inputs):
+        coherence = cube(outputs, inputs, lambda o, i: _same_lines(buffer, of_pair[o, i], frequency).real)
+    ports = _ports(outputs, several), _ports(inputs, several)
+    return FrequencyResponse(frequency, matrix, *ports, form=form, coherence=coherence, name=name)
 
 
 def _key(point: UffPoint) -> Key:
@@ -145,30 +126,21 @@ def _elements(records: Sequence[UffRecord]) -> dict[tuple[Key, Key], UffRecord]:
     for record in records:
         pair = _key(record.response), _key(record.reference)
         if pair in elements:
-            raise DataError(
-                f"{record.where} has the same dofs as {elements[pair].where}", hint="one file holds one test"
-            )
+            what = f"{record.where} has the same dofs as {elements[pair].where}"
+            raise DataError(what, hint="one file holds one test")
         elements[pair] = record
     return elements
 
 
 def _element(elements: dict[tuple[Key, Key], UffRecord], output: Key, reference: Key) -> UffRecord:
     if (output, reference) not in elements:
-        raise DataError(
-            f"no FRF record for response {_text(output)} and reference {_text(reference)}",
-            hint="a full matrix is required",
-        )
+        what = f"no FRF record for response {_text(output)} and reference {_text(reference)}"
+        raise DataError(what, hint="a full matrix is required")
     return elements[output, reference]
 
 
 def _text(key: Key) -> str:
     return f"{key[0] or key[1]} {AXES[key[2]]}".strip()
-
-
-def _cube(
-    outputs: Sequence[Key], inputs: Sequence[Key], values: Callable[[Key, Key], NDArray[Numbers]]
-) -> NDArray[Numbers]:
-    return np.stack([np.stack([values(o, i) for i in inputs], -1) for o in outputs], 1)
 
 
 def _frequency(buffer: mmap.mmap, record: UffRecord) -> FloatArray:
@@ -183,9 +155,8 @@ def _frequency(buffer: mmap.mmap, record: UffRecord) -> FloatArray:
 def _same_lines(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> FloatArray | ComplexArray:
     """The numbers of a record; DataError unless its frequencies equal *frequency*."""
     if record.n_value != frequency.size:
-        raise DataError(
-            f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}"
-        )
+        what = f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}"
+        raise DataError(what)
     abscissa = _frequency(buffer, record)
     if not np.allclose(abscissa, frequency, rtol=_SAME_AXIS, atol=0):
         raise DataError(f"the frequencies of {record.where} differ from those of the first FRF record")
@@ -240,14 +211,15 @@ class UffTable:
             if record.function == TIME or (record.function, record.abscissa.kind) == (0, 17)
         ]
         if not records:
-            raise DataError(
-                "holds no time records", where=str(path), hint="FRFs belong under frfs: in a pipeline"
-            )
+            raise DataError("holds no time records", path, "FRFs belong under frfs: in a pipeline")
         _check_alike(records, path)
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
         self.units = {name: unit for name, record in self._records.items() if (unit := time_unit(record)[0])}
-        self.sample_rate: float | None = whole_rate(1 / records[0].step)
+        rate = 1 / records[0].step
+        self.sample_rate: float | None = rate
+        if abs(round(rate) / rate - 1) < _STEP_DIGITS:
+            self.sample_rate = float(round(rate))
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the column]; DataError for a truncated record."""
@@ -257,7 +229,7 @@ class UffTable:
                     np.asarray(read_numbers(buffer, self._records[name].layout)[1], float) for name in columns
                 ]
             except ValueError as error:
-                raise DataError(f"a time record cannot be read: {error}", where=str(self.path)) from None
+                raise DataError(f"a time record cannot be read: {error}", self.path) from None
         factors = np.array([time_unit(self._records[name])[1] for name in columns])
         for start in range(0, len(table[0]), CHUNK_ROWS):
             yield np.column_stack([column[start : start + CHUNK_ROWS] for column in table]) * factors
@@ -267,15 +239,15 @@ def _check_alike(records: list[UffRecord], path: Path) -> None:
     first = records[0]
     for record in records:
         if not record.even or not record.step > 0:
-            raise DataError(f"{record.where}: its samples are not evenly spaced", where=str(path))
+            raise DataError(f"{record.where}: its samples are not evenly spaced", path)
         if record.layout.parts != 1:
-            raise DataError(f"{record.where}: a time record of complex values", where=str(path))
+            raise DataError(f"{record.where}: a time record of complex values", path)
         if (record.n_value, record.step) != (first.n_value, first.step):
             what = (
                 f"{record.where} has {record.n_value} values, {record.step:g} s apart; {first.where} "
                 f"{first.n_value}, {first.step:g} s"
             )
-            raise DataError(what, where=str(path), hint="one file is one recording: split it")
+            raise DataError(what, path, "one file is one recording: split it")
 
 
 def channel_name(record: UffRecord) -> str:
@@ -285,18 +257,8 @@ def channel_name(record: UffRecord) -> str:
     point = record.response
     sign = "-" if point.direction < 0 else "+"
     dof = f"{point.node}{sign}{_DIRECTIONS[abs(point.direction)]}" if point.direction else str(point.node)
-    return (
-        point.name
-        or (dof if point.node else "")
-        or record.ordinate.label
-        or record.title
-        or str(record.number)
-    )
-
-
-def whole_rate(rate: float) -> float:
-    """The sampling rate [Hz], rounded to a whole number within the precision of the printed time step."""
-    return float(round(rate)) if abs(round(rate) / rate - 1) < _STEP_DIGITS else rate
+    names = (point.name, dof if point.node else "", record.ordinate.label, record.title, str(record.number))
+    return next(filter(None, names))
 
 
 def readable_unit(label: str, kind: int) -> str:
@@ -355,17 +317,14 @@ def frf_factor(record: UffRecord) -> float:
     labelled = _labelled_factor(record)
     if record.scale is None:
         if labelled is None:
-            raise DataError(
-                f"{record.where}: unknown unit '{record.ordinate.unit}'",
-                hint="there is no record 164 with the units",
-            )
+            what = f"{record.where}: unknown unit '{record.ordinate.unit}'"
+            raise DataError(what, hint="there is no record 164 with the units")
         return labelled
     factor = record.scale.force / record.scale.length
     stated = bool(record.ordinate.unit) and labelled is not None
     if stated and labelled is not None and abs(labelled / factor - 1) > _SAME:
-        raise DataError(
-            f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
-        )
+        what = f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
+        raise DataError(what)
     return factor
 
 

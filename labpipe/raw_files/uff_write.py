@@ -224,6 +224,6 @@ def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> 
             try:
                 pyuff.UFF(str(part)).write_sets({**entry, "binary": int(binary)}, "add")
             except Exception as error:
-                raise DataError(f"pyuff cannot write the universal file ({error})", where=str(path)) from None
+                raise DataError(f"pyuff cannot write the universal file ({error})", path) from None
             target.write(part.read_bytes())
             part.unlink()

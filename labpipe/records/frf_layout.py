@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError, unit_of
 from labpipe.records.response import FORMS
 from labpipe.records.settings import Settings, setting
@@ -170,7 +170,7 @@ class FrfLayout(Settings):
                 hint="columns: {frequency: 1, re: 2, im: 3}",
             )
         if self.axes and sorted(self.axes) != sorted(AXES):
-            raise ConfigError("'axes' must name frequency, output and input once each", field="axes")
+            raise SettingError("axes", "'axes' must name frequency, output and input once each")
         if self.table is not None:
             self._check_elements(self.table)
         if self.table is not None or self.unit:
@@ -190,13 +190,11 @@ class FrfLayout(Settings):
         if sum(holders) != 1:
             where = "columns" if self.columns is not None else "variables"
             what = "name no element of H" if not any(holders) else "name an element beside 'elements'"
-            raise ConfigError(what, hint=f"{_KNOWN_PARTS} are needed, or 'elements' for several", field=where)
+            raise SettingError(where, what, f"{_KNOWN_PARTS} are needed, or 'elements' for several")
         for name, element in self.elements:
             if not element.given:
-                raise ConfigError(
-                    f"the element '{name}' has no columns",
-                    hint=f"{_KNOWN_PARTS} are needed",
-                    field="elements",
+                raise SettingError(
+                    "elements", f"the element '{name}' has no columns", f"{_KNOWN_PARTS} are needed"
                 )
 
     def _check_unit(self) -> None:
@@ -208,7 +206,7 @@ class FrfLayout(Settings):
         try:
             self.scale  # noqa: B018 (raises)
         except UnitError as error:
-            raise ConfigError(error.what, hint=error.hint, field="unit") from None
+            raise SettingError("unit", error.what, error.hint) from None
 
     @property
     def scale(self) -> tuple[str, float]:

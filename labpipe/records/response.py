@@ -34,15 +34,8 @@ class FactoredCovariance:
     def __post_init__(self) -> None:
         n_line, n_output, n_input = self.outputs.shape[0], self.outputs.shape[-1], self.inputs.shape[-1]
         for name, n in (("outputs", n_output), ("inputs", n_input)):
-            frozen = frozen_array(
-                getattr(self, name), np.complex128, f"covariance of the {name}", (n_line, n, n)
-            )
-            object.__setattr__(self, name, frozen)
-
-    def check_shape(self, shape: tuple[int, ...]) -> None:
-        """DataError unless the whole covariance has this *shape* (n_line, n, n)."""
-        if self.shape != shape:
-            raise DataError(f"covariance has the shape {self.shape}, {shape} is needed")
+            factor, what = getattr(self, name), f"covariance of the {name}"
+            object.__setattr__(self, name, frozen_array(factor, np.complex128, what, (n_line, n, n)))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -96,9 +89,8 @@ class BlockCovariance:
 
     def __post_init__(self) -> None:
         n_block, m = self.elements.shape
-        frozen = frozen_array(
-            self.blocks, np.complex128, "covariance of the columns", (len(self.blocks), n_block, m, m)
-        )
+        shape = (len(self.blocks), n_block, m, m)
+        frozen = frozen_array(self.blocks, np.complex128, "covariance of the columns", shape)
         object.__setattr__(self, "blocks", frozen)
 
     @classmethod
@@ -106,11 +98,6 @@ class BlockCovariance:
         """Every element a block of its own; *variance* (n_line, n_output, n_input) [unit^2 of H]."""
         flat = np.asarray(variance, np.complex128).reshape(len(variance), -1)
         return cls(np.arange(flat.shape[1])[:, None], flat[:, :, None, None])
-
-    def check_shape(self, shape: tuple[int, ...]) -> None:
-        """DataError unless the whole covariance has this *shape* (n_line, n, n)."""
-        if self.shape != shape:
-            raise DataError(f"covariance has the shape {self.shape}, {shape} is needed")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -321,24 +308,21 @@ class FrequencyResponse:
             if len(set(labels)) != len(labels):
                 raise DataError(f"two rows or columns of '{self.name}' have one label: {', '.join(labels)}")
         object.__setattr__(self, "frequency", frequency)
-        object.__setattr__(
-            self, "matrix", frozen_array(self.matrix, np.complex128, "FRF matrix", (n_f, n_o, n_i))
-        )
+        whole, n_gain = (n_f, n_o, n_i), 1 if self.line_gains is None else np.shape(self.line_gains)[1]
+        matrix = frozen_array(self.matrix, np.complex128, "FRF matrix", whole)
+        object.__setattr__(self, "matrix", matrix)
         shapes = {
             "covariance": (np.complex128, (n_f, n, n)),
-            "coherence": (np.float64, (n_f, n_o, n_i)),
+            "coherence": (np.float64, whole),
             "multiple_coherence": (np.float64, (n_f, n_o)),
-            "partial_coherence": (np.float64, (n_f, n_o, n_i)),
-            "distortion": (np.float64, (n_f, n_o, n_i)),
-            "change": (np.complex128, (n_f, n_o, n_i)),
-            "open_loop": (np.complex128, (n_f, n_o, n_i)),
+            "partial_coherence": (np.float64, whole),
+            "distortion": (np.float64, whole),
+            "change": (np.complex128, whole),
+            "open_loop": (np.complex128, whole),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
-            "repeats": (np.complex128, (len(self.repeat_names), n_f, n_o, n_i)),
+            "repeats": (np.complex128, (len(self.repeat_names), *whole)),
             "repeat_levels": (np.float64, (len(self.repeat_names),)),
-            "line_gains": (
-                np.complex128,
-                (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i),
-            ),
+            "line_gains": (np.complex128, (n_f, n_gain, n_o, n_i)),
         }
         for error in self.errors:
             if error.change.shape != (n_f, n_o, n_i):
@@ -348,9 +332,10 @@ class FrequencyResponse:
                 )
         for attribute, (dtype, shape) in shapes.items():
             values = self.__dict__[attribute]
-            if isinstance(values, FactoredCovariance | BlockCovariance):
-                values.check_shape(shape)
-            elif values is not None:
+            in_parts = isinstance(values, FactoredCovariance | BlockCovariance)
+            if in_parts and values.shape != shape:
+                raise DataError(f"covariance has the shape {values.shape}, {shape} is needed")
+            if values is not None and not in_parts:
                 object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
 
     def __repr__(self) -> str:

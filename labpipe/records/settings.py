@@ -20,7 +20,7 @@ from numbers import Complex, Integral, Real
 from pathlib import Path
 from typing import Any
 
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
@@ -161,15 +161,8 @@ def to_bands(value: Any, setting: Setting) -> tuple[Band, ...]:
 
 def to_peaks(value: Any, setting: Setting) -> tuple[tuple[str, tuple[Band, ...]], ...]:
     """{x: 700-1100 Hz, z: [300-500 Hz, 900-950 Hz]} -> (("x", ((700.0, 1100.0),)), ...)."""
-    if not isinstance(value, Mapping) and not _is_pairs(value):
-        raise UnitError(
-            f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}"
-        )
-    pairs = _pairs(value)
-    if isinstance(value, Mapping) and not pairs:
-        raise UnitError(
-            f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}"
-        )
+    # An empty tuple is the default; an empty mapping of a file is a slip.
+    pairs = _pairs(None if value == {} else value, "dofs to bands", "{x: 700-1100 Hz}", "(a mapping)")
     return tuple((name, to_bands(entry, setting)) for name, entry in pairs)
 
 
@@ -253,12 +246,8 @@ def to_coefficients(value: Any, setting: Setting) -> tuple[tuple[str, float], ..
 
     The unit follows from the first letter of a name.
     """
-    if not isinstance(value, Mapping) and not _is_pairs(value):
-        raise UnitError(
-            f"'{_shown(value)}' is not a mapping of coefficients", "write for example {k_1_3: 0 N/m}"
-        )
     coefficients = []
-    for name, entry in _pairs(value):
+    for name, entry in _pairs(value, "coefficients", "{k_1_3: 0 N/m}"):
         unit = COEFFICIENT_UNITS.get(name[:1]) if name[1:2] in ("", "_") else None
         if unit is None:
             raise UnitError(f"'{name}' is no coefficient", "their names begin with k_, c_, m_ or b_")
@@ -268,24 +257,20 @@ def to_coefficients(value: Any, setting: Setting) -> tuple[tuple[str, float], ..
 
 def to_series(value: Any, setting: Setting) -> tuple[tuple[str, tuple[float, ...]], ...]:
     """{ls: [0.03, 0.2]} -> (("ls", (0.03, 0.2)),)."""
-    if not isinstance(value, Mapping) and not _is_pairs(value):
-        raise UnitError(f"'{_shown(value)}' is not a mapping of names to lists of values")
-    return tuple((name, to_values(entry, setting)) for name, entry in _pairs(value))
+    pairs = _pairs(value, "names to lists of values")
+    return tuple((name, to_values(entry, setting)) for name, entry in pairs)
 
 
 def to_texts(value: Any, setting: Setting) -> tuple[tuple[str, str], ...]:  # noqa: ARG001
     """{d1: 3 y} -> (("d1", "3 y"),)."""
-    if not isinstance(value, Mapping) and not _is_pairs(value):
-        raise UnitError(f"'{_shown(value)}' is not a mapping of names to texts", "write {NAME: TEXT}")
-    return tuple((str(name), _text(str(text), "a text")) for name, text in _pairs(value))
+    pairs = _pairs(value, "names to texts", "{NAME: TEXT}")
+    return tuple((str(name), _text(str(text), "a text")) for name, text in pairs)
 
 
 def to_phasors(value: Any, setting: Setting) -> tuple[tuple[str, complex], ...]:
     """{disc 1: 50 g.mm at 60 deg} -> (("disc 1", 2.5e-5 + 4.3e-5j),); the angle is zero unless given."""
-    if not isinstance(value, Mapping) and not _is_pairs(value):
-        example = f"write for example {{disc 1: 50 {setting.unit} at 60 deg}}"
-        raise UnitError(f"'{_shown(value)}' is not a mapping of names to phasors", example)
-    return tuple((name, _phasor(name, entry, setting)) for name, entry in _pairs(value))
+    pairs = _pairs(value, "names to phasors", f"{{disc 1: 50 {setting.unit} at 60 deg}}")
+    return tuple((name, _phasor(name, entry, setting)) for name, entry in pairs)
 
 
 def _phasor(name: str, value: Any, setting: Setting) -> complex:
@@ -338,9 +323,7 @@ def to_section(value: Any, setting: Setting) -> Any:
 
 def to_sections(value: Any, setting: Setting) -> tuple[tuple[str, Any], ...]:
     """Sections by name: {worn: {depth: 20 um}} -> (("worn", Wear(...)),)."""
-    if not isinstance(value, Mapping) and not _is_pairs(value):
-        raise UnitError(f"'{_shown(value)}' is not a mapping of names to sections")
-    return tuple((name, to_section(entry, setting)) for name, entry in _pairs(value))
+    return tuple((name, to_section(entry, setting)) for name, entry in _pairs(value, "names to sections"))
 
 
 def to_entries(value: Any, setting: Setting) -> tuple[Any, ...]:
@@ -396,14 +379,16 @@ def _is_pair_of_numbers(value: Any) -> bool:
     )
 
 
-def _is_pairs(value: Any) -> bool:
-    return isinstance(value, tuple) and all(
+def _pairs(value: Any, of: str, example: str = "", shown: str = "") -> list[tuple[str, Any]]:
+    """The pairs of a mapping *of* names to something, or of a tuple of pairs; UnitError for anything else."""
+    if isinstance(value, Mapping):
+        return list(value.items())
+    if isinstance(value, tuple) and all(
         isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) for pair in value
-    )
-
-
-def _pairs(value: Any) -> list[tuple[str, Any]]:
-    return list(value.items() if isinstance(value, Mapping) else value)
+    ):
+        return list(value)
+    hint = f"write for example {example}" if example else ""
+    raise UnitError(f"'{shown or _shown(value)}' is not a mapping of {of}", hint)
 
 
 def _shown(value: Any) -> str:
@@ -473,7 +458,7 @@ def _convert(settings: Any) -> None:
                 value = _note(settings, name, parse_uncertain(value, declared.unit))
             object.__setattr__(settings, name, CONVERTERS[declared.kind](value, declared))
         except UnitError as error:
-            raise ConfigError(f"{name}: {error.what}", hint=error.hint, field=name) from None
+            raise SettingError(name, f"{name}: {error.what}", error.hint) from None
 
 
 # The declared fields of a class, looked up once: a fit makes its loop anew ten thousand times.
@@ -507,37 +492,14 @@ def takes_uncertainty(owner: type, declared: Setting) -> bool:
     return declared.kind in ("value", "mass") and "uncertainties" in fields
 
 
-def setting(
-    kind: str,
-    help: str,
-    *,
-    unit: str = "",
-    default: Any = MISSING,
-    choices: tuple[str, ...] = (),
-    section: type | None = None,
-    file_kind: str = "",
-    into: str = "",
-    needed: bool = False,
-    before: str = "",
-) -> Any:
-    """A dataclass field that carries a Setting of a kind of CONVERTERS.
+def setting(kind: str, help: str, *, default: Any = MISSING, **details: Any) -> Any:
+    """A dataclass field that carries a Setting of a kind of CONVERTERS, with its *details* by their names.
 
     Without a default the YAML must give it.
     """
     if kind not in CONVERTERS:
         raise ValueError(f"unknown kind of setting '{kind}'")
-    declared = Setting(
-        kind,
-        help,
-        unit=unit,
-        choices=choices,
-        section=section,
-        file_kind=file_kind,
-        into=into,
-        needed=needed,
-        before=before,
-    )
-    return dataclasses.field(default=default, metadata={"setting": declared})
+    return dataclasses.field(default=default, metadata={"setting": Setting(kind, help, **details)})
 
 
 def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
@@ -550,7 +512,7 @@ def require_positive(settings: Any, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
         if value is not None and not value > 0:
-            raise ConfigError(f"{name} must be positive", field=name)
+            raise SettingError(name, f"{name} must be positive")
 
 
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:

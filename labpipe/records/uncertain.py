@@ -117,7 +117,6 @@ def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
 # all that rests on it.
 
 # What the number of a channel does to it: size and sign, delay of its chain, phase, direction.
-EFFECTS = {"gain": "1", "delay": "s", "phase": "rad", "direction": "rad"}
 
 # Relative change of a channel's amplitude X by a unit of the error d of its chain, a w^n as (a, n): X (1 -
 # d), X e^{+jwd}, X e^{+jd}.

@@ -5,15 +5,16 @@ arrays come and go.
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 import sys
 from collections.abc import Iterator
 from html import unescape
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+
+import tests.test_docstrings as rules
+from tests.source import MODULES, PACKAGE, tree_of
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
@@ -22,25 +23,13 @@ import api  # noqa: E402 (a module of docs, which is no package)
 import maths  # noqa: E402
 
 
-def docstring_rules() -> ModuleType:
-    """The rules of tests/test_docstrings.py: which members hold arrays, what counts as a shape and as a
-    unit.
-    """
-    spec = importlib.util.spec_from_file_location("docstring_rules", ROOT / "tests/test_docstrings.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def pages() -> dict[str, str]:
     folder = ROOT / "docs/pages"
     texts = {
         path.relative_to(folder).as_posix(): path.read_text(encoding="utf-8") for path in folder.rglob("*.md")
     }
-    return api.api_pages(api.modules(), maths.labels_of(texts))
+    return api.api_pages(api.modules(tree_of), maths.labels_of(texts))
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +51,13 @@ def public_names() -> Iterator[str]:
     """Modules, functions, classes, their methods and values with names in the source, found without the
     generator.
     """
-    for path in sorted((ROOT / "labpipe").rglob("*.py")):
+    for path in MODULES:
         parts = path.relative_to(ROOT).with_suffix("").parts
         if any(part.startswith("_") and part != "__init__" for part in parts):
             continue
         module = ".".join(part for part in parts if part != "__init__")
         yield module
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in tree_of(path).body:
             for name in defined(node):
                 yield f"{module}.{name}"
 
@@ -94,13 +83,10 @@ def test_every_public_name_has_an_entry(entries: dict[str, str]) -> None:
 
 
 def test_entries_of_functions_and_records_of_arrays_state_shapes_and_units(entries: dict[str, str]) -> None:
-    rules = docstring_rules()
     checked = 0
     for module in rules.covered_modules():
         prefix = "labpipe." + module.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-        for member in rules.public_members(
-            ast.parse((ROOT / "labpipe" / module).read_text(encoding="utf-8")), prefix
-        ):
+        for member in rules.public_members(tree_of(PACKAGE / module), prefix):
             text = " ".join(entries[member.place.replace(":", ".")].split())
             assert rules.SHAPE.search(text) and (rules.UNIT.search(text) or not member.numeric), member.place
             checked += 1

@@ -18,6 +18,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.source import MODULES, tree_of
+
 ROOT = Path(__file__).parents[2]
 PAGES = {
     path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs/pages/theory").glob("*.md"))
@@ -52,11 +54,11 @@ def documented(tree: ast.AST, above: str) -> Iterator[tuple[str, str]]:
 def cited() -> set[tuple[str, str]]:
     """(label, dotted name) of all equations that docstrings name."""
     pairs = set()
-    for path in sorted((ROOT / "labpipe").rglob("*.py")):
+    for path in MODULES:
         text = path.read_text(encoding="utf-8")
         if CITATION.search(text):
             module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-            for name, docstring in documented(ast.parse(text), module):
+            for name, docstring in documented(tree_of(path), module):
                 pairs |= {
                     (label, name) for run in CITATION.findall(docstring) for label in re.findall(LABEL, run)
                 }

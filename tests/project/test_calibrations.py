@@ -10,7 +10,7 @@ import pytest
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.cli.main import run_command
 from labpipe.errors import ConfigErrors, DataError
-from labpipe.project.result_certificate import write_dcc
+from labpipe.project.exports import write_dcc
 from labpipe.project.rig_file import load_rig
 from labpipe.raw_files.certificate import read_certificate
 from labpipe.records.rig import Rig

@@ -41,13 +41,11 @@ FRAMES = "frames"
 @click.option("--json", "as_json", is_flag=True, help="One line of JSON for every average.")
 @click.option("--page", is_flag=True, help="Show the test in a browser of this machine as well.")
 @click.option("--bell", is_flag=True, help="Ring when it is enough.")
-@click.option(
-    "-o", "--output", type=options.PATH, metavar="DIR", help="Afterwards run the pipeline over the recording."
-)
+@options.path("-o", "--output", metavar="DIR", help="Afterwards run the pipeline over the recording.")
 @click.option(
     "--idle", type=float, default=90.0, show_default=True, help="Seconds without samples that end the test."
 )
-@click.option("--simulate", type=options.PATH, metavar="RIG", help="A virtual rig in place of SOURCE.")
+@options.path("--simulate", metavar="RIG", help="A virtual rig in place of SOURCE.")
 @click.option("--run", "run_name", default="", help="Run of the virtual rig; default: the first.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="How much faster than real time.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Noise of the virtual rig.")
@@ -82,13 +80,12 @@ def live(
     from labpipe.project.pipeline_file import load_for_stream
 
     if (source is None) == (simulate is None):
-        raise ConfigError(
-            "one of SOURCE and --simulate is needed", hint="labpipe live PIPELINE recording.tdms"
-        )
+        what = "one of SOURCE and --simulate is needed"
+        raise ConfigError(what, hint="labpipe live PIPELINE recording.tdms")
     pipeline = load_for_stream(pipeline_path, overrides)
     rig = pipeline.rig
     if rig is None:
-        raise ConfigError("rig: is missing", where=str(pipeline_path), hint="name the rig file")
+        raise ConfigError("rig: is missing", pipeline_path, "name the rig file")
     goals = [Goal.of(text) for rule in rules for text in rule.split(",")]
     if not goals and "live" in pipeline.sections:
         goals = pipeline.sections["live"].goals

@@ -188,7 +188,7 @@ class Session:
         hints = {"frf": "say what the excitation is", "identify": "name what is wanted"}
         for key, section in (("frf", self.pipeline.frf), ("identify", self.pipeline.fits)):
             if not section:
-                raise ConfigError(f"{key}: is missing", where=str(self.pipeline.path), hint=hints[key])
+                raise ConfigError(f"{key}: is missing", self.pipeline.path, hints[key])
         self._calibration, self._screen = Calibration(self.rig), channel_screen(self.rig)
         self._head: list[FloatArray] = []
         self._rate: float | None = None

@@ -62,10 +62,9 @@ def open_source(path: Path, columns: Sequence[str]) -> SampleStream:
     suffix = plain_suffix(path)
     if suffix not in SOURCES or path.suffix.lower() != suffix:
         hint = f"known: {', '.join(SOURCES.names())}; or a folder into which whole files fall"
-        what = f"files with the ending '{path.suffix}' cannot be read while they grow"
-        raise DataError(what, where=str(path), hint=hint)
+        raise DataError(f"files with the ending '{path.suffix}' cannot be read while they grow", path, hint)
     if not path.parent.is_dir():
-        raise DataError("no such folder", where=str(path.parent))
+        raise DataError("no such folder", path.parent)
     return SOURCES.load(suffix)(path, columns)
 
 
@@ -189,7 +188,7 @@ class GrowingWav(_Growing):
             return False
         with self.path.open("rb") as stream:
             if stream.read(4) != b"RIFF":
-                raise DataError("is no WAV file", where=str(self.path))
+                raise DataError("is no WAV file", self.path)
             stream.seek(0)
             places = {name: place for name, place, _ in wav_chunks(stream)}
             if not {b"fmt ", b"data"} <= places.keys():
@@ -199,7 +198,7 @@ class GrowingWav(_Growing):
         form, self._n_track, rate, _, _, bits = struct.unpack_from("<HHIIHH", head)
         kind = (struct.unpack_from("<H", head, 24)[0] if form == EXTENSIBLE else form, bits)
         if kind not in WAV_KINDS:
-            raise DataError(f"{bits}-bit samples cannot be read while they grow", where=str(self.path))
+            raise DataError(f"{bits}-bit samples cannot be read while they grow", self.path)
         self._kind, self.sample_rate = np.dtype(WAV_KINDS[kind]), float(rate)
         check_names(self.path, self.columns, [str(n + 1) for n in range(self._n_track)])
         self._place = places[b"data"]
@@ -337,7 +336,7 @@ class Frames:
         stream = path.open("rb")
         if stream.readline(1 << 16) != self._head:
             hint = "name another folder, or remove these frames"
-            raise DataError("holds frames of another test", where=str(path.parent), hint=hint)
+            raise DataError("holds frames of another test", path.parent, hint)
         return stream
 
     def read(self) -> FloatArray | None:

@@ -183,15 +183,18 @@ def course_lines(courses: Courses) -> Iterator[str]:
 
 
 def _sentence(course: Course) -> str:
-    count = f"{course.averages} {course.what}{'s' if course.averages != 1 else ''}"
+    count = counted(course.averages, course.what)
     if not course.goals:
         return f"{count}, no goal was set"
     goals = f"the goals ({', '.join(course.goals)})"
-    return (
-        f"{goals} were not reached within {count}"
-        if course.enough is None
-        else f"{goals} were reached after {course.enough} of {count}"
-    )
+    if course.enough is None:
+        return f"{goals} were not reached within {count}"
+    return f"{goals} were reached after {course.enough} of {count}"
+
+
+def counted(number: int, what: str) -> str:
+    """So many averages in words: 1 hit, 2 hits."""
+    return f"{number} {what}{'s' if number != 1 else ''}"
 
 
 def course_sections(courses: Courses, _identification: Identification) -> tuple[Section, ...]:
@@ -232,7 +235,7 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
     if left is None or left.expected is None:
         return "not by more averages" if left is not None else ""
     more = max(left.expected - update.averages, 1)
-    text = f"{more} more {what}{'s' if more != 1 else ''}, about {duration(more * update.seconds)}"
+    text = f"{counted(more, f'more {what}')}, about {duration(more * update.seconds)}"
     if left.low is not None and left.high is not None:
         low, high = (max(n - update.averages, 0) for n in (left.low, left.high))
         text += f" (80 %: {low}-{high}); at twice the level {-(-more // 4)}"
@@ -241,9 +244,8 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
 
 def level_text(session: Session, name: str, size: float) -> str:
     """The largest size of a channel in its unit, and its share of the range where the rig states one."""
-    unit = shown_unit(
-        next(channel.unit for channel in session.rig.all_channels if channel.name == name), size, None
-    )
+    units = {channel.name: channel.unit for channel in session.rig.all_channels}
+    unit = shown_unit(units[name], size, None)
     text = f"{difference_in(size, unit):.3g} {unit_label(unit)}"
     of_rig = {channel.channel.name: channel for channel in session.rig.channels}.get(name)
     if of_rig is None or of_rig.limits is None:
@@ -267,14 +269,13 @@ def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]
 def headline(session: Session, update: Update) -> str:
     """One sentence: where the test stands."""
     what = session.bench.what if session.bench else ""
-    count = f"{update.averages} {what}{'s' if update.averages != 1 else ''}"
+    count = counted(update.averages, what)
     if update.stop:
         return f"Enough: {count}, every goal is reached."
     goals = [standing for standing in update.standings.values() if standing.goal is not None]
     missing = sum(not standing.reached for standing in goals)
-    return f"{count}. " + (
-        f"{missing} of {len(goals)} goals are not reached yet." if goals else "No goal is set."
-    )
+    left = f"{missing} of {len(goals)} goals are not reached yet." if goals else "No goal is set."
+    return f"{count}. {left}"
 
 
 def course(session: Session, update: Update) -> Document:

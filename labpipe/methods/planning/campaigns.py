@@ -17,7 +17,7 @@ from scipy import fft
 from scipy.linalg import expm
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.designs import A, D, optimum
 from labpipe.methods.planning.model import (
     Noise,
@@ -245,8 +245,8 @@ class Limits:
     def __post_init__(self) -> None:
         require_positive(self, "force", "displacement", "crest_factor")
         if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
-            raise ConfigError(
-                "no periodic signal has a crest factor below that of a sine, 1.41", field="crest_factor"
+            raise SettingError(
+                "crest_factor", "no periodic signal has a crest factor below that of a sine, 1.41"
             )
 
 

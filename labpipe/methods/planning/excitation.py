@@ -20,7 +20,7 @@ from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.document.render import DOCUMENTS
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.planning.campaigns import Multisines
 from labpipe.methods.planning.campaigns import Rig as LimitedRig
@@ -84,9 +84,7 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
     and every response once.
     """
     if rig.derived:
-        raise ConfigError(
-            "sums of channels are not planned with", hint="a rig file with what is recorded", field="rig"
-        )
+        raise SettingError("rig", "sums of channels are not planned with", "a rig file with what is recorded")
     axes = settings.kind.axes
     needed = ("displacement", "acceleration") if settings.kind.floating else ("displacement",)
     outputs = [channel.channel for channel in rig.channels if channel.channel.role == "output"]
@@ -95,19 +93,16 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
         for axis in axes:
             if not dofs or (len(axes) > 1 and axis not in dofs):
                 what = f"the rig has no {quantity} in {axis}"
-                raise ConfigError(what, hint="a channel with `dof`", field="rig")
+                raise SettingError("rig", what, "a channel with `dof`")
     for channel in outputs:
         if channel.quantity not in needed:
             what = f"{channel.name} is no response that this model takes"
-            raise ConfigError(what, hint="role: reference, or a rig file without it", field="rig")
+            raise SettingError("rig", what, "role: reference, or a rig file without it")
     forces = forces_of(rig)
     if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):
-        raise ConfigError(
-            f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers "
-            f"({', '.join(shakers)})",
-            hint="one force that is moved, or one for every shaker",
-            field="rig",
-        )
+        named = ", ".join(force.dof for force in forces)
+        what = f"the rig's forces ({named}) are not those of the shakers ({', '.join(shakers)})"
+        raise SettingError("rig", what, "one force that is moved, or one for every shaker")
 
 
 def forces_of(rig: Rig) -> list[Channel]:
@@ -119,11 +114,9 @@ def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
     its unit.
     """
     shakers, settings = evaluation.shakers, evaluation.settings
-    forces = (
-        [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
-        if evaluation.side_by_side
-        else [("f", "force", shakers[0])]
-    )
+    forces = [("f", "force", shakers[0])]
+    if evaluation.side_by_side:
+        forces = [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
     motions = [(axis, "displacement", axis) for axis in settings.kind.axes]
     moved = [(f"a_{axis}", "acceleration", axis) for axis in settings.kind.axes if settings.kind.floating]
     return {
@@ -235,14 +228,12 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
         return None
 
     def budget(rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Budget | None:
-        planned = tuple(
-            planned_test(rig, test, number, 1) for test, number in zip(tests, periods, strict=True)
-        )
+        pairs = zip(tests, periods, strict=True)
+        planned = tuple(planned_test(rig, test, number, 1) for test, number in pairs)
         with_masses = any(name[0] == "m" for name in rig.model.names)
+        evaluation = Evaluation(settings, file.title, planned, with_masses, rig_path(file))
         with tempfile.TemporaryDirectory() as folder:
-            pipeline = _load(
-                Evaluation(settings, file.title, planned, with_masses, rig_path(file)), Path(folder)
-            )
+            pipeline = _load(evaluation, Path(folder))
         return _of_coefficients(_rehearsed_fit(pipeline, rig, tests, periods), rig.model.names)
 
     return budget
@@ -264,17 +255,11 @@ def _rehearsed_fit(
     (whole,), settings = pipeline.tests, pipeline.frf
     assert settings is not None
     highest = max(int(test.lines[-1]) for test in tests)
-    recordings = [
-        rehearse(
-            rig,
-            test,
-            [channel.channel for channel in source.rig.channels if channel.channel.role != "reference"],
-            number / rig.spacing,
-            settings.skip,
-            highest,
-        )
-        for source, test, number in zip(whole.recordings, tests, periods, strict=True)
-    ]
+    recordings = []
+    for source, test, number in zip(whole.recordings, tests, periods, strict=True):
+        channels = [part.channel for part in source.rig.channels if part.channel.role != "reference"]
+        seconds = number / rig.spacing
+        recordings.append(rehearse(rig, test, channels, seconds, settings.skip, highest))
     make = channel_spectra if settings.result == "spectra" else measure
     (fit,) = identify(make(recordings, settings), pipeline.fits[0], judging=False)
     return fit
@@ -285,9 +270,8 @@ def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
         return None
     whole = fit.budget
     columns = [whole.names.index(name) for name in names]
-    return Budget(
-        tuple(names), whole.random[columns], whole.random_dof, whole.sources, whole.changes[:, columns]
-    )
+    random, changes = whole.random[columns], whole.changes[:, columns]
+    return Budget(tuple(names), random, whole.random_dof, whole.sources, changes)
 
 
 def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
@@ -318,9 +302,7 @@ def _expected(file: PlanFile) -> Expected:
     fits = {fit.name: fit for fit in read_identification(path).fits}
     name = settings.fit or next(iter(fits), "")
     if name not in fits or (not settings.fit and len(fits) > 1):
-        raise ConfigError(
-            f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit"
-        )
+        raise SettingError("fit", f"name the fit of {path.name}", nearest(settings.fit, tuple(fits)))
     coefficients = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
     return Expected(theory | coefficients | typed, earlier_uncertainties(fits[name], typed))
 
@@ -363,20 +345,20 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
         bearing = open_bearing(folder / theory.bearing)
         for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
             if value is not None and name not in settings_of(bearing.kind.settings):
-                raise ConfigError(
+                raise SettingError(
+                    "theory",
                     f"a file of a {bearing.kind_name} has no '{name}'",
-                    hint="state it in the bearing file",
-                    field="theory",
+                    "state it in the bearing file",
                 )
             if value is not None:
                 set_entry(bearing.tree, f"{name}={value!r} {unit}")
         (whole,) = bearing.coefficients([bearing.settings()])
         coefficients = whole.lateral(*bearing.kind.lateral)
     if not np.any(coefficients.damping):
-        raise ConfigError(
+        raise SettingError(
+            "theory",
             "this theory has no damping",
-            hint="a journal or a magnetic bearing has; or state all under `expected`",
-            field="theory",
+            "a journal or a magnetic bearing has; or state all under `expected`",
         )
     matrices = {"k": coefficients.stiffness, "c": coefficients.damping}
     return {

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 
 AXES = ("x", "y")
 UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg"}
@@ -43,12 +43,10 @@ class PlannedModel:
 
     @property
     def n_dof(self) -> int:
-
         return self.known.shape[-1]
 
     @property
     def units(self) -> tuple[str, ...]:
-
         return tuple(UNITS[name[0]] for name in self.names)
 
     @property
@@ -99,13 +97,8 @@ class PlannedModel:
         kept = np.array([name[0] != "m" for name in self.names])
         fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
-        return replace(
-            self,
-            names=names,
-            expected=self.expected[kept],
-            elements=self.elements[kept],
-            known=self.known + fixed,
-        )
+        parts = {"expected": self.expected[kept], "elements": self.elements[kept]}
+        return replace(self, names=names, known=self.known + fixed, **parts)
 
     def with_expected(self, values: FloatArray) -> PlannedModel:
         """The model with other expected values (n_coefficient,) [N/m, N.s/m, kg]."""
@@ -134,11 +127,10 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
     ConfigError without it.
     """
     if mass is None:
-        raise ConfigError(
-            "model rotor-2dof needs the mass of the rotor", hint="for example mass: 0.92 kg", field="mass"
-        )
-    names, inertia = _matrix_names("kc"), np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
-    return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), inertia)
+        what = "model rotor-2dof needs the mass of the rotor"
+        raise SettingError("mass", what, "for example mass: 0.92 kg")
+    inertia = np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
+    return _of_matrices("rotor-2dof", "kc", expected, inertia)
 
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
@@ -148,21 +140,10 @@ def floating(expected: Mapping[str, float], mass: float | None = None) -> Planne
     ConfigError without the stator's mass, or for unknown coefficients.
     """
     if mass is None:
-        raise ConfigError(
-            "model dynamic-stiffness needs the mass of the stator",
-            hint="for example mass: 60 kg",
-            field="mass",
-        )
+        what = "model dynamic-stiffness needs the mass of the stator"
+        raise SettingError("mass", what, "for example mass: 60 kg")
     letters = "kcm" if any(name.startswith("m") for name in expected) else "kc"
-    names = _matrix_names(letters)
-    return PlannedModel(
-        "dynamic-stiffness",
-        names,
-        _values(expected, names),
-        _matrix_elements(letters),
-        np.zeros((3, 2, 2)),
-        mass,
-    )
+    return _of_matrices("dynamic-stiffness", letters, expected, np.zeros((3, 2, 2)), mass)
 
 
 @dataclass(frozen=True)
@@ -183,26 +164,24 @@ MODELS = {
 }
 
 
-def _matrix_names(letters: str) -> tuple[str, ...]:
-    return tuple(f"{letter}_{row}{column}" for letter in letters for row in AXES for column in AXES)
-
-
-def _matrix_elements(letters: str) -> FloatArray:
-    return np.eye(4 * len(letters), 12).reshape(-1, 3, 2, 2)
+def _of_matrices(
+    kind: str, letters: str, expected: Mapping[str, float], known: FloatArray, stator_mass: float = 0.0
+) -> PlannedModel:
+    """A model whose coefficients are all of the matrices of these letters."""
+    names = tuple(f"{letter}_{row}{column}" for letter in letters for row in AXES for column in AXES)
+    elements = np.eye(len(names), 12).reshape(-1, 3, 2, 2)
+    return PlannedModel(kind, names, _values(expected, names), elements, known, stator_mass)
 
 
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:
     missing = [name for name in names if name not in expected]
     if missing:
-        raise ConfigError(
-            f"no value is expected for {', '.join(missing)}",
-            hint="expected: {NAME: VALUE} of every coefficient",
-            field="expected",
-        )
+        hint = "expected: {NAME: VALUE} of every coefficient"
+        raise SettingError("expected", f"no value is expected for {', '.join(missing)}", hint)
     unknown = [name for name in expected if name not in names]
     if unknown:
         hint = "leave `mass` out to estimate m" if unknown == ["m"] else f"known: {', '.join(names)}"
-        raise ConfigError(f"the model has no coefficient {', '.join(unknown)}", hint=hint, field="expected")
+        raise SettingError("expected", f"the model has no coefficient {', '.join(unknown)}", hint)
     return np.array([expected[name] for name in names])
 
 
@@ -218,13 +197,10 @@ class Noise:
 
     def __post_init__(self) -> None:
         if min(self.force, self.displacement, self.acceleration) < 0:
-            raise ConfigError("a noise is negative", field="noise")
+            raise SettingError("noise", "a noise is negative")
         if max(self.force, self.displacement) == 0:
-            raise ConfigError(
-                "no sensor has noise, any excitation would do",
-                hint="state the noise of force and displacement",
-                field="noise",
-            )
+            what = "no sensor has noise, any excitation would do"
+            raise SettingError("noise", what, "state the noise of force and displacement")
 
     @classmethod
     def of_samples(cls, force: float, displacement: float, acceleration: float, sample_rate: float) -> Noise:
@@ -253,9 +229,8 @@ def residual_whitener(model: PlannedModel, noise: Noise, omega: FloatArray) -> C
     """
     stiffness = model.stiffness(omega)
     plain = noise.force**2 + (model.stator_mass * noise.acceleration) ** 2
-    density = plain * np.eye(model.n_dof) + noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(
-        -1, -2
-    )
+    moved = noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(-1, -2)
+    density = plain * np.eye(model.n_dof) + moved
     return np.asarray(np.linalg.inv(np.linalg.cholesky(density)))
 
 

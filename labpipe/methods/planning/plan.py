@@ -9,7 +9,7 @@ from math import ceil
 import numpy as np
 
 from labpipe.arrays import FloatArray, IntArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
     Campaign,
@@ -71,6 +71,14 @@ MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
 # neighbouring lines and lose nothing; fits of the spectra of all channels know it from the periods alone.
 OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
 MAINS_WIDTH = 0.5
+NO_FLOOR = (
+    "Without a floor the plan leaves few lines: the model cannot be tested on the data. 20 % of the power is "
+    "usual."
+)
+FLAT_IS_BEST = (
+    "No design tells more than a flat spectrum within these limits: the plan is flat, with phases of least "
+    "peak."
+)
 NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
@@ -134,9 +142,8 @@ def make_plan(
     periods = _periods(settings, design.campaign)
     skip = _skip(settings, rig, design.campaign, periods)
     lengths = [(skip + number) * settings.period for number in periods]
-    tests = [
-        from_rest(rig, test, seconds) for test, seconds in zip(design.campaign.tests, lengths, strict=True)
-    ]
+    pairs = zip(design.campaign.tests, lengths, strict=True)
+    tests = [from_rest(rig, test, seconds) for test, seconds in pairs]
     timed = with_shares(rig, tests, np.array(periods) / sum(periods))
     budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
     plan = _plan(question, design, timed, periods, skip)
@@ -164,22 +171,17 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     if rehearse is not None and (settings.combine_earlier or np.any(np.isfinite(goals.expanded))):
         # Systematic parts hardly depend on the spectrum: a flat one tells what goals leave to noise.
         tests = flats[LEAST_CREST].tests
-        first = rehearse(
-            rig, tests, [max(round(settings.duration / settings.period / len(tests)), 1)] * len(tests)
-        )
+        periods = max(round(settings.duration / settings.period / len(tests)), 1)
+        first = rehearse(rig, tests, [periods] * len(tests))
     if first is None and np.any(np.isfinite(goals.expanded)):
         what = "nothing but noise is uncertain, so that no expanded uncertainty is known"
-        raise ConfigError(
-            what, hint="rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g", field="goal"
-        )
+        raise SettingError("goal", what, "rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g")
     if settings.combine_earlier:
         assert expected.earlier is not None
         common = () if first is None else tuple(source.source for source in first.sources)
         prior = expected.earlier.known(model, settings.duration, common)
-        rig, flats = (
-            replace(rig, known=prior),
-            {phases: replace(of_phases, known=prior) for phases, of_phases in flats.items()},
-        )
+        rig = replace(rig, known=prior)
+        flats = {phases: replace(of_phases, known=prior) for phases, of_phases in flats.items()}
         if not np.all(np.diagonal(prior.information) > 0):
             _check_identifiable(rig, lines)
     wanted = Wanted(settings.criterion, aims(limits(goals, first, model.scales), goals), settings.floor)
@@ -187,16 +189,13 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 
 def _scheme(settings: PlanSettings) -> str:
-    forces = (
-        []
-        if settings.sensors is None
-        else [channel for channel in settings.sensors.channels if channel.channel.role == "input"]
-    )
+    channels = () if settings.sensors is None else settings.sensors.channels
+    forces = [channel for channel in channels if channel.channel.role == "input"]
     if len(forces) != 1 or len(settings.shakers) == 1 or len(settings.kind.axes) == 1:
         return settings.scheme
     if settings.scheme not in (BEST, ONE_BY_ONE):
-        raise ConfigError(
-            "the rig has one force", hint=f"scheme: {ONE_BY_ONE}, or a force for every shaker", field="scheme"
+        raise SettingError(
+            "scheme", "the rig has one force", f"scheme: {ONE_BY_ONE}, or a force for every shaker"
         )
     return ONE_BY_ONE
 
@@ -212,19 +211,13 @@ def _with_budget(
     coefficients = with_uncertainty(plan.coefficients, budget)
     allowed = limits(goals, budget, model.scales)
     beyond = unreachable(goals, allowed)
-    return replace(
-        plan,
-        coefficients=coefficients,
-        needed=_needed(question, timed, allowed / plan.factor, plan.duration)
-        if goals.any and not np.any(beyond)
-        else None,
-        unreachable=tuple(name for name, never in zip(model.names, beyond, strict=True) if never),
-        notes=(
-            *plan.notes,
-            *lasting_notes(coefficients),
-            *calibration_notes(goals, budget, random, model.scales),
-        ),
-    )
+    needed = None
+    if goals.any and not np.any(beyond):
+        needed = _needed(question, timed, allowed / plan.factor, plan.duration)
+    never = tuple(name for name, is_beyond in zip(model.names, beyond, strict=True) if is_beyond)
+    notes = (*plan.notes, *lasting_notes(coefficients))
+    notes += tuple(calibration_notes(goals, budget, random, model.scales))
+    return replace(plan, coefficients=coefficients, needed=needed, unreachable=never, notes=notes)
 
 
 def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
@@ -242,29 +235,17 @@ def _over_draws(
         return replace(plan, notes=(*plan.notes, NO_ERRORS))
     if not np.any(covariance):
         return plan
-    spread_of_draws = spread(
-        rig,
-        timed,
-        question.flats[LEAST_CREST],
-        covariance,
-        wanted.goals / plan.factor,
-        wanted.criterion,
-        plan.duration,
-    )
-    ranges = [
-        (float(low), float(high)) if np.isfinite(high) else None for low, high in spread_of_draws.errors.T
-    ]
+    campaigns, limits = (timed, question.flats[LEAST_CREST]), wanted.goals / plan.factor
+    drawn = spread(rig, *campaigns, covariance, limits, wanted.criterion, plan.duration)
+    ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in drawn.errors.T]
+    pairs = zip(plan.coefficients, ranges, strict=True)
     errors = np.array([c.error for c in plan.coefficients])
+    notes = spread_notes(drawn, errors, dict(plan.gains)[LEAST_CREST], question.goals.any)
     return replace(
         plan,
-        coefficients=tuple(
-            replace(c, error_range=ends) for c, ends in zip(plan.coefficients, ranges, strict=True)
-        ),
-        gain_range=(float(spread_of_draws.gain[0]), float(spread_of_draws.gain[1])),
-        notes=(
-            *plan.notes,
-            *spread_notes(spread_of_draws, errors, dict(plan.gains)[LEAST_CREST], question.goals.any),
-        ),
+        coefficients=tuple(replace(c, error_range=ends) for c, ends in pairs),
+        gain_range=(float(drawn.gain[0]), float(drawn.gain[1])),
+        notes=(*plan.notes, *notes),
     )
 
 
@@ -273,10 +254,8 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     low, high = settings.band
     if (high - low) * settings.period > MOST_LINES or settings.sample_rate * settings.period > MOST_SAMPLES:
         what = f"a period of {settings.period:g} s has {(high - low) * settings.period:.3g} lines in the band"
-        raise ConfigError(
-            what,
-            hint=f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period",
-            field="period",
+        raise SettingError(
+            "period", what, f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period"
         )
     lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
     frequency = lines / settings.period
@@ -286,15 +265,13 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     if settings.speed is not None:
         kept &= np.abs(frequency - settings.speed) > 1.001 / settings.period
     if settings.mains is not None:
-        kept &= (
-            np.abs(frequency - np.maximum(np.round(frequency / settings.mains), 1) * settings.mains)
-            > MAINS_WIDTH
-        )
+        nearest = np.maximum(np.round(frequency / settings.mains), 1) * settings.mains
+        kept &= np.abs(frequency - nearest) > MAINS_WIDTH
     if np.count_nonzero(kept) < 2:
-        raise ConfigError(
+        raise SettingError(
+            "band",
             f"{np.count_nonzero(kept)} lines are left in the band",
-            hint="widen `band` or lengthen `period`",
-            field="band",
+            "widen `band` or lengthen `period`",
         )
     return np.asarray(lines[kept])
 
@@ -303,12 +280,7 @@ def weighting_factor(periods: int, of_spectra: bool) -> float:
     """Standard error over that with known noise, where *periods* periods tell it; *of_spectra*: in a fit of
     all channels' spectra.
     """
-    known_periods = sorted(OF_SPECTRA)
-    return (
-        float(np.interp(periods, known_periods, [OF_SPECTRA[number] for number in known_periods]))
-        if of_spectra
-        else 1.0
-    )
+    return float(np.interp(periods, list(OF_SPECTRA), list(OF_SPECTRA.values()))) if of_spectra else 1.0
 
 
 def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
@@ -318,21 +290,20 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
     """
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
-        raise ConfigError(
-            f"{len(names)} shakers for {model.n_dof} directions", hint="one or two, x and y", field="shakers"
+        raise SettingError(
+            "shakers", f"{len(names)} shakers for {model.n_dof} directions", "one or two, x and y"
         )
     directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
-        raise ConfigError("both shakers push in one direction", hint="x and y", field="shakers")
+        raise SettingError("shakers", "both shakers push in one direction", "x and y")
     if settings.noise_density is not None:
         density = settings.noise_density
         noise = Noise(density.force, density.displacement, density.acceleration)
     else:
         assert settings.noise is not None
         sampled = settings.noise
-        noise = Noise.of_samples(
-            sampled.force, sampled.displacement, sampled.acceleration, settings.sample_rate
-        )
+        sizes = sampled.force, sampled.displacement, sampled.acceleration
+        noise = Noise.of_samples(*sizes, settings.sample_rate)
     limits = Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
     return Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 
@@ -343,8 +314,8 @@ def _direction(name: str) -> tuple[float, float]:
         try:
             angle = parse_value(name, "rad")
         except UnitError:
-            raise ConfigError(
-                f"'{name}' is no direction", hint="x, y, or an angle from x such as 45 deg", field="shakers"
+            raise SettingError(
+                "shakers", f"'{name}' is no direction", "x, y, or an angle from x such as 45 deg"
             ) from None
     return (float(np.cos(angle)), float(np.sin(angle)))
 
@@ -354,10 +325,8 @@ def _check_identifiable(rig: Rig, lines: IntArray) -> None:
         rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions)
     )
     if not identified.full:
-        raise ConfigError(
-            f"with forces along {', '.join(rig.shakers)} {identified.words}",
-            hint=identified.remedy,
-            field="shakers",
+        raise SettingError(
+            "shakers", f"with forces along {', '.join(rig.shakers)} {identified.words}", identified.remedy
         )
 
 
@@ -370,7 +339,7 @@ def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
             f"{settings.duration:g} s leave {min(periods)} periods for a test, the noise is known from "
             f"{FEWEST_PERIODS} or more"
         )
-        raise ConfigError(what, hint=f"a duration of {needed:g} s, or a shorter period", field="duration")
+        raise SettingError("duration", what, f"a duration of {needed:g} s, or a shorter period")
     return periods
 
 
@@ -400,8 +369,8 @@ def settling_notes(rig: Rig, timed: Campaign, periods: tuple[int, ...], skip: in
     if shifts[worst] > NOTICED * errors[worst]:
         yield (
             f"Motion has not died away after `skip: {skip}`: what is left of it shifts "
-            f"{rig.model.names[worst]} by about "
-            f"{100 * shifts[worst]:.2g} %, {shifts[worst] / errors[worst]:.2g} times its standard error. "
+            f"{rig.model.names[worst]} by about {100 * shifts[worst]:.2g} %, "
+            f"{shifts[worst] / errors[worst]:.2g} times its standard error. "
             f"`skip: {_settled_after(motion, errors)}` is long enough."
         )
 
@@ -484,9 +453,8 @@ def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> Planned
     forces = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
     stem = "-".join(name.replace(" ", "") for name in names)
-    files = tuple(
-        f"{stem}.csv" if len(names) == 1 else f"{stem}-{name.replace(' ', '')}.csv" for name in names
-    )
+    ends = [f"-{name.replace(' ', '')}" for name in names] if len(names) > 1 else [""]
+    files = tuple(f"{stem}{end}.csv" for end in ends)
     return PlannedTest(
         name=stem,
         periods=periods,
@@ -504,16 +472,10 @@ def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> Planned
 
 def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple[str, ...]:
     notes = []
-    if found.floor == 0 and found.criterion != "flat":
-        notes.append(
-            "Without a floor the plan leaves few lines: the model cannot be tested on the data. 20 "
-            "% of the power is usual."
-        )
     if found.criterion == "flat":
-        notes.append(
-            "No design tells more than a flat spectrum within these limits: the plan is flat, with "
-            "phases of least peak."
-        )
+        notes.append(FLAT_IS_BEST)
+    elif found.floor == 0:
+        notes.append(NO_FLOOR)
     if len(rig.shakers) < rig.model.n_dof:
         both = Rig(rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing)
         other = score(flat(both, lines, ONE_BY_ONE).information, wanted.criterion, wanted.goals)

@@ -17,7 +17,7 @@ from labpipe.errors import ConfigError, DataError, LabpipeError, cut
 from labpipe.methods.planning.records import Plan, RunPlan
 from labpipe.methods.planning.report import run_plan_document, runs_csv, runs_table
 from labpipe.methods.planning.settings import PLANS, PlanKind
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.schema import of_kinds
 from labpipe.project.settings_reader import DECIDE, Faults, read_settings
 from labpipe.registry import nearest
@@ -51,9 +51,7 @@ class PlanFile:
 
 def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
     """The content of a plan file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     if entries:
@@ -108,7 +106,7 @@ def read_plan(path: Path) -> Plan:
     """The plan of an excitation from its plan.json; DataError when the file is none."""
     plan = read_any_plan(path)
     if not isinstance(plan, Plan):
-        raise DataError("plans runs, not an excitation", where=str(path))
+        raise DataError("plans runs, not an excitation", path)
     return plan
 
 
@@ -121,10 +119,10 @@ def read_any_plan(path: Path) -> Plan | RunPlan:
             raise ValueError(f"schema {cut(repr(entries['schema']))}")
         plan: Plan | RunPlan = record_of(entries, kinds[entries["schema"]])
     except FileNotFoundError:
-        raise DataError("no such file", where=str(path), hint="run `labpipe plan` first") from None
+        raise DataError("no such file", path, "run `labpipe plan` first") from None
     except RECORD_FAULTS as error:
         raise DataError(
-            f"is not a readable plan ({cut(str(error))})", where=str(path), hint="run `labpipe plan` again"
+            f"is not a readable plan ({cut(str(error))})", path, "run `labpipe plan` again"
         ) from None
     return plan
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterator
 from math import floor
 
@@ -19,24 +21,14 @@ from labpipe.report.chart import Axis, Panel, dots, look, stack
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 HEADER = (
-    "coefficient",
-    "expected",
-    "goal",
-    "std. error, noise known",
-    "std. error, weights from the periods",
-    "flat multisine",
-    "gain",
-)
+    "coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods",
+    "flat multisine", "gain",
+)  # fmt: skip
 RANGE = "over draws of the expected values (95 %)"
 BUDGET = (
-    "coefficient",
-    "goal, expanded",
-    "random",
-    "systematic",
-    "combined",
-    "expanded",
+    "coefficient", "goal, expanded", "random", "systematic", "combined", "expanded",
     "largest shares of the variance",
-)
+)  # fmt: skip
 SOURCES, SHOWN = 3, 0.005
 BUDGETED = (
     "Random is what noise leaves, systematic what the uncertainties of the rig file's numbers and of the "
@@ -44,16 +36,9 @@ BUDGETED = (
     "measuring lowers the random part alone."
 )
 TEST_HEADER = (
-    "test",
-    "shaker",
-    "file",
-    "lines",
-    "periods",
-    "skipped",
-    "crest factor",
-    "peak force [N]",
+    "test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]",
     "peak displacement [um]",
-)
+)  # fmt: skip
 SCHEMES = {
     "one by one": "one shaker after the other",
     "together": "both shakers at once, in phase on a line and in antiphase on its neighbour",
@@ -100,11 +85,8 @@ def goal_sentence(plan: Plan) -> str:
     if not plan.with_goals:
         return ""
     if plan.needed is None:
-        never = (
-            f", that of {', '.join(plan.unreachable)} because of what sensors and mass leave"
-            if plan.unreachable
-            else ""
-        )
+        why = f", that of {', '.join(plan.unreachable)} because of what sensors and mass leave"
+        never = why if plan.unreachable else ""
         return f"The goals are NOT met: no time meets them{never}; {_time(plan.duration)} are planned."
     reached = "The goals are met" if plan.needed <= plan.duration else "The goals are NOT met"
     return f"{reached}: they need {_time(plan.needed)} of data, {_time(plan.duration)} are planned."
@@ -123,19 +105,16 @@ def _verdict(plan: Plan) -> Iterator[Block]:
     yield from (Paragraph(note, "note") for note in plan.notes)
     # Rounded down: a bound is not to be stated higher than it is.
     sure = floor(1e4 * plan.efficiency) / 100
+    others = "and a flat spectrum" if plan.design == "flat" else "by three criteria"
     yield Paragraph(
         f"Certificate: the design behind the plan has an efficiency of at least {sure:.2f} % among all "
         f"spectra along the shakers of equal cost and the same floor ({100 * plan.floor:g} % of the power on "
-        f"all lines alike), by the equivalence theorem. Of {_designs(plan)} it is the one that tells most at "
-        "the limits of the rig."
+        f"all lines alike), by the equivalence theorem. Of the optimum designs {others} it is the one that "
+        "tells most at the limits of the rig."
     )
     rows = tuple((FLATS[name], f"{gain:.2f}") for name, gain in plan.gains)
-    yield Table(
-        ("flat multisine, one shaker after the other", "its error over the plan's"),
-        rows,
-        "Gain at equal peak and time",
-        (1,),
-    )
+    head = ("flat multisine, one shaker after the other", "its error over the plan's")
+    yield Table(head, rows, "Gain at equal peak and time", (1,))
     if plan.combined:
         yield Paragraph(COMBINED)
 
@@ -146,14 +125,6 @@ COMBINED = (
 )
 
 
-def _designs(plan: Plan) -> str:
-    return (
-        "the optimum designs by three criteria"
-        if plan.design != "flat"
-        else ("the optimum designs and a flat spectrum")
-    )
-
-
 def _coefficients(plan: Plan) -> Table:
     ranged = any(c.error_range is not None for c in plan.coefficients)
     rows = tuple(
@@ -162,7 +133,7 @@ def _coefficients(plan: Plan) -> Table:
             _expected(c),
             "" if c.goal is None else per_cent(c.goal),
             per_cent(c.error),
-            *([_range(c)] if ranged else []),
+            *([_range(c.error_range)] if ranged else []),
             per_cent(c.error_weighted),
             per_cent(c.flat),
             f"{c.flat / c.error:.2f}",
@@ -170,13 +141,11 @@ def _coefficients(plan: Plan) -> Table:
         for c in plan.coefficients
     )
     header = (*HEADER[:4], *([RANGE] if ranged else []), *HEADER[4:])
-    return Table(
-        header, rows, "Relative standard errors, at the expected values", tuple(range(1, len(header)))
-    )
+    numeric = tuple(range(1, len(header)))
+    return Table(header, rows, "Relative standard errors, at the expected values", numeric)
 
 
-def _range(coefficient: PlannedCoefficient) -> str:
-    ends = coefficient.error_range
+def _range(ends: tuple[float, float] | None) -> str:
     return NOT_DETERMINED if ends is None else f"{per_cent(ends[0])} to {per_cent(ends[1])}"
 
 
@@ -218,27 +187,16 @@ def _explanation(plan: Plan) -> str:
 
 
 def _tests(plan: Plan) -> Table:
-    return Table(
-        TEST_HEADER, tuple(row for test in plan.tests for row in _rows(test)), "Signals", tuple(range(3, 9))
-    )
+    rows = tuple(row for test in plan.tests for row in _rows(test))
+    return Table(TEST_HEADER, rows, "Signals", tuple(range(3, 9)))
 
 
 def _rows(test: PlannedTest) -> Iterator[tuple[str, ...]]:
     moved = " / ".join(f"{1e6 * peak:.3g}" for peak in test.peak_displacement)
-    for shaker, file, crest, peak in zip(
-        test.shakers, test.files, test.crest_factor, test.peak_force, strict=True
-    ):
-        yield (
-            test.name,
-            shaker,
-            file,
-            str(len(test.frequency)),
-            str(test.periods),
-            str(test.skip),
-            f"{crest:.3f}",
-            f"{peak:.4g}",
-            moved,
-        )
+    counts = [str(count) for count in (len(test.frequency), test.periods, test.skip)]
+    of_shakers = zip(test.shakers, test.files, test.crest_factor, test.peak_force, strict=True)
+    for shaker, file, crest, peak in of_shakers:
+        yield (test.name, shaker, file, *counts, f"{crest:.3f}", f"{peak:.4g}", moved)
 
 
 def _spectrum(plan: Plan) -> Figure:
@@ -336,10 +294,10 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
 
 def runs_csv(plan: RunPlan) -> str:
     table = runs_table(plan)
-    quoted = [
-        ",".join('"' + cell.replace('"', '""') + '"' for cell in row) for row in (table.header, *table.rows)
-    ]
-    return "\n".join(quoted) + "\n"
+    text = io.StringIO()
+    writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\n")
+    writer.writerows((table.header, *table.rows))
+    return text.getvalue()
 
 
 def error_text(number: PlannedNumber, error: float | None) -> str:
@@ -352,15 +310,9 @@ def error_text(number: PlannedNumber, error: float | None) -> str:
 
 
 def _runs_verdict(plan: RunPlan) -> Iterator[Block]:
+    kinds = {"The goals are met": "passed", "The goals are NOT": "failed", "": ""}
     for text in run_sentences(plan):
-        kind = (
-            "passed"
-            if text.startswith("The goals are met")
-            else "failed"
-            if text.startswith("The goals are NOT")
-            else ""
-        )
-        yield Paragraph(text, kind) if kind else Paragraph(text)
+        yield Paragraph(text, next(kind for begin, kind in kinds.items() if text.startswith(begin)))
     sure = floor(1e4 * plan.efficiency) / 100
     yield Paragraph(
         "Certificate: the plan has, whole runs included, an efficiency (by variances) of at least "
@@ -375,10 +327,7 @@ def _numbers(plan: RunPlan) -> Table:
             number.name,
             amount_text(number.expected, None, number.unit),
             "" if number.goal is None else error_text(number, number.goal),
-            error_text(number, number.error),
-            error_text(number, number.flat),
-            error_text(number, number.before),
-            error_text(number, number.lasting),
+            *(error_text(number, e) for e in (number.error, number.flat, number.before, number.lasting)),
         )
         for number in plan.numbers
     )
@@ -386,6 +335,5 @@ def _numbers(plan: RunPlan) -> Table:
 
 
 def run_names(run: PlannedRun) -> tuple[str, ...]:
-    return (
-        (run.name,) if run.count == 1 else tuple(f"{run.name}-{number}" for number in range(1, run.count + 1))
-    )
+    numbered = tuple(f"{run.name}-{number}" for number in range(1, run.count + 1))
+    return (run.name,) if run.count == 1 else numbered

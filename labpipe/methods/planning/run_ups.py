@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.records import RunPlan
@@ -139,21 +139,18 @@ class RunUpPlanSettings(Settings):
     def __post_init__(self) -> None:
         self._check_signs()
         if len(self.omega) < 2 * max(self.stretches, 1):
-            raise ConfigError(
-                f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more",
-                field="stretches",
+            raise SettingError(
+                "stretches", f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more"
             )
         if not self.trials:
-            raise ConfigError(
-                "there is no way to excite the rotor",
-                hint="{trial-1: {unbalance: {disc 1: 50 g.mm}}}",
-                field="trials",
+            raise SettingError(
+                "trials", "there is no way to excite the rotor", "{trial-1: {unbalance: {disc 1: 50 g.mm}}}"
             )
         for field, names in (("known", self.known), ("expected", tuple(dict(self.expected)))):
             for name in names:
                 if name not in PARAMETERS:
                     what = f"the film has no parameter {name}"
-                    raise ConfigError(what, hint=nearest(name, PARAMETERS), field=field)
+                    raise SettingError(field, what, nearest(name, PARAMETERS))
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -166,46 +163,38 @@ class RunUpPlanSettings(Settings):
         require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
         require_positive(self, "displacement_limit", "journal_limit")
         if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
-            raise ConfigError("loads are positive, and so is the time between runs", field="loads")
+            raise SettingError("loads", "loads are positive, and so is the time between runs")
         if self.speeds[0] <= 0 or self.stretches < 1:
-            raise ConfigError(
-                "speeds begin above zero, and there is one stretch of them at least", field="speeds"
-            )
+            raise SettingError("speeds", "speeds begin above zero, and there is one stretch of them at least")
 
     def _check_expected(self, name: str, values: tuple[float, ...]) -> None:
         if len(values) != 1 or (name not in EXPONENTS and values[0] <= 0):
-            raise ConfigError(f"{name} is one factor above zero", hint=f"{name}: 0.9", field="expected")
+            raise SettingError("expected", f"{name} is one factor above zero", f"{name}: 0.9")
         if abs(logarithm(name, values[0])) > BOUND[PARAMETERS.index(name)]:
-            raise ConfigError(
+            raise SettingError(
+                "expected",
                 f"{name} of {values[0]:g} is beyond what a joint fit looks for",
-                hint="change the rotor file",
-                field="expected",
+                "change the rotor file",
             )
 
     def _check_goals(self) -> None:
-        names = (
-            *PARAMETERS,
-            *(SPEEDS if self.at_load else ()),
-            *(COEFFICIENTS if self.at_load and self.at_speed else ()),
-        )
+        names = (*PARAMETERS, *(SPEEDS if self.at_load else ()))
+        names += COEFFICIENTS if self.at_load and self.at_speed else ()
         for name, _ in self.goal:
             if name not in names:
-                hint = (
-                    "at_load and at_speed say where"
-                    if name in (*SPEEDS, *COEFFICIENTS)
-                    else nearest(name, names)
-                )
-                raise ConfigError(f"no {name} is predicted", hint=hint, field="goal")
+                predicted = name in (*SPEEDS, *COEFFICIENTS)
+                hint = "at_load and at_speed say where" if predicted else nearest(name, names)
+                raise SettingError("goal", f"no {name} is predicted", hint)
             if name in self.known:
-                raise ConfigError(f"{name} is known", hint="leave one of goal and known out", field="goal")
+                raise SettingError("goal", f"{name} is known", "leave one of goal and known out")
         check_relative(self.goal)
 
     @staticmethod
     def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
         for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
             if plane not in rig.plane_names:
-                raise ConfigError(
-                    f"trial {name}: no plane '{plane}'", hint=nearest(plane, rig.plane_names), field="trials"
+                raise SettingError(
+                    "trials", f"trial {name}: no plane '{plane}'", nearest(plane, rig.plane_names)
                 )
 
     @property
@@ -256,9 +245,8 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
     names = []
     for run in planned.plan.runs:
         name = f"expected/{run.name}.csv"
-        write_run_up_csv(
-            output.write_path(name), expected_run(planned.expected, planned.candidates[run.name])
-        )
+        expected = expected_run(planned.expected, planned.candidates[run.name])
+        write_run_up_csv(output.write_path(name), expected)
         names.append(name)
     rotor = (file.path.parent / settings.rotor).read_text(encoding="utf-8")
     pipeline = pipeline_entries(planned.plan, settings)
@@ -273,8 +261,8 @@ def _earlier(file: PlanFile) -> dict[str, float]:
     result = read_identification(path).sections.get("run_ups")
     methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
     if not methods:
-        raise ConfigError(
-            f"{path.name} holds no joint fit of run-ups", hint="run_ups: {methods: [joint]}", field="earlier"
+        raise SettingError(
+            "earlier", f"{path.name} holds no joint fit of run-ups", "run_ups: {methods: [joint]}"
         )
     return {parameter.name: parameter.value for parameter in methods[0].parameters}
 
@@ -296,26 +284,18 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     rig: RunUpRotor = settings.rig
     if rig.speeds is None:
         rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
-    film = rig.place.film("a plan of run-ups")
-    family = FilmFamily(
-        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
-    )
+    usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
+    family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
     noise = settings.noise
     reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
     expected = ExpectedRig(rig, family, settings.values(earlier), reading)
     candidates, notes = _admit(expected, _candidates(settings, expected, settings.loads), settings)
     given = settings.known
+    spreads = np.where(np.isin(PARAMETERS, given), KNOWN, PRIOR)
     question = RunQuestion(
         parameters=PARAMETERS,
         units=PRIOR,
-        prior=(
-            np.diag(
-                [
-                    (KNOWN if name in given else float(spread)) ** -2.0
-                    for name, spread in zip(PARAMETERS, PRIOR, strict=True)
-                ]
-            )
-        ),
+        prior=np.diag(spreads**-2.0),
         conditions=tuple(_condition(settings, expected, candidate) for candidate in candidates),
         quantities=tuple(_quantities(settings, expected)),
         duration=settings.duration,
@@ -334,9 +314,8 @@ def _candidates(
     for place, load in enumerate(loads, 1):
         for name, trial in settings.trials:
             for number, speed in enumerate(stretches, 1):
-                stem = f"load-{place}-{name.replace(' ', '-')}" + (
-                    f"-{number}" if settings.stretches > 1 else ""
-                )
+                stem = f"load-{place}-{name.replace(' ', '-')}"
+                stem += f"-{number}" if settings.stretches > 1 else ""
                 candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), _shaker(trial))
                 yield candidate
                 if (
@@ -363,10 +342,10 @@ def _admit(
         full = allowed is not None and allowed.speed.size == candidate.speed.size
         cut, whole = cut + (not full), whole + full
     if not kept:
-        raise ConfigError(
+        raise SettingError(
+            "trials",
             "no run keeps within the limits and above the noise",
-            hint="other trial unbalances, or other speeds",
-            field="trials",
+            "other trial unbalances, or other speeds",
         )
     words = (
         f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable, beyond "
@@ -404,10 +383,8 @@ def _remedies(
         "a measured clearance (known: clearance)": ((), ("clearance",))
     }
     if not any(trial.shaker for _, trial in settings.trials):
-        changes["a run under a shaker whose force does not turn"] = (
-            _extra(with_shaker, expected, settings.loads[:1]),
-            (),
-        )
+        extra = _extra(with_shaker, expected, settings.loads[:1])
+        changes["a run under a shaker whose force does not turn"] = (extra, ())
     if len(set(settings.loads)) == 1:
         changes["a second load"] = (_extra(settings, expected, other), ())
     for size in (1, 2):
@@ -421,9 +398,8 @@ def _extra(
     settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
 ) -> tuple[Condition, ...]:
     try:
-        allowed, _ = _admit(
-            expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings
-        )
+        candidates = _candidates(replace(settings, to_threshold=False), expected, loads)
+        allowed, _ = _admit(expected, candidates, settings)
     except (ConfigError, FitError):
         return ()
     return tuple(_condition(settings, expected, candidate) for candidate in allowed)
@@ -445,8 +421,8 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
             goal = None if name not in goals else goals[name] * value
             yield Quantity(name, "rad/s", value, row, goal, value)
         elif name in goals:
-            raise ConfigError(
-                f"no {name} is expected under {settings.at_load:g} N", hint="leave its goal out", field="goal"
+            raise SettingError(
+                "goal", f"no {name} is expected under {settings.at_load:g} N", "leave its goal out"
             )
     if settings.at_speed is not None:
         place = np.array([2 * np.pi * settings.at_speed])

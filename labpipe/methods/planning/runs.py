@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError, SettingError
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.planning.designs import A, D, Design, certificate, optimum, variances
 from labpipe.methods.planning.records import PlannedNumber, PlannedRun, RunPlan
@@ -79,17 +79,15 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     """
     shortest = float(choices.cost.min())
     if shortest > duration:
-        raise ConfigError(
-            f"no run fits into {duration:g} s",
-            hint=f"a duration of {shortest:.4g} s or more",
-            field="duration",
+        raise SettingError(
+            "duration", f"no run fits into {duration:g} s", f"a duration of {shortest:.4g} s or more"
         )
     if duration > MOST_RUNS * shortest:
         what = (
             f"{duration:g} s have room for {duration / shortest:.3g} runs of {shortest:.3g} s; a plan "
             f"lists {MOST_RUNS} at most"
         )
-        raise ConfigError(what, hint="a shorter duration, or longer runs", field="duration")
+        raise SettingError("duration", what, "a shorter duration, or longer runs")
     whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
     separate = _separate(criterion, whole, choices, wanted)
     design = separate or optimum(criterion, whole, wanted)
@@ -154,9 +152,7 @@ def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArra
             f"{len(counts)} kinds of runs, each of which alone determines something, do not fit into "
             f"{duration:g} s"
         )
-        raise ConfigError(
-            what, hint=f"a duration of {float(choices.cost.sum()):.4g} s or more", field="duration"
-        )
+        raise SettingError("duration", what, f"a duration of {float(choices.cost.sum()):.4g} s or more")
     return np.asarray(counts)
 
 
@@ -425,7 +421,7 @@ def _check_open(
     )
     remedies = _remedies(question)
     hint = f"{' or '.join(remedies)} would determine all" if remedies else "another kind of run"
-    raise ConfigError(what, hint=hint, field="goal")
+    raise SettingError("goal", what, hint)
 
 
 def _words(names: Sequence[str], choices: RunChoices, units: FloatArray) -> tuple[str, ...]:

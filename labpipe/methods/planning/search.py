@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
     SCHEMES,
@@ -97,13 +98,10 @@ class Wanted:
 
     def __post_init__(self) -> None:
         if not 0 <= self.floor < 1:
-            raise ConfigError(
-                f"a floor of {100 * self.floor:g} % of the power leaves nothing to plan",
-                hint="20 % is usual",
-                field="floor",
-            )
+            what = f"a floor of {100 * self.floor:g} % of the power leaves nothing to plan"
+            raise SettingError("floor", what, "20 % is usual")
         if not np.any(np.isfinite(self.goals)):
-            raise ConfigError("no coefficient is wanted", field="goal")
+            raise SettingError("goal", "no coefficient is wanted")
 
 
 @dataclass(frozen=True)
@@ -138,10 +136,8 @@ def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> C
     if phases == LEAST_CREST:
         alone = replace(rig, limits=replace(rig.limits, displacement=None))
         tests = tuple(as_large_as_allowed(alone, test, random_starts=CLOSE_STARTS) for test in tests)
-    last = phases == BOTH_LIMITS
-    return equal_times(
-        rig, [as_large_as_allowed(rig, test, random_starts=CLOSE_STARTS, optimised=last) for test in tests]
-    )
+    kind: Any = {"random_starts": CLOSE_STARTS, "optimised": phases == BOTH_LIMITS}
+    return equal_times(rig, [as_large_as_allowed(rig, test, **kind) for test in tests])
 
 
 def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Candidate:
@@ -149,27 +145,24 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
 
     ConfigError where no crest factor fits.
     """
+
+    def poor(candidate: Candidate) -> float:
+        return score(candidate.campaign.information, wanted.criterion, wanted.goals)
+
+    def crest(candidate: Candidate) -> float:
+        return max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
+
     looked = [_look(rig, lines, wanted, source, 0) for source in _sources(rig, lines, wanted, schemes)]
-    looked.sort(key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals))
+    looked.sort(key=poor)
     close = [_look(rig, lines, wanted, source, CLOSE_STARTS) for source in looked[:CLOSE]]
     limit = rig.limits.crest_factor
     if limit is not None:
-        crests = [
-            max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
-            for candidate in (*close, *looked)
-        ]
-        allowed = [
-            candidate for candidate, crest in zip((*close, *looked), crests, strict=True) if crest <= limit
-        ]
-        if not allowed:
-            hint = f"the lowest reached is {min(crests):.2f}; allow that, or a larger floor"
-            raise ConfigError(
-                f"no design has a crest factor of {limit:g} or less", hint=hint, field="crest_factor"
-            )
-        close = allowed
-    return min(
-        close, key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals)
-    )
+        every = (*close, *looked)
+        close = [candidate for candidate in every if crest(candidate) <= limit]
+        if not close:
+            hint = f"the lowest reached is {min(map(crest, every)):.2f}; allow that, or a larger floor"
+            raise SettingError("crest_factor", f"no design has a crest factor of {limit:g} or less", hint)
+    return min(close, key=poor)
 
 
 def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
@@ -184,29 +177,22 @@ def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
     inside each of them.
     """
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
-    candidates_of_lines = candidates(
-        rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions, share, stroke
-    )
+    omega = 2 * np.pi * rig.spacing * lines
+    of_lines = candidates(rig.model, rig.noise, omega, rig.directions, share, stroke)
     if rig.known is None:
-        return candidates_of_lines
+        return of_lines
     tests = flat(rig, lines, ONE_BY_ONE, LEAST_CREST).tests
-    price = candidates_of_lines.cost.reshape(lines.size, -1)
-    cost = float(
-        np.mean([np.sum(price[np.isin(lines, test.lines)] * np.abs(test.forces) ** 2 / 2) for test in tests])
-    )
-    return replace(candidates_of_lines, information=candidates_of_lines.information + rig.known_rate / cost)
+    price = of_lines.cost.reshape(lines.size, -1)
+    costs = [np.sum(price[np.isin(lines, test.lines)] * np.abs(test.forces) ** 2 / 2) for test in tests]
+    return replace(of_lines, information=of_lines.information + rig.known_rate / float(np.mean(costs)))
 
 
 def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> Design:
     which = np.isfinite(wanted.goals)
     weight = 1 / np.where(which, wanted.goals, 1.0)
-    flat_shares = found.cost / found.cost.sum()
-    return optimum(
-        criterion,
-        found.information / np.outer(weight, weight),
-        np.eye(which.size)[which],
-        floor * flat_shares,
-    )
+    least = floor * found.cost / found.cost.sum()
+    information = found.information / np.outer(weight, weight)
+    return optimum(criterion, information, np.eye(which.size)[which], least)
 
 
 def _balance(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
@@ -217,9 +203,8 @@ def _balance(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_
     shaker = np.arange(found.line.size) % n_shaker
     for _ in range(BALANCING):
         factor = price[shaker]
-        priced = replace(
-            found, cost=found.cost * factor, information=found.information / factor[:, None, None]
-        )
+        information = found.information / factor[:, None, None]
+        priced = replace(found, cost=found.cost * factor, information=information)
         design = _design(priced, wanted, criterion, floor)
         done = np.bincount(shaker, design.shares / factor)
         price *= np.sqrt(np.maximum(done, 1e-3 * done.max()))
@@ -233,32 +218,19 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
     for share in DISPLACEMENT_SHARES if limited else (0.0,):
         choices = _candidates(rig, lines, share)
         for criterion in CRITERIA:
-            for floor in _floors(wanted) if criterion == wanted.criterion else (wanted.floor,):
+            # Many lines have a lower peak than the few of an optimum, which can tell more at the limits.
+            more = max(wanted.floor, USUAL_FLOOR), min(2 * max(wanted.floor, USUAL_FLOOR), 0.9)
+            for floor in sorted({wanted.floor, *(more if criterion == wanted.criterion else ())}):
                 if ONE_BY_ONE in schemes:
                     design = _design(choices, wanted, criterion, floor)
-                    yield Source(
-                        criterion,
-                        share,
-                        ONE_BY_ONE,
-                        design.certificate,
-                        _power(choices, design, lines),
-                        floor,
-                    )
+                    source = design.certificate, _power(choices, design, lines), floor
+                    yield Source(criterion, share, ONE_BY_ONE, *source)
                 if at_once:
                     design = _balance(choices, wanted, criterion, floor, len(rig.shakers))
                     source = design.certificate, _power(choices, design, lines), floor
                     yield from (Source(criterion, share, name, *source) for name in at_once)
     for scheme in schemes:
         yield Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
-
-
-def _floors(wanted: Wanted) -> tuple[float, ...]:
-    """The least floor, and larger ones: many lines have a lower peak than the few of an optimum, which can
-    tell more at the limits.
-    """
-    return tuple(
-        sorted({wanted.floor, max(wanted.floor, USUAL_FLOOR), min(2 * max(wanted.floor, USUAL_FLOOR), 0.9)})
-    )
 
 
 def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:

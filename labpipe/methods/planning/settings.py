@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.planning.campaigns import SCHEMES
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
@@ -57,7 +57,7 @@ def check_relative(goals: Iterable[tuple[str, tuple[float, ...]]]) -> None:
     for name, values in goals:
         if len(values) != 1 or values[0] <= 0:
             what = f"the goal of {name} is one positive relative error"
-            raise ConfigError(what, hint=f"{name}: 2 %", field="goal")
+            raise SettingError("goal", what, f"{name}: 2 %")
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class TheorySettings(Settings):
                 hint="{bearing: FILE, load: 2 kN, speed: 3000 rpm}",
             )
         if self.rotor and self.load is not None:
-            raise ConfigError("the load follows from the rotor", hint="leave it out", field="load")
+            raise SettingError("load", "the load follows from the rotor", "leave it out")
         require_positive(self, "load", "speed")
         if self.rig is not None:
             self.rig.place(self.name)
@@ -168,30 +168,25 @@ class PlanSettings(Settings):
         require_positive(self, "period", "sample_rate", "duration", "force_limit", "displacement_limit")
         require_positive(self, "mass", "speed", "mains")
         if (self.noise is None) == (self.noise_density is None):
-            raise ConfigError(
+            raise SettingError(
+                "noise",
                 "one of 'noise' and 'noise_density' is needed",
-                hint="noise: {force: 20 mN, displacement: 0.3 um}",
-                field="noise",
+                "noise: {force: 20 mN, displacement: 0.3 um}",
             )
         for name, _ in self.uncertainties:
             if name != "mass":
-                raise ConfigError(
-                    f"an uncertainty of '{name}' is not planned with",
-                    hint="the mass may carry one",
-                    field=name,
+                raise SettingError(
+                    name, f"an uncertainty of '{name}' is not planned with", "the mass may carry one"
                 )
         self._check_expected()
         check_relative(self.goal)
         if 2 * self.band[1] >= self.sample_rate:
-            raise ConfigError(
-                f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate",
-                field="sample_rate",
+            raise SettingError(
+                "sample_rate", f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate"
             )
         if abs(self.sample_rate * self.period - round(self.sample_rate * self.period)) > 1e-6:
-            raise ConfigError(
-                "a period holds no whole number of samples",
-                hint="change `period` or `sample_rate`",
-                field="period",
+            raise SettingError(
+                "period", "a period holds no whole number of samples", "change `period` or `sample_rate`"
             )
 
     @property
@@ -201,12 +196,10 @@ class PlanSettings(Settings):
     def _check_expected(self) -> None:
         if not self.expected and not self.earlier and self.theory is None:
             hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
-            raise ConfigError("nothing is expected", hint=hint, field="expected")
+            raise SettingError("expected", "nothing is expected", hint)
         if self.combine_earlier and not self.earlier:
-            raise ConfigError(
-                "there is no earlier result to combine", hint="earlier: FILE", field="combine_earlier"
-            )
+            raise SettingError("combine_earlier", "there is no earlier result to combine", "earlier: FILE")
         if self.theory is not None and len(self.kind.axes) == 1:
-            raise ConfigError(
-                "theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory"
+            raise SettingError(
+                "theory", "theory gives matrices", "state k and c of the pedestal under `expected`"
             )

@@ -16,7 +16,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import BearingCoefficients
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, Rig
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
@@ -110,19 +110,19 @@ class StatePlanSettings(Settings):
 
     def __post_init__(self) -> None:
         if min((*self.loads, *self.speeds), default=0.0) <= 0 or not (self.loads and self.speeds):
-            raise ConfigError("loads and speeds are positive", field="loads")
+            raise SettingError("loads", "loads and speeds are positive")
         if self.changeover < 0 or self.duration <= 0:
-            raise ConfigError("times are positive", field="duration")
+            raise SettingError("duration", "times are positive")
         if self.periods < FEWEST_PERIODS:
-            raise ConfigError(
+            raise SettingError(
+                "run",
                 f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}",
-                hint=f"a run of {FEWEST_PERIODS * self.period:g} s or more",
-                field="run",
+                f"a run of {FEWEST_PERIODS * self.period:g} s or more",
             )
         for name, _ in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
                 allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
-                raise ConfigError(f"no {name} is predicted", hint=allowed, field="goal")
+                raise SettingError("goal", f"no {name} is predicted", allowed)
         check_relative(self.goal)
         self.at(self.speeds[0])
 
@@ -226,9 +226,8 @@ def question_of(
         prior = np.zeros((len(parameters),) * 2)
     conditions = tuple(_condition(settings, test, slope) for test, slope in zip(tests, slopes, strict=True))
     quantities = tuple(_quantities(settings, tests, slopes, common))
-    return RunQuestion(
-        parameters, units, prior, conditions, quantities, settings.duration, settings.criterion
-    )
+    time = settings.duration, settings.criterion
+    return RunQuestion(parameters, units, prior, conditions, quantities, *time)
 
 
 def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray) -> Condition:
@@ -256,9 +255,8 @@ def _quantities(
         model = test.state.model
         for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):
             goal = goals[name] * float(scale) if name in goals else None
-            yield Quantity(
-                f"{name}[{test.state.name}]", UNITS[name[0]], float(value), row, goal, float(scale)
-            )
+            label = f"{name}[{test.state.name}]"
+            yield Quantity(label, UNITS[name[0]], float(value), row, goal, float(scale))
 
 
 STEP = 1e-2
@@ -279,15 +277,10 @@ def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[s
             names.append(f"signals/{run.name}-{axis}.csv")
             whole = np.tile(samples, settings.periods + settings.skip)
             write_signal(output.write_path(names[-1]), whole, settings.sample_rate, "f [N]")
-    evaluations = {
-        run: Evaluation(
-            settings.at(tests[run.name].state.speed),
-            file.title,
-            (tests[run.name].planned,),
-            with_masses=False,
-        )
-        for run in answered.plan.runs
-    }
+    evaluations = {}
+    for run in answered.plan.runs:
+        at, planned = settings.at(tests[run.name].state.speed), tests[run.name].planned
+        evaluations[run] = Evaluation(at, file.title, (planned,), with_masses=False)
     entries = {
         RIG: rig_entries(next(iter(evaluations.values()))),
         PIPELINE: _pipeline(file.title, evaluations, tests, output.target.absolute()),
@@ -306,10 +299,8 @@ def plan_states(
     bearing = open_bearing(folder / settings.bearing)
     for name in ("load", "speed"):
         if name not in settings_of(bearing.kind.settings):
-            raise ConfigError(
-                f"a file of a {bearing.kind_name} has no '{name}'",
-                hint="a journal bearing has",
-                field="bearing",
+            raise SettingError(
+                "bearing", f"a file of a {bearing.kind_name} has no '{name}'", "a journal bearing has"
             )
     common = [_common(bearing, name) for name in settings.estimate]
     tests = [state_test(settings, state) for state in _states(settings, bearing, common)]
@@ -323,21 +314,17 @@ def plan_states(
 def _common(bearing: BearingFile, name: str) -> Common:
     declared = settings_of(bearing.kind.settings)
     if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
-        numbers = tuple(
-            key
-            for key, (declaration, _) in declared.items()
-            if declaration.kind == "value" and key not in ("load", "speed")
-        )
-        raise ConfigError(
-            f"'{name}' is no number of a {bearing.kind_name}", hint=nearest(name, numbers), field="estimate"
+        values = (key for key, (declaration, _) in declared.items() if declaration.kind == "value")
+        numbers = tuple(key for key in values if key not in ("load", "speed"))
+        raise SettingError(
+            "estimate", f"'{name}' is no number of a {bearing.kind_name}", nearest(name, numbers)
         )
     value = getattr(bearing.settings(), name)
     if not value:
-        raise ConfigError(f"the bearing file gives no {name}", hint="state it there", field="estimate")
+        raise SettingError("estimate", f"the bearing file gives no {name}", "state it there")
     uncertainty = bearing.uncertainties.get(name)
-    return Common(
-        name, float(value), declared[name][0].unit, None if uncertainty is None else uncertainty.std_error
-    )
+    std_error = None if uncertainty is None else uncertainty.std_error
+    return Common(name, float(value), declared[name][0].unit, std_error)
 
 
 def _states(
@@ -349,23 +336,16 @@ def _states(
         *((number, sign) for number in common for sign in (1.0, -1.0)),
     ]
     wanted = [_settings(bearing, load, speed, change) for load, speed in points for change in changes]
-    values = np.array([_eight(bearing, state) for state in bearing.coefficients(wanted)]).reshape(
-        len(points), len(changes), -1
-    )
+    eights = [_eight(bearing, state) for state in bearing.coefficients(wanted)]
+    values = np.array(eights).reshape(len(points), len(changes), -1)
     states = []
     for (load, speed), coefficients in zip(points, values, strict=True):
         steps = np.array([2 * STEP * number.value for number in common])
-        slopes = (
-            ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T
-            if common
-            else np.zeros((len(COEFFICIENTS), 0))
-        )
-        model = MODELS[FLOATING].model(
-            dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass
-        )
-        states.append(
-            BearingState(f"{load:g}N-{60 * speed:g}rpm".replace(".", "p"), load, speed, model, slopes)
-        )
+        slopes = ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T
+        expected = dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True))
+        model = MODELS[FLOATING].model(expected, settings.mass)
+        name = f"{load:g}N-{60 * speed:g}rpm".replace(".", "p")
+        states.append(BearingState(name, load, speed, model, slopes))
     return states
 
 
@@ -403,13 +383,8 @@ def _pipeline(
                 "frf": entries["frf"],
             }
         )
-    return {
-        "title": title,
-        "rig": RIG,
-        "tests": listed,
-        "frf": entries["frf"],
-        "identify": entries["identify"],
-    }
+    same = {name: entries[name] for name in ("frf", "identify")}
+    return {"title": title, "rig": RIG, "tests": listed, **same}
 
 
 STATES_PLAN = PlanKind(StatePlanSettings, state_files)

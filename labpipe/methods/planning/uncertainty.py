@@ -25,7 +25,7 @@ from scipy import fft
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import difference_in, shown_unit
 from labpipe.distributions import coverage_factor
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import (
     Campaign,
     EarlierInformation,
@@ -88,18 +88,13 @@ class Identifiability:
     def words(self) -> str:
         if self.full:
             return f"the excitation determines all {self.n_coefficient} coefficients"
-        return (
-            f"the excitation determines {self.rank} of {self.n_coefficient} coefficients; not told "
-            f"apart: {', '.join(self.undetermined)}"
-        )
+        told = f"the excitation determines {self.rank} of {self.n_coefficient} coefficients"
+        return f"{told}; not told apart: {', '.join(self.undetermined)}"
 
     @property
     def remedy(self) -> str:
-        return (
-            f"{' or '.join(self.remedies)} would determine all"
-            if self.remedies
-            else "no single change helps: another direction and more lines"
-        )
+        none = "no single change helps: another direction and more lines"
+        return f"{' or '.join(self.remedies)} would determine all" if self.remedies else none
 
 
 def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
@@ -128,29 +123,22 @@ def _rank(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifi
     _, singular, right = np.linalg.svd(scaled, full_matrices=True)
     rank = int(np.count_nonzero(singular > SINGULAR * singular[0]))
     involved = np.any(np.abs(right[rank:]) > INVOLVED, axis=0)
-    return Identifiability(
-        rank, len(model.names), tuple(name for name, part in zip(model.names, involved, strict=True) if part)
-    )
+    undetermined = tuple(name for name, part in zip(model.names, involved, strict=True) if part)
+    return Identifiability(rank, len(model.names), undetermined)
 
 
 def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str, PlannedModel, Excitation]]:
     if any(name.startswith("m") for name in model.names):
         yield "a known mass", model.with_known_mass(), excitation
-    lines = np.unique(excitation.frequency)
+    frequency, forces = excitation.frequency, excitation.forces
+    lines = np.unique(frequency)
     another = lines[-1] + (lines[-1] - lines[-2]) if lines.size > 1 else lines[0] * (1 + OTHER)
-    first = excitation.forces[:1]
-    yield (
-        "another line",
-        model,
-        Excitation(np.append(excitation.frequency, another), np.concatenate([excitation.forces, first])),
-    )
+    more = Excitation(np.append(frequency, another), np.concatenate([forces, forces[:1]]))
+    yield "another line", model, more
     if model.n_dof == 2:
-        across = np.stack([-excitation.forces[:, 1].conj(), excitation.forces[:, 0].conj()], axis=1)
-        yield (
-            "a second direction of force",
-            model,
-            Excitation(np.tile(excitation.frequency, 2), np.concatenate([excitation.forces, across])),
-        )
+        across = np.stack([-forces[:, 1].conj(), forces[:, 0].conj()], axis=1)
+        both = Excitation(np.tile(frequency, 2), np.concatenate([forces, across]))
+        yield "a second direction of force", model, both
 
 
 DRAWS = 200
@@ -205,16 +193,12 @@ class Earlier:
         there = [number for number, _ in self.places(model)]
         part = covariance[np.ix_(there, there)]
         if not there or not np.all(np.isfinite(part)) or np.any(np.diagonal(part) <= 0):
-            raise ConfigError(
-                "the earlier result states no errors of its coefficients",
-                hint="combine_earlier: false",
-                field="combine_earlier",
-            )
+            what = "the earlier result states no errors of its coefficients"
+            raise SettingError("combine_earlier", what, "combine_earlier: false")
         root = np.sqrt(np.diagonal(part))
         information = np.zeros_like(covariance)
-        information[np.ix_(there, there)] = np.linalg.pinv(
-            part / np.outer(root, root), hermitian=True
-        ) / np.outer(root, root)
+        size = np.outer(root, root)
+        information[np.ix_(there, there)] = np.linalg.pinv(part / size, hermitian=True) / size
         return EarlierInformation(information * np.outer(model.scales, model.scales), duration)
 
 
@@ -257,10 +241,8 @@ def spread(
     """
     rng = np.random.default_rng(SEED)
     values, vectors = np.linalg.eigh(covariance)
-    draws = (
-        rig.model.expected
-        + rng.normal(size=(DRAWS, len(covariance))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    )
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = rig.model.expected + rng.normal(size=(DRAWS, len(covariance))) @ root.T
     errors, gains, over = [], [], []
     for drawn in draws:
         truth = replace(rig, model=rig.model.with_expected(drawn))
@@ -268,9 +250,8 @@ def spread(
         errors.append(relative_errors(planned_rate * duration))
         poor = score(planned_rate, criterion, limits)
         gains.append(score(other, criterion, limits) / poor if np.isfinite(poor) else 0.0)
-        over.append(
-            max(float(peaks(test.lines, truth.over_limits(test).sum(axis=1)).max()) for test in planned.tests)
-        )
+        signals = ((test.lines, truth.over_limits(test).sum(axis=1)) for test in planned.tests)
+        over.append(max(float(peaks(*signal).max()) for signal in signals))
     ends = [(1 - MIDDLE) / 2, (1 + MIDDLE) / 2]
     met = float(np.mean(np.all(np.array(errors) <= limits, axis=1)))
     # An end is the value of a draw: between an infinite one and another there is none.
@@ -332,9 +313,8 @@ def rehearse(
     mean = np.stack([_amplitudes(rig, test, channel) for channel in channels], axis=1)
     n_period, n_channel = len(channels) + SPARE, len(channels)
     n_sample = fft.next_fast_len(int(SAMPLES * highest) + 8, real=True)
-    size = np.array([density[channel.quantity] for channel in channels]) * np.sqrt(
-        2 / seconds * (n_period - 1)
-    )
+    densities = np.array([density[channel.quantity] for channel in channels])
+    size = densities * np.sqrt(2 / seconds * (n_period - 1))
     number = np.arange(1, n_channel + 1)
     periods = []
     for period in range(n_period):
@@ -342,9 +322,8 @@ def rehearse(
         spectrum[test.lines] = mean
         spectrum[1 : (n_sample + 1) // 2] += size * np.exp(2j * np.pi * number * period / n_period)
         periods.append(fft.irfft(spectrum * (n_sample / 2), n_sample, axis=0))
-    return Recording(
-        tuple(channels), np.concatenate([periods[0]] * skip + periods), n_sample * rig.spacing, test.name
-    )
+    samples = np.concatenate([periods[0]] * skip + periods)
+    return Recording(tuple(channels), samples, n_sample * rig.spacing, test.name)
 
 
 def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
@@ -356,11 +335,8 @@ def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
         return np.asarray(along)
     if channel.quantity == "acceleration":
         return np.asarray(-(rig.omega(test) ** 2) * along)
-    raise ConfigError(
-        f"the plan states no noise of {channel.name}, a {channel.quantity}",
-        hint="displacement or acceleration",
-        field="rig",
-    )
+    what = f"the plan states no noise of {channel.name}, a {channel.quantity}"
+    raise SettingError("rig", what, "displacement or acceleration")
 
 
 def _direction(channel: Channel, n_dof: int) -> ComplexArray:
@@ -401,10 +377,8 @@ def goals_of(settings: PlanSettings, model: PlannedModel) -> Goals:
     for name, (value,) in settings.goal:
         coefficient = name.removesuffix(EXPANDED)
         if coefficient not in model.names:
-            raise ConfigError(
-                f"the model has no coefficient {coefficient}",
-                hint=nearest(coefficient, model.names),
-                field="goal",
+            raise SettingError(
+                "goal", f"the model has no coefficient {coefficient}", nearest(coefficient, model.names)
             )
         goals[name.endswith(EXPANDED)][model.names.index(coefficient)] = value
     return Goals(goals[False], goals[True])

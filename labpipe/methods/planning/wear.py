@@ -18,7 +18,7 @@ import yaml
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import OperatingPoint
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.journal_bearing.kind import Wear
@@ -124,25 +124,23 @@ class WearPlanSettings(Settings):
     def __post_init__(self) -> None:
         require_positive(self, "duration", "sample_rate", "force", "run", "block")
         if min(self.speeds, default=0.0) <= 0:
-            raise ConfigError("speeds are positive", field="speeds")
+            raise SettingError("speeds", "speeds are positive")
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
-            raise ConfigError("bands lie between 0 and half the sampling rate", field="bands")
+            raise SettingError("bands", "bands lie between 0 and half the sampling rate")
         if self.run < 2 * self.block or self.changeover < 0:
-            raise ConfigError(
-                "a run holds two blocks or more, and no time between tests is negative", field="run"
-            )
+            raise SettingError("run", "a run holds two blocks or more, and no time between tests is negative")
         if self.expected.depth < 0 or abs(self.expected.angle) > self.angle_limit:
-            raise ConfigError(
+            raise SettingError(
+                "expected",
                 "the expected wear is beyond its limits",
-                hint="a depth of zero or more, within angle_limit",
-                field="expected",
+                "a depth of zero or more, within angle_limit",
             )
         for name, given in self.nuisances.items():
             if not given.std_error > 0:
-                raise ConfigError(
+                raise SettingError(
+                    name,
                     f"{name} has no uncertainty",
-                    hint="90 um +- 2 %; what is certain belongs into the rotor file",
-                    field=name,
+                    "90 um +- 2 %; what is certain belongs into the rotor file",
                 )
         if self.rig is not None:
             worn_place(self.rig, self.bearing)
@@ -349,20 +347,13 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
         (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
     )
     noise = settings.noise
-    testing = ResponseTest(
-        settings.force,
-        settings.run,
-        1 / settings.block,
-        noise.displacement * density,
-        noise.force * density,
-        exclude,
-    )
+    densities = noise.displacement * density, noise.force * density
+    testing = ResponseTest(settings.force, settings.run, 1 / settings.block, *densities, exclude)
     points = tuple(_points(settings))
     conditions = _conditions(settings, expected, testing, points)
-    units = _units(settings, expected)
     question = RunQuestion(
         parameters=tuple(expected.values),
-        units=units,
+        units=_units(settings, expected),
         prior=_prior(settings),
         conditions=conditions,
         quantities=tuple(_quantities(settings, expected)),
@@ -382,11 +373,8 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
 
 def _expected(settings: WearPlanSettings, bearing: str, wear: Wear) -> ExpectedWear:
     assert settings.rig is not None
-    values = {
-        DEPTH: wear.depth,
-        ANGLE: wear.angle,
-        **{name: given.value for name, given in settings.nuisances.items()},
-    }
+    values = {DEPTH: wear.depth, ANGLE: wear.angle}
+    values |= {name: given.value for name, given in settings.nuisances.items()}
     return ExpectedWear(settings.rig, bearing, values)
 
 
@@ -394,13 +382,10 @@ def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
     for speed in settings.speeds:
         for place, force in enumerate(settings.static_forces, 1):
             for number, band in enumerate(settings.bands, 1):
-                name = f"{speed:g}Hz" + (f"-load-{place}" if len(settings.static_forces) > 1 else "")
-                yield WearPoint(
-                    name.replace(".", "p") + (f"-band-{number}" if len(settings.bands) > 1 else ""),
-                    speed,
-                    force,
-                    band,
-                )
+                name = f"{speed:g}Hz".replace(".", "p")
+                name += f"-load-{place}" if len(settings.static_forces) > 1 else ""
+                name += f"-band-{number}" if len(settings.bands) > 1 else ""
+                yield WearPoint(name, speed, force, band)
 
 
 def _conditions(
@@ -425,13 +410,8 @@ def _prior(settings: WearPlanSettings) -> FloatArray:
 
 
 def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
-    return np.array(
-        [
-            1e-6,
-            np.deg2rad(1.0),
-            *(settings.nuisances[name].std_error for name in expected.values if name not in (DEPTH, ANGLE)),
-        ]
-    )
+    others = (name for name in expected.values if name not in (DEPTH, ANGLE))
+    return np.array([1e-6, np.deg2rad(1.0), *(settings.nuisances[name].std_error for name in others)])
 
 
 def _quantities(settings: WearPlanSettings, expected: ExpectedWear) -> Iterator[Quantity]:
@@ -520,13 +500,8 @@ def pipeline_entries(planned: WearPlanned, settings: WearPlanSettings) -> dict[s
             f"{folder}/worn-y.parquet",
             {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}},
         ]
-        tests.append(
-            {
-                "name": run.name,
-                "recordings": recordings,
-                "conditions": {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"},
-            }
-        )
+        conditions = {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"}
+        tests.append({"name": run.name, "recordings": recordings, "conditions": conditions})
         wear: dict[str, Any] = {"rotor": _rotor_name(run), "bearing": planned.expected.bearing}
         if last:
             wear |= {"prior": last, "same_wear": True}
