@@ -36,7 +36,11 @@ def pool_of(processes: int) -> Iterator[ProcessPoolExecutor | None]:
     # Fresh interpreters: forking a process that has threads is not safe.
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=spawn, initializer=end_with_parent) as pool:
-        yield pool
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def end_with_parent() -> None:

@@ -14,6 +14,7 @@ from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import DataError
+from labpipe.processes import shared_out
 from labpipe.project.exports import WRITERS
 from labpipe.project.measured import files_of_test
 from labpipe.project.report import write_campaign, write_report, write_test_report
@@ -30,10 +31,23 @@ from labpipe.project.report import write_campaign, write_report, write_test_repo
     "--figures", metavar="DIR", help="Also write every figure as SVG and PNG, and its numbers as CSV, to DIR."
 )
 @click.option("--test", default="", metavar="NAME", help="Only the pages of this test, of a result of many.")
+@click.option(
+    "-j",
+    "--jobs",
+    type=options.COUNT,
+    default=1,
+    help="Processes that draw a PDF of many figures; 0: one per processor.",
+)
 @options.quiet
 @options.verbose
 def report(
-    results: tuple[Path, ...], output: Path, figures: Path | None, test: str, quiet: bool, verbose: bool
+    results: tuple[Path, ...],
+    output: Path,
+    figures: Path | None,
+    test: str,
+    jobs: int,
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     """Write the report of a result: verdict, parameters, figures, warnings, provenance.
 
@@ -48,6 +62,7 @@ def report(
     """
     wanted = (lambda name: summary(name) or name in files_of_test(test)) if test else summary
     with ExitStack() as stack:
+        stack.enter_context(shared_out(jobs))
         heres = [stack.enter_context(results_read(place, wanted)) for place in results]
         paths = result_files(heres)
         tell = options.teller(quiet, verbose)

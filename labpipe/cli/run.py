@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +17,7 @@ from labpipe.cli.many import check_shared, echo_failed, executor, manner
 from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_identification
 from labpipe.errors import ConfigError, DataError
-from labpipe.processes import end_with_parent
+from labpipe.processes import pool_of, shared_out
 from labpipe.project.many_tests import hindrance
 from labpipe.project.measured import files_of_test
 from labpipe.project.pipeline_file import load_for_files_to_come, load_pipeline
@@ -76,7 +74,8 @@ def run(
             with options.results_folder(here) as folder:
                 identification = run_pipeline(pipeline, folder, how)
                 outdate_reports(folder, pipeline.report.formats)
-            write_reports(identification, here, pipeline.report.formats, how.tell)
+            with shared_out(jobs):
+                write_reports(identification, here, pipeline.report.formats, how.tell)
         made.append(identification)
     echo_identification(identification, quiet)
     if not quiet:
@@ -136,19 +135,13 @@ def _check(
 
     In parallel, pipelines with a study run last, since a study uses all processors.
     """
-    processes = min(jobs or os.cpu_count() or 1, len(pipelines))
-    if processes == 1:
-        yield from zip(pipelines, map(work, pipelines), strict=True)
-        return
-    studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
-    others = [path for path in pipelines if path not in studies]
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=end_with_parent) as pool:
-        try:
-            yield from zip(others, pool.map(work, others), strict=True)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with pool_of(min(jobs or os.cpu_count() or 1, len(pipelines))) as pool:
+        if pool is None:
+            yield from zip(pipelines, map(work, pipelines), strict=True)
+            return
+        studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
+        others = [path for path in pipelines if path not in studies]
+        yield from zip(others, pool.map(work, others), strict=True)
     yield from zip(studies, map(work, studies), strict=True)
 
 

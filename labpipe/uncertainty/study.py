@@ -4,7 +4,6 @@ coverage.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -24,7 +23,7 @@ from labpipe.estimation.model import Setup, constrain
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import whitener
-from labpipe.processes import end_with_parent
+from labpipe.processes import pool_of
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Settings, setting
@@ -221,13 +220,7 @@ class Workers:
 def workers(jobs: int) -> Iterator[Workers]:
     """*jobs* processes; 0: as many as there are processors."""
     count = jobs or os.cpu_count() or 1
-    if count == 1:
-        yield Workers(None, 1)
-        return
-    # Fresh interpreters: forking a process that has threads is not safe.
-    with ProcessPoolExecutor(
-        count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
-    ) as pool:
+    with pool_of(count) as pool:
         yield Workers(pool, count)
 
 

@@ -157,6 +157,8 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     assert plan.duration == 40.0
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "Certificate" in page and "goals are NOT met" in page
+    sure = float(page.partition("efficiency of at least ")[2].partition(" %")[0])
+    assert 100 * plan.efficiency - 0.01 < sure <= 100 * plan.efficiency
     assert "134.5 kN/m" in page and "3.682 N.s/m" in page
     assert entry_of(read_plan(tmp_path / "out" / "plan.json")) == entry_of(plan)
 
