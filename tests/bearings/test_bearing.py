@@ -216,6 +216,7 @@ def test_sweeps_with_units_and_in_either_direction(
     assert key == f"{text.split('=')[0]} [{'m' if 'clear' in text else 'N'}]"
 
 
+@pytest.mark.long
 def test_the_same_input_gives_the_same_bytes(ball: Path, labpipe, tmp_path: Path) -> None:
     for name in ("a", "b"):
         labpipe("bearing", ball, "--sweep", "loads.z=100:200:50", "-o", tmp_path / name)

@@ -59,7 +59,18 @@ WITH_COMMANDS = [page for page in PAGES if list(console.commands(page.read_text(
 # Pages whose commands take a second and more: films, run-ups, a loop's theory, plans, whole projects.
 SLOW = {"bearing", "journal-bearing", "unbalance", "control-loop", "compare", "virtual-rig", "run-up-method"}
 SLOW |= {"section", "budget", "plan", "many", "campaign", "closed-loop", "ball-bearing", "magnetic-bearing"}
-SLOW |= {"reader", "estimator", "modal", "rotor", "rotor-system", "white-noise", "index", "sweep"}
+SLOW |= {
+    "reader",
+    "estimator",
+    "modal",
+    "rotor",
+    "rotor-system",
+    "white-noise",
+    "index",
+    "sweep",
+    "frf-table",
+    "local",
+}
 
 
 @pytest.mark.usefixtures("undrawn")

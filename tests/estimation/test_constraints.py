@@ -137,6 +137,7 @@ def codes(fit) -> list[str]:  # type: ignore[no-untyped-def]
     return [finding.code for finding in fit.findings]
 
 
+@pytest.mark.long
 def test_comparison_finds_damping_that_is_not_proportional(three_dof_response) -> None:
     odd = np.diag([0.5, 0.05, 0.05])
     settings = replace(RAYLEIGH, compare=True)

@@ -102,6 +102,7 @@ def test_results_there_are_those_made_here(lab: Path, s3: Any, labpipe) -> None:
     assert versions() == before
 
 
+@pytest.mark.long
 def test_an_upload_that_is_cut_short_leaves_the_earlier_result(
     lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,6 +57,7 @@ def test_pauses_and_jumps_of_phase_and_level_between_dwells() -> None:
     np.testing.assert_allclose([dwell.frequency * RATE for dwell in dwells], [20, 55, 30, 31], rtol=1e-3)
 
 
+@pytest.mark.long
 def test_the_frequency_has_the_least_variance_there_can_be() -> None:
     """400 draws against the bound of Cramer and Rao for frequency, amplitude, phase and offset of 700
     samples.

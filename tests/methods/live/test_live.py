@@ -616,6 +616,7 @@ def test_an_excitation_that_is_not_followed_is_looked_at_as_a_whole(bench, follo
     assert "random data are known by all samples together" in said and "after 15 % more" in said
 
 
+@pytest.mark.long
 def test_decays_that_fall_into_a_folder_are_repeats(bench, follow):
     """A mode of 30 Hz, released twelve times; the file that is written meanwhile counts once it is whole."""
     f_n, zeta = 30.0, 0.01
@@ -692,6 +693,7 @@ def test_a_fit_that_cannot_be_followed_ends_no_test(bench, follow, keys, reason)
     assert waited[-1]["parameters"].keys() >= {"s.k", "m.k"} or "bands" in keys
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_neither_the_test_nor_what_was_kept(bench):
     """No file may become larger than 200 kB: of 12 s of 24 bytes 8.3 s are kept, and all averages are
     followed; the run at the end is of those that were kept.

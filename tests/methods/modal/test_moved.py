@@ -59,6 +59,7 @@ def likeness(fit: Fit) -> np.ndarray:
     return np.abs(np.sum(shapes.conj() * SHAPES, axis=1)) ** 2 / size
 
 
+@pytest.mark.long
 def test_as_many_modes_as_there_are_and_the_structure_without_what_moves() -> None:
     fit = fitted(roving(1, 2.0, lines=FREQUENCY[::2]), moving_mass=0.008)
     assert len(fit.detail(Modes).frequency) == 3 and np.min(likeness(fit)) > 0.999

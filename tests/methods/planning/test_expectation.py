@@ -132,6 +132,7 @@ def _error_by_formula(
     return np.sqrt(np.diagonal(np.linalg.inv(information)))
 
 
+@pytest.mark.long
 def test_prediction_over_draws() -> None:
     # Another 4000 draws, through the errors of one degree of freedom written out.
     rig, lines, _ = planned_rig("pedestal")

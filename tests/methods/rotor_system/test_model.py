@@ -92,7 +92,9 @@ def assert_derivatives(of, test, values: np.ndarray, unknowns) -> None:
         assert np.abs(slope - jacobian[:, unknown]).max() < 2e-4 * scale, of.model.unknowns[unknown].name
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize(
+    "number", [0, *(pytest.param(number, marks=pytest.mark.long) for number in (1, 2, 3))]
+)
 def test_derivatives_of_every_test(number: int) -> None:
     """By central differences, for every unknown."""
     of = built()

@@ -238,6 +238,7 @@ class Linear:
         return self
 
 
+@pytest.mark.long
 def test_a_posterior_that_is_not_normal_is_fitted_to_moved_data() -> None:
     """Against quadrature: the spread of ln x by a poor reading of x is 20 % off at first order."""
     model = SystemModel((Unknown("x", 1.0, unit="kg.m"),), (), 0, 0)

@@ -120,7 +120,9 @@ def errors(state: State, n_draw: int, number: int) -> np.ndarray:
     return np.array(rows, float)
 
 
-@pytest.mark.parametrize("depth", [0.0, 22.27e-6, 40.19e-6])
+@pytest.mark.parametrize(
+    "depth", [40.19e-6, *(pytest.param(depth, marks=pytest.mark.long) for depth in (0.0, 22.27e-6))]
+)
 def test_two_independent_films_agree(depth: float) -> None:
     """.15 % of the largest coefficient between labpipe on 480 x 60 and the reference on 480 x 60 and 960 x
     120.
