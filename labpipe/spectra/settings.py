@@ -317,9 +317,7 @@ class FrfSettings(Settings):
             raise ConfigError(f"'mask' needs its 'width' with {self.excitation}", hint=hint, field="mask")
 
     def _check_windowed(self) -> None:
-        if self.windowed is None:
-            return
-        if self.impact.decay is not None:
+        if self.windowed is not None and self.impact.decay is not None:
             hint = "leave out impact.decay: the data have their window already"
             raise ConfigError(
                 "'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed"
@@ -353,27 +351,20 @@ class FrfSettings(Settings):
         return self.impact.decay if self.windowed is None else self.windowed.exponential
 
     def _check_local(self) -> None:
-        """ConfigError for a local method without random data, or beside another estimator."""
+        """ConfigError for local polynomials without room, or beside another estimator."""
         if self.local == "none" and self.excitation != "sweep":
             return
-        self._check_polynomials()
+        if self.degree < 1:
+            hint = "2 follows a resonance, 4 follows it better"
+            raise ConfigError(f"'degree' is {self.degree}", hint=hint, field="degree")
+        if self.half_width is not None and self.half_width <= self.degree:
+            raise ConfigError("'half_width' must exceed 'degree'", hint="leave it out", field="half_width")
         if self.local != "none" and self.estimator != "H1":
             raise ConfigError(
                 f"'local' takes the forces as exact, {self.estimator} does not",
                 hint="estimator: H1",
                 field="estimator",
             )
-
-    def _check_polynomials(self) -> None:
-        """ConfigError for local polynomials without room."""
-        if self.degree < 1:
-            raise ConfigError(
-                f"'degree' is {self.degree}",
-                hint="2 follows a resonance, 4 follows it better",
-                field="degree",
-            )
-        if self.half_width is not None and self.half_width <= self.degree:
-            raise ConfigError("'half_width' must exceed 'degree'", hint="leave it out", field="half_width")
 
     def _check_length(self) -> None:
         """ConfigError where the length of a period or block is missing."""
