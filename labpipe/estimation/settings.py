@@ -333,17 +333,12 @@ def check_kind(settings: FitSettings, measured: str) -> None:
     of = settings.kind.of
     if of == measured:
         return
-    needed, remedy = _NEEDED[of]
+    (needed, hint), there = _NEEDED[of], _NEEDED[measured][0]
+    what = f"model {settings.model} needs {needed}, not {there}"
     if of == RESPONSES:
+        what = f"model {settings.model} needs {needed}, {there} have none"
         hint = f"model: {_MODEL_OF[measured]}"
-        raise ConfigError(
-            f"model {settings.model} needs {needed}, {_NEEDED[measured][0]} have none",
-            hint=hint,
-            field="model",
-        )
-    raise ConfigError(
-        f"model {settings.model} needs {needed}, not {_NEEDED[measured][0]}", hint=remedy, field="model"
-    )
+    raise ConfigError(what, hint=hint, field="model")
 
 
 def model_kind(name: str) -> ModelKind:
