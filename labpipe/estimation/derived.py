@@ -531,7 +531,9 @@ def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) 
 
 
 def _gains(ports: Sequence[Port], settings: FitSettings, *, of_base: bool) -> Iterator[Unstated]:
-    silent = [port.label for port in ports if not _has_gain(port)]
+    silent = [
+        port.label for port in ports if all(calibration.effect != GAIN for calibration in port.uncertainties)
+    ]
     if not silent:
         return
     what = "gain of " + ", ".join(dict.fromkeys(silent))
@@ -541,10 +543,6 @@ def _gains(ports: Sequence[Port], settings: FitSettings, *, of_base: bool) -> It
         yield Unstated(what, "k, c and m each by as much; f_n and zeta not at all")
     else:
         yield Unstated(what, "the resonance against the given mass: c by as much, k less near resonance")
-
-
-def _has_gain(port: Port) -> bool:
-    return any(calibration.effect == GAIN for calibration in port.uncertainties)
 
 
 def _attached(settings: FitSettings) -> Iterator[Unstated]:

@@ -7,7 +7,7 @@ Every estimator is looked at when a pipeline is read, so what fits is imported b
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from labpipe.arrays import FloatArray
@@ -98,14 +98,7 @@ LS = Estimator(
     unbiased=False,
     step=_least_squares_step,
 )
-IV = Estimator(
-    _instrumental,
-    refuses=("damping",),
-    linear=True,
-    models_leakage=False,
-    unbiased=False,
-    step=_instrumental_step,
-)
+IV = replace(LS, fit=_instrumental, step=_instrumental_step)
 ML = Estimator(_maximum_likelihood, likelihood=True, step=_likelihood_step)
 # Without a phase, and of few equations: the fit is repeated.
 AMPLITUDE = Estimator(

@@ -333,10 +333,11 @@ def form_view(form: str, settings: FitSettings) -> FormView:
     ConfigError for a base without its motion, and for a transmissibility elsewhere.
     """
     if settings.kind.of_base and form != TRANSMISSIBILITY:
-        what = (
-            f"model {BASE} needs the motion of the base as input, this FRF is of a force"
+        what = f"model {BASE} needs the motion of the base as input, "
+        what += (
+            "this FRF is of a force"
             if form in DERIVATIVES
-            else _no_motion(form)
+            else f"and a motion as output; this FRF is of the form '{form}'"
         )
         raise ConfigError(
             what,
@@ -351,13 +352,6 @@ def form_view(form: str, settings: FitSettings) -> FormView:
     if form == TRANSMISSIBILITY:
         return FormView(form, 0.0 if settings.relative else 1.0)
     return FormView(form)
-
-
-def _no_motion(form: str) -> str:
-    return (
-        f"model {BASE} needs the motion of the base as input, and a motion as output; this FRF is of the "
-        f"form '{form}'"
-    )
 
 
 def base_excited(setup: Setup) -> DynamicModel:

@@ -271,64 +271,52 @@ class FitSettings(Settings):
 
     def _check_combinations(self) -> None:
         """ConfigError for keys that change nothing, or have no meaning, beside others."""
-        if self.repeat_groups and self.repeats == "pool":
-            what = "'repeat_groups' needs every recording fitted alone"
-            raise ConfigError(what, hint="leave out repeats: pool", field="repeat_groups")
-        if len(self.repeat_groups) == 1:
-            hint = "for example [mon-*, tue-*, wed-*]"
-            raise ConfigError(
-                "one group does not show what groups scatter by", hint=hint, field="repeat_groups"
-            )
-        if not 0 < self.coverage < 1:
-            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
-        if self.damping != VISCOUS and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1:
-            what = (
-                f"{self.damping} damping is of several coefficients, every mode of model {self.model} "
-                "has its own"
-            )
-            raise ConfigError(what, hint="leave it out", field="damping")
-        if self.damping != VISCOUS and self.eliminate:
-            hint = "leave one of them out"
-            raise ConfigError(
-                f"'eliminate' cannot be combined with {self.damping} damping", hint=hint, field="eliminate"
-            )
-        if self.scale_mass and self.mass == ESTIMATE:
-            hint = "for example mass: [1 kg, 2 kg]"
-            raise ConfigError("'scale_mass' needs the mass to be scaled", hint=hint, field="scale_mass")
-        if self.lumped_mass and self.mass != ESTIMATE:
-            raise ConfigError(
-                "'lumped_mass' is for a mass that is estimated", hint="mass: estimate", field="lumped_mass"
-            )
-        self._check_residuals()
-        if self.kind.of_base and self.mass == ESTIMATE and (self.subtract or self.share != 1):
-            key = "subtract" if self.subtract else "share"
+        law, free_mass = self.damping != VISCOUS, self.mass == ESTIMATE
+        several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
+        either = "leave one of them out"
+        what = "'repeat_groups' needs every recording fitted alone"
+        _refuse(
+            self.repeat_groups and self.repeats == "pool", "repeat_groups", what, "leave out repeats: pool"
+        )
+        what = "one group does not show what groups scatter by"
+        hint = "for example [mon-*, tue-*, wed-*]"
+        _refuse(len(self.repeat_groups) == 1, "repeat_groups", what, hint)
+        _refuse(not 0 < self.coverage < 1, "coverage", "'coverage' must lie between 0 and 100 %")
+        what = (
+            f"{self.damping} damping is of several coefficients, every mode of model {self.model} has its own"
+        )
+        _refuse(several, "damping", what, "leave it out")
+        what = f"'eliminate' cannot be combined with {self.damping} damping"
+        _refuse(law and self.eliminate, "eliminate", what, either)
+        what = "'scale_mass' needs the mass to be scaled"
+        _refuse(self.scale_mass and free_mass, "scale_mass", what, "for example mass: [1 kg, 2 kg]")
+        what = "'lumped_mass' is for a mass that is estimated"
+        _refuse(self.lumped_mass and not free_mass, "lumped_mass", what, "mass: estimate")
+        what = "'residuals' is for a mass that is estimated"
+        _refuse(self.residuals and not free_mass, "residuals", what, "mass: estimate")
+        others = {"damping": law, "fixed": self.fixed, "eliminate": self.eliminate}
+        of_mass = {"subtract": self.subtract, "share": self.share != 1}
+        for key, there in (others | of_mass).items():
+            what = f"'residuals' cannot be combined with '{key}'"
+            _refuse(self.residuals and there, "residuals", what, either)
+        for key, there in of_mass.items():
             what = f"'{key}' needs the mass: without it a transmissibility gives no stiffness"
-            raise ConfigError(what, hint="for example mass: 0.92 kg", field=key)
-
-    def _check_residuals(self) -> None:
-        """ConfigError for residual terms beside what leaves a mode without its mass, or none of its own."""
-        if not self.residuals:
-            return
-        if self.mass != ESTIMATE:
-            hint = "mass: estimate"
-            raise ConfigError("'residuals' is for a mass that is estimated", hint=hint, field="residuals")
-        others = {"damping": self.damping != VISCOUS, "fixed": self.fixed, "eliminate": self.eliminate}
-        others |= {"subtract": self.subtract, "share": self.share != 1}
-        for key in (key for key, there in others.items() if there):
-            hint = "leave one of them out"
-            raise ConfigError(f"'residuals' cannot be combined with '{key}'", hint=hint, field="residuals")
+            _refuse(self.kind.of_base and free_mass and there, key, what, "for example mass: 0.92 kg")
 
     def _check_bands(self) -> None:
         """ConfigError for bands or ports that are set twice."""
-        if self.bands and (self.band or self.sliding):
-            raise ConfigError(
-                "'bands' goes with neither 'band' nor 'sliding'",
-                hint="name all bands under bands",
-                field="bands",
-            )
-        if self.peaks and (self.band or self.bands or self.sliding or self.input or self.output):
-            hint = "leave out band, bands, sliding, input and output"
-            raise ConfigError("'peaks' names bands and ports by itself", hint=hint, field="peaks")
+        ports = self.input or self.output
+        what = "'bands' goes with neither 'band' nor 'sliding'"
+        _refuse(self.bands and (self.band or self.sliding), "bands", what, "name all bands under bands")
+        hint = "leave out band, bands, sliding, input and output"
+        twice = self.peaks and (self.band or self.bands or self.sliding or ports)
+        _refuse(twice, "peaks", "'peaks' names bands and ports by itself", hint)
+
+
+def _refuse(wrong: object, field: str, what: str, hint: str = "") -> None:
+    """ConfigError about the key *field* where something is *wrong*."""
+    if wrong:
+        raise ConfigError(what, hint=hint, field=field)
 
 
 # What a model needs, in words, and how a pipeline measures that; the model that is of it.
@@ -345,17 +333,12 @@ def check_kind(settings: FitSettings, measured: str) -> None:
     of = settings.kind.of
     if of == measured:
         return
-    needed, remedy = _NEEDED[of]
+    (needed, hint), there = _NEEDED[of], _NEEDED[measured][0]
+    what = f"model {settings.model} needs {needed}, not {there}"
     if of == RESPONSES:
+        what = f"model {settings.model} needs {needed}, {there} have none"
         hint = f"model: {_MODEL_OF[measured]}"
-        raise ConfigError(
-            f"model {settings.model} needs {needed}, {_NEEDED[measured][0]} have none",
-            hint=hint,
-            field="model",
-        )
-    raise ConfigError(
-        f"model {settings.model} needs {needed}, not {_NEEDED[measured][0]}", hint=remedy, field="model"
-    )
+    raise ConfigError(what, hint=hint, field="model")
 
 
 def model_kind(name: str) -> ModelKind:

@@ -11,13 +11,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, handed_over
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import (
-    BlockCovariance,
-    FactoredCovariance,
-    FrequencyResponse,
-    Port,
-    StoredCovariance,
-)
+from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, StoredCovariance
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, uncertainty_findings
@@ -152,14 +146,13 @@ def _of_sensor_places(
     names = [port.channel for response in responses for port in response.outputs]
     if len(set(names)) < len(names):
         responses = [
-            dataclasses.replace(response, outputs=tuple(map(_by_dof, response.outputs)))
+            dataclasses.replace(
+                response,
+                outputs=tuple(dataclasses.replace(port, label=port.dof) for port in response.outputs),
+            )
             for response in responses
         ]
     return dataclasses.replace(join(responses), name=name)
-
-
-def _by_dof(port: Port) -> Port:
-    return dataclasses.replace(port, label=port.dof)
 
 
 def _measure(

@@ -271,34 +271,25 @@ class FrfSettings(Settings):
             what = f"'result: spectra' is for periodic and random excitation, not for {self.excitation}"
             raise ConfigError(what, hint="leave it out", field="result")
         if self.reference and self.excitation != "random":
-            raise ConfigError(
-                "'reference' is for random excitation: periodic data need no drives",
-                hint="leave it out",
-                field="reference",
-            )
+            what = "'reference' is for random excitation: periodic data need no drives"
+            raise ConfigError(what, hint="leave it out", field="reference")
         matrix_only = {
             "directional": self.directional,
             "realisations": self.realisations,
             "local": self.local != "none",
+            "estimator": self.estimator != "H1",
         }
-        matrix_only["estimator"] = self.estimator != "H1"
         for name in (name for name, is_set in matrix_only.items() if is_set):
-            raise ConfigError(
-                f"'{name}' belongs to a response matrix, not to result: spectra",
-                hint="leave it out",
-                field=name,
-            )
+            what = f"'{name}' belongs to a response matrix, not to result: spectra"
+            raise ConfigError(what, hint="leave it out", field=name)
 
     def _check_reference(self) -> None:
         """ConfigError for a reference where no loop can be opened by it, and beside another estimator."""
         if not self.reference:
             return
         if self.local != "none":
-            raise ConfigError(
-                "'local' takes the loop as open, 'reference' as closed",
-                hint="leave one of them out",
-                field="local",
-            )
+            what = "'local' takes the loop as open, 'reference' as closed"
+            raise ConfigError(what, hint="leave one of them out", field="local")
         if self.estimator != "H1":
             what = (
                 "with 'reference' the FRF is estimated by the joint input-output method, not by "
@@ -317,9 +308,7 @@ class FrfSettings(Settings):
             raise ConfigError(f"'mask' needs its 'width' with {self.excitation}", hint=hint, field="mask")
 
     def _check_windowed(self) -> None:
-        if self.windowed is None:
-            return
-        if self.impact.decay is not None:
+        if self.windowed is not None and self.impact.decay is not None:
             hint = "leave out impact.decay: the data have their window already"
             raise ConfigError(
                 "'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed"
@@ -353,27 +342,17 @@ class FrfSettings(Settings):
         return self.impact.decay if self.windowed is None else self.windowed.exponential
 
     def _check_local(self) -> None:
-        """ConfigError for a local method without random data, or beside another estimator."""
+        """ConfigError for local polynomials without room, or beside another estimator."""
         if self.local == "none" and self.excitation != "sweep":
             return
-        self._check_polynomials()
-        if self.local != "none" and self.estimator != "H1":
-            raise ConfigError(
-                f"'local' takes the forces as exact, {self.estimator} does not",
-                hint="estimator: H1",
-                field="estimator",
-            )
-
-    def _check_polynomials(self) -> None:
-        """ConfigError for local polynomials without room."""
         if self.degree < 1:
-            raise ConfigError(
-                f"'degree' is {self.degree}",
-                hint="2 follows a resonance, 4 follows it better",
-                field="degree",
-            )
+            hint = "2 follows a resonance, 4 follows it better"
+            raise ConfigError(f"'degree' is {self.degree}", hint=hint, field="degree")
         if self.half_width is not None and self.half_width <= self.degree:
             raise ConfigError("'half_width' must exceed 'degree'", hint="leave it out", field="half_width")
+        if self.local != "none" and self.estimator != "H1":
+            what = f"'local' takes the forces as exact, {self.estimator} does not"
+            raise ConfigError(what, hint="estimator: H1", field="estimator")
 
     def _check_length(self) -> None:
         """ConfigError where the length of a period or block is missing."""

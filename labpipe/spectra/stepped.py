@@ -157,14 +157,10 @@ def settle_time(courses: Sequence[Course]) -> float:
             f"{longest:.3g} s"
         )
         raise DataError(what, hint="longer dwells; or state `settle`")
-    end = float(edges[_bin(edges, time[last - 1]) + 1])
+    end = float(edges[np.searchsorted(edges, time[last - 1], side="right")])
     tau = _time_constant(time[:last], excess[:last])
     wanted = min(_allowance(course, tau) for course in courses)
     return end + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
-
-
-def _bin(edges: FloatArray, time: float) -> int:
-    return int(np.searchsorted(edges, time, side="right")) - 1
 
 
 def _binned(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
