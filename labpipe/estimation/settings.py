@@ -272,7 +272,6 @@ class FitSettings(Settings):
     def _check_combinations(self) -> None:
         """ConfigError for keys that change nothing, or have no meaning, beside others."""
         law, free_mass = self.damping != VISCOUS, self.mass == ESTIMATE
-        several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
         either = "leave one of them out"
         what = "'repeat_groups' needs every recording fitted alone"
         _refuse(
@@ -282,6 +281,7 @@ class FitSettings(Settings):
         hint = "for example [mon-*, tue-*, wed-*]"
         _refuse(len(self.repeat_groups) == 1, "repeat_groups", what, hint)
         _refuse(not 0 < self.coverage < 1, "coverage", "'coverage' must lie between 0 and 100 %")
+        several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
         what = (
             f"{self.damping} damping is of several coefficients, every mode of model {self.model} has its own"
         )
