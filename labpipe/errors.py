@@ -6,6 +6,8 @@ Anything else that escapes is a fault of labpipe itself: exit code 3, and a file
 
 from __future__ import annotations
 
+from pathlib import PurePath
+
 ECHO = 80
 
 
@@ -19,7 +21,7 @@ class LabpipeError(Exception):
     right.
     """
 
-    def __init__(self, what: str, where: object = "", hint: str = "") -> None:
+    def __init__(self, what: str, where: str | PurePath = "", hint: str = "") -> None:
         self.what = what
         self.where = str(where)
         self.hint = hint
@@ -36,7 +38,7 @@ class ConfigError(LabpipeError):
     the settings that is wrong.
     """
 
-    def __init__(self, what: str, where: object = "", hint: str = "", field: str = "") -> None:
+    def __init__(self, what: str, where: str | PurePath = "", hint: str = "", field: str = "") -> None:
         super().__init__(what, where, hint)
         self.field = field
 

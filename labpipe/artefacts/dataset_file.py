@@ -68,8 +68,9 @@ _TYPES: Mapping[str, pa.DataType] = {
     "covariance": pa.list_(pa.float64()),
     "changes": pa.map_(pa.string(), pa.float64()),
 }
-_FIELDS = (field.name for field in dataclasses.fields(DatasetRow))
-COLUMNS = tuple(name for name in _FIELDS if name not in (*_PARTITIONS, "conditions"))
+COLUMNS = tuple(
+    field.name for field in dataclasses.fields(DatasetRow) if field.name not in (*_PARTITIONS, "conditions")
+)
 
 
 @dataclass(frozen=True)

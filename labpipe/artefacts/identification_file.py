@@ -288,8 +288,9 @@ def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
     for entry, shown in zip(rules, texts, strict=True):
         decision = record_of(entry, RuleDecision) if "outcome" in entry else None
-        what = key, entry["rule"], entry["value"], entry["passed"]
-        outcomes.append(RuleOutcome(*what, shown=shown, decision=decision))
+        outcomes.append(
+            RuleOutcome(key, entry["rule"], entry["value"], entry["passed"], shown=shown, decision=decision)
+        )
     return outcomes
 
 

@@ -426,8 +426,9 @@ def unpack(path: Path, folder: Path) -> Unpacked:
                 faults.append((file.name, fault))
             else:
                 _date(file, folder)
-    whole = folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out
-    return Unpacked(*whole, tuple(sorted(faults)))
+    return Unpacked(
+        folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults))
+    )
 
 
 def _date(file: Listed, folder: Path) -> None:

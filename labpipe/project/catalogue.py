@@ -227,7 +227,9 @@ def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
 
 
 def interval(parameter: Parameter) -> tuple[float | None, float | None]:
-    """The ends of the 95 % interval, also of one that is wider than noise alone makes it."""
+    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not
+    noise.
+    """
     return parameter.ci95 or (None, None)
 
 

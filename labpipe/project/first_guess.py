@@ -228,8 +228,9 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
     quantity = quantity or DECIDE
     role = DEFAULT_ROLES.get(quantity, "" if quantity == DECIDE else "reference")
     invert = bool(_node(name)) and "-" in name
-    more = role, _direction(name) or key, sensitivity, invert, guess
-    return GuessedChannel(key, name, quantity, unit or DECIDE, *more)
+    return GuessedChannel(
+        key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity, invert, guess
+    )
 
 
 def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:

@@ -78,7 +78,8 @@ def measured_header(
     frf = dataclasses.asdict(settings)
     parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
     raw = [recording for recording in recordings if isinstance(recording, RawRecording)]
-    parameters |= {RIGS: [dataclasses.asdict(recording.rig) for recording in raw]} if raw else {}
+    if raw:
+        parameters[RIGS] = [dataclasses.asdict(recording.rig) for recording in raw]
     return Header(kind, parameters, inputs=tuple(recording.source_ref() for recording in recordings))
 
 

@@ -356,8 +356,11 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
-        more = job.folder, source.joined, source.by
-        stored.append(ingest(source.path, source.rig, output, f"recordings/{name}", *more))
+        stored.append(
+            ingest(
+                source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by
+            )
+        )
     if stored:
         if job.frf is None:
             raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")

@@ -151,7 +151,8 @@ def _rig(first: FirstLook, path: Path) -> str:
         several = channel.unit == DECIDE and open_units.count(channel.quantity) > 1
         anchor = "*" if channel.quantity in seen else "&"
         lines.append(_channel_line(channel, anchor if several else ""))
-        seen |= {channel.quantity} if channel.unit == DECIDE else set()
+        if channel.unit == DECIDE:
+            seen.add(channel.quantity)
     lines.extend(f"# not used: {unused}" for unused in first.unused)
     lines.append(
         "# mass: 1 kg                   # that moves with the response; without it the mass is estimated"

@@ -12,7 +12,6 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -60,11 +59,13 @@ def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
 
 def _files(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
     for path in folder.rglob(names):
-        with suppress(FileNotFoundError):
+        try:
             status = path.stat()
+        except FileNotFoundError:
+            continue
+        if path.is_file():
             marked = bool(marker) and path.with_name(path.name + marker).exists()
-            if path.is_file():
-                yield Arrived(path, status.st_size, status.st_mtime, marked)
+            yield Arrived(path, status.st_size, status.st_mtime, marked)
 
 
 def _objects(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
@@ -358,19 +359,36 @@ class Watch:
 
     def _write_metrics(self) -> None:
         """Counters for Prometheus, as a text file of the node exporter's collector."""
-        index, n = self._summary.index, self.counts
-        lines = f"""\
-labpipe_watch_recordings_evaluated_total counter {n.evaluated} Recordings worked on since the watch began
-labpipe_watch_recordings_failed_total counter {n.failed} Recordings that could not be evaluated since then
-labpipe_watch_results_waiting gauge {n.waiting} Results not yet appended to the dataset
-labpipe_watch_recordings_arriving gauge {n.arriving} Recordings that are not complete yet
-labpipe_dataset_tests gauge {index.tests} Tests with a result in the dataset
-labpipe_dataset_tests_failed gauge {index.failed} Tests without a result in the dataset
-labpipe_dataset_tests_not_accepted gauge {index.not_accepted} Tests in the dataset whose rules do not all hold
-labpipe_watch_cpu_seconds_total counter {sum(os.times()[:4])} Processor time of the watch
-labpipe_watch_last_look_seconds gauge {self.clock()} Time of the last look, seconds since 1970
-"""
+        index, counts = self._summary.index, self.counts
+        values = (
+            (
+                "watch_recordings_evaluated_total",
+                counts.evaluated,
+                "Recordings worked on since the watch began",
+            ),
+            (
+                "watch_recordings_failed_total",
+                counts.failed,
+                "Recordings that could not be evaluated since then",
+            ),
+            ("watch_results_waiting", counts.waiting, "Results not yet appended to the dataset"),
+            ("watch_recordings_arriving", counts.arriving, "Recordings that are not complete yet"),
+            ("dataset_tests", index.tests, "Tests with a result in the dataset"),
+            ("dataset_tests_failed", index.failed, "Tests without a result in the dataset"),
+            (
+                "dataset_tests_not_accepted",
+                index.not_accepted,
+                "Tests in the dataset whose rules do not all hold",
+            ),
+            ("watch_cpu_seconds_total", sum(os.times()[:4]), "Processor time of the watch"),
+            ("watch_last_look_seconds", self.clock(), "Time of the last look, seconds since 1970"),
+        )
+        lines = []
+        for name, value, text in values:
+            # Totals are counters by the convention of Prometheus.
+            kind = "counter" if name.endswith("_total") else "gauge"
+            lines.append(
+                f"# HELP labpipe_{name} {text}\n# TYPE labpipe_{name} {kind}\nlabpipe_{name} {value}\n"
+            )
         with output_file((self.logs or self.results) / METRICS) as file:
-            parts = (line.split(" ", 3) for line in lines.splitlines())
-            entry = "# HELP {0} {3}\n# TYPE {0} {1}\n{0} {2}\n"
-            file.write_text("".join(entry.format(*part) for part in parts))
+            file.write_text("".join(lines))

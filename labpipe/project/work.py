@@ -144,9 +144,13 @@ def fits_of(
         if settings.test and measured.name not in settings.test:
             continue
         try:
-            of_test = settings.between, measured.name, measured.conditions, settings.coverage
             with_repeats = with_repeats_of(settings, repeats.get(measured.name, ""))
-            test_fits = [with_repeat_sources(fit, *of_test) for fit in identify(measured, with_repeats)]
+            test_fits = [
+                with_repeat_sources(
+                    fit, settings.between, measured.name, measured.conditions, settings.coverage
+                )
+                for fit in identify(measured, with_repeats)
+            ]
         except (LabpipeError, LinAlgError) as error:
             test = f", test {measured.name}" if measured.name else ""
             where = f"{pipeline_path}: identify.{settings.name}{test}"

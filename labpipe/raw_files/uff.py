@@ -238,9 +238,22 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", lines.path) from None
     lines.position = layout.end
-    points = function, response, reference
-    axes = abscissa, ordinate, denominator
-    return UffRecord(number, title, *points, n_value, even, start, step, *axes, scale, layout)
+    return UffRecord(
+        number,
+        title,
+        function,
+        response,
+        reference,
+        n_value,
+        even,
+        start,
+        step,
+        abscissa,
+        ordinate,
+        denominator,
+        scale,
+        layout,
+    )
 
 
 def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:

@@ -112,8 +112,15 @@ def _response(
     coherence = None
     if all((o, i) in of_pair for o in outputs for i in inputs):
         coherence = cube(outputs, inputs, lambda o, i: _same_lines(buffer, of_pair[o, i], frequency).real)
-    ports = _ports(outputs, several), _ports(inputs, several)
-    return FrequencyResponse(frequency, matrix, *ports, form=form, coherence=coherence, name=name)
+    return FrequencyResponse(
+        frequency,
+        matrix,
+        _ports(outputs, several),
+        _ports(inputs, several),
+        form=form,
+        coherence=coherence,
+        name=name,
+    )
 
 
 def _key(point: UffPoint) -> Key:

@@ -75,7 +75,9 @@ LOSS = 1.1
 
 
 def remedy(group: Sequence[str]) -> str:
-    """What separates a collinear group: other forces where it has both directions of the motion."""
+    """What separates the parameters of a collinear group: forces of another pattern, where both directions of
+    the motion are in it.
+    """
     ends = [name.partition("_")[2][:2] for name in group]
     motions = {end[1] for end in ends if end in AXES}
     if len(motions) > 1:
@@ -91,7 +93,9 @@ def remedy(group: Sequence[str]) -> str:
 
 
 def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
-    """Notes on intervals wider than need be: scatter that is not noise, few periods."""
+    """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few
+    periods.
+    """
     findings = few_averages(noise)
     if found.reduced < 1 - SURE * noise.spread(found.dof):
         message = (
@@ -144,7 +148,9 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
 
 
 def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
-    """A note where accelerations take care of a moving shaft, a warning where nothing does."""
+    """How far the shaft moves: a note where the accelerations take care of it, a warning where nothing
+    does.
+    """
     moved = shaft_motion(stator)
     if moved is None or moved[1] < SEEN or moved[0] < MOVES:
         return ()
@@ -284,7 +290,9 @@ class BalanceMisfit:
 
 @dataclass(frozen=True)
 class BalanceError:
-    """Covariance (n, n) [parameter units] of noise and of the unexplained, named as *error* or noise."""
+    """Covariance (n, n) [parameter units] of noise and of what the model leaves unexplained, which is named
+    as *error*, else counts as noise.
+    """
 
     covariance: FloatArray
     error: CoefficientError | None = None

@@ -82,7 +82,9 @@ NONE = Uncertain(0.0)
 
 
 def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the earlier fit that `baseline` names; ConfigError if there is none."""
+    """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names.
+    ConfigError if there is none.
+    """
     stiffness_settings: DynamicStiffnessSettings = settings.model_settings
     if not stiffness_settings.baseline:
         return settings
@@ -236,7 +238,9 @@ def compare(
     known: Estimate | None = None,
     uncertain: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
-    """Candidates by BIC, estimates by form, without those the lines cannot tell. Equation (ds-bic)."""
+    """Candidates in ascending BIC, and the estimates by form. Forms that the lines cannot determine are left
+    out. Equation (ds-bic).
+    """
     estimates: dict[str, Estimate] = {}
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
@@ -310,7 +314,9 @@ class Solved:
 
 
 def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """A fit per band; ConfigError where settings do not fit, FitError where lines are too few."""
+    """One fit, or one per band. ConfigError where settings and channels do not fit together, FitError where
+    the lines cannot determine the coefficients.
+    """
     _check(settings)
     section: DynamicStiffnessSettings = settings.model_settings
     if section.known is not None and section.known.test == spectra.name:

@@ -27,7 +27,9 @@ Course = Callable[[FloatArray, FloatArray], ComplexArray]
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """A parameter of the course; *logarithmic*: fitted as ln(factor * value), value in *unit*."""
+    """A parameter of the course over frequency; *logarithmic*: fitted as ln(factor * value), value in
+    *unit*.
+    """
 
     name: str
     unit: str
@@ -191,7 +193,9 @@ SYMMETRIES: dict[str, tuple[tuple[str, FloatArray], ...]] = {
 
 @dataclass(frozen=True)
 class StiffnessModel:
-    """A form with a symmetry; parameters: elements matrix by matrix, then the fitted shape."""
+    """A form with a symmetry. Parameters: the elements of every matrix, matrix by matrix, then the shape
+    parameters as they are fitted.
+    """
 
     form: Form
     symmetry: str

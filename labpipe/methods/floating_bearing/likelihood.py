@@ -83,7 +83,9 @@ def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
 
 
 def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
-    """e = G - H m, its covariance, smoothed motion of H (n_line, 2, 2) [N/m]. Equation (ds-residual)."""
+    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m]. Equation
+    (ds-residual).
+    """
     h = stiffness[:, None]
     of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
     s = (
@@ -100,7 +102,9 @@ def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
 
 
 class ErrorsInVariables:
-    """V of a model; the Jacobian L^-1 dB/dp u^ gives its gradient 2 Re sum (dB u^)^H S^-1 e exactly."""
+    """V of a model as a sum of squares. Its Jacobian is L^-1 dB/dp u^, which gives the gradient of V exactly,
+    2 Re sum (dB u^)^H S^-1 e.
+    """
 
     def __init__(self, balance: Balance, model: StiffnessModel) -> None:
         self.balance, self.model = balance, model
@@ -313,7 +317,9 @@ class Noise:
         return float(np.sqrt(2 * self.shared_power * self._excess_variance / dof))
 
     def p_value(self, squares: float, dof: int) -> float:
-        """Chance of so large a chi-square; by F where covariance was estimated. Equation (ds-p-value)."""
+        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the
+        covariance was estimated. Equation (ds-p-value).
+        """
         effective = dof / self.shared_power
         if not np.isfinite(self.dof):
             return chi2_tail(squares / self.shared_power, effective)
@@ -406,7 +412,9 @@ def stated_pulls(changes: FloatArray, residual: FloatArray, jacobian: FloatArray
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
-    """(2 J^T J)^-1 (n, n) [parameter units] of J (n_equation, n), or pseudo-. Equation (ds-covariance)."""
+    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise;
+    pseudo-inverse of a singular one. Equation (ds-covariance).
+    """
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     columns = jacobian / scale

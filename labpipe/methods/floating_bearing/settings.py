@@ -58,7 +58,9 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Given:
-    """What is given; *absolute*: the model moves with the stator's absolute motion, as a baseline."""
+    """The given part of the balance. *absolute*: the model moves with the stator's absolute motion, as a
+    baseline does.
+    """
 
     mass: Uncertain | None = None
     baseline: Baseline | None = None
@@ -69,7 +71,9 @@ class Given:
         return self.mass is not None or self.baseline is not None
 
     def side(self, omega: FloatArray) -> ComplexArray:
-        """Before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg]. Equation (ds-balance)."""
+        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg]. Equation
+        (ds-balance).
+        """
         mass = 0.0 if self.mass is None else self.mass.value
         side = np.broadcast_to(-mass * np.eye(2, dtype=np.complex128), (omega.size, 2, 2))
         return (
@@ -113,7 +117,9 @@ def balance_of(stator: Stator, given: Given) -> Balance:
 
 
 def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, state: Whitened) -> ComplexArray:
-    """z - C_z B^H S^-1 e (n_line, n_run, n_channel) [SI units]. Equation (ds-smoothed)."""
+    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z
+    B^H S^-1 e. Equation (ds-smoothed).
+    """
     to_balance = projection(stator, given) @ stator.to_axes
     rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
     pulled = (rows.conj().swapaxes(-1, -2)[:, None] @ state.weighted()[..., None])[..., 0]
@@ -171,7 +177,9 @@ def join(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncer
 def errors_by_given(
     stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened
 ) -> ComplexArray:
-    """All changes of e [N] by given numbers (n, n_line, n_run, 2) at values (n_parameter,)."""
+    """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values
+    (n_parameter,) of a model.
+    """
     stiffness = model.stiffness(values, stator.omega)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     return np.concatenate(
@@ -182,7 +190,9 @@ def errors_by_given(
 def given_uncertainties(
     errors: Sequence[tuple[Uncertainty, ComplexArray]], respond: Respond
 ) -> tuple[GivenUncertainty, ...]:
-    """By source, *respond*: (n, n_parameter) by changes of e (n, n_line, n_run, 2) [N]."""
+    """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n,
+    n_line, n_run, 2) [N].
+    """
     return tuple(
         GivenUncertainty(
             uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit
@@ -259,7 +269,9 @@ class SmearedBalance:
         return np.asarray(np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio))
 
     def shown(self, stiffness: Stiffness) -> ComplexArray:
-        """H (n_line, 2, 2) [N/m] as averages over blocks show it. Equation (ds-smeared)."""
+        """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H. Equation
+        (ds-smeared).
+        """
         omega, place = self.leakage.grid
         lines = self.stator.omega
         at = omega[place]
@@ -281,7 +293,9 @@ class SmearedBalance:
         return replace(balance, right=balance.right - times(leaked[:, None], balance.motion))
 
     def finding(self, stiffness: Stiffness, modelled: bool) -> tuple[Finding, ...]:
-        """A warning where blocks are short for the stator's resonance; *modelled*: leakage is fitted."""
+        """A warning where the blocks are too short for the resonance of the stator in the band; *modelled*:
+        what leaks is part of the fit.
+        """
         lines = self.stator.omega
         omega = np.linspace(lines[0], lines[-1], N_SOUGHT)
         every = np.arange(lines.size)

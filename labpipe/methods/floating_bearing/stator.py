@@ -194,7 +194,9 @@ class LineStiffness:
 
 
 def line_stiffness(balance: Balance) -> LineStiffness:
-    """H by line from two runs or more; FitError where they move alike. Equation (ds-line)."""
+    """H of every line from two or more runs; FitError where the runs of a line move in one direction.
+    Equation (ds-line).
+    """
     n_run = balance.motion.shape[1]
     if n_run < 2:
         what = "least squares needs two runs with independent forces at every line, there is one"

@@ -57,7 +57,9 @@ class Whirl:
 
 
 def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
-    """Of K, C, M at values (n_parameter,) [parameter units]; None: not real. Equation (ds-whirl)."""
+    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where
+    there is no real solution. Equation (ds-whirl).
+    """
     polynomial = _polynomial(model, values)[0].real
     square = _root(polynomial)
     if square is None:
@@ -144,7 +146,9 @@ N_FREQUENCY = 4000
 
 @dataclass(frozen=True)
 class Course:
-    """K_eff [N/m], C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with their standard errors."""
+    """K_eff [N/m] and C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with standard errors of the same
+    shape and unit.
+    """
 
     omega: FloatArray
     stiffness: FloatArray
@@ -154,7 +158,9 @@ class Course:
 
 
 def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
-    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 from x to y, else -1. Equation (ds-forward)."""
+    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it.
+    Equation (ds-forward).
+    """
     direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
     return np.asarray((direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2)
 
@@ -190,7 +196,9 @@ class Crossover:
 def crossover(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, band: FloatArray, sense: float = 1.0
 ) -> Crossover | None:
-    """Highest w at which C_eff turns from negative to positive, or None; *band* (n_line,) [rad/s]."""
+    """The highest frequency at which C_eff turns from negative to positive; None where it does not. *band*
+    omega (n_line,) [rad/s].
+    """
     omega = np.geomspace(SHARES[0] * band[0], SHARES[1] * band[-1], N_FREQUENCY)
     course = effective(model, values, covariance, omega, sense)
     signs = np.sign(course.damping)
@@ -223,7 +231,9 @@ SAME = 1 + 1e-9
 
 @dataclass(frozen=True)
 class FittedStiffness:
-    """Values (n_parameter,), covariance by noise and in all (n_parameter, n_parameter) [their units]."""
+    """Estimated values (n_parameter,) as they are fitted, covariance by noise and in all (n_parameter,
+    n_parameter) [their units].
+    """
 
     model: StiffnessModel
     values: FloatArray
@@ -239,7 +249,9 @@ class FittedStiffness:
 
 @dataclass(frozen=True)
 class Shaft:
-    """*speed* [Hz], negative from y to x; mass [kg], stiffness [N/m] of a rotor whose onset is asked."""
+    """The shaft: *speed* [Hz], negative where it turns from y to x. Mass [kg] and stiffness [N/m] of a rotor
+    whose onset is asked for.
+    """
 
     speed: float | None = None
     rotor_mass: Uncertain | None = None
@@ -261,7 +273,9 @@ class Valued:
 
 
 def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
-    """The estimated parameters with their vifs (n_parameter,) [1], then those tied by symmetry."""
+    """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry
+    ties to them.
+    """
     model = found.model
     names, covariances = model.names[: model.n_linear], (found.noise, found.whole)
     plain = plain_values(names, model.units, found.values, covariances, found.dof, vifs)
@@ -328,7 +342,9 @@ def _tie(valued: Valued) -> Valued:
 def derived_values(
     found: FittedStiffness, omega: FloatArray, shaft: Shaft
 ) -> tuple[tuple[Valued, ...], Whirl | None]:
-    """Whirl, crossover, values at the speed, as far as they exist; omega (n_line,) [rad/s]."""
+    """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself. Omega
+    (n_line,) [rad/s] of the fit.
+    """
     full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
     turning = whirl(found.model, found.values, found.whole) if full else None
     parts = [
@@ -447,7 +463,9 @@ class Bearing:
 def dimensionless(
     coefficients: Sequence[Valued], bearing: Bearing, speed: float | None
 ) -> tuple[Valued, ...]:
-    """k_xx_dimensionless ... at a *speed* [Hz], Sommerfeld, if given. Equation (ds-dimensionless)."""
+    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
+    Equation (ds-dimensionless).
+    """
     if not bearing.clearance or not bearing.load or not speed:
         return ()
     omega = 2 * np.pi * abs(speed)
@@ -498,7 +516,9 @@ UNSEEN = 1e-3
 def budgeted(
     valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The parameters with their systematic part, and the budget; none without uncertainties."""
+    """The parameters with their systematic part, which may be zero, and the budget; none without
+    uncertainties.
+    """
     parameters = tuple(quantity.parameter for quantity in valued)
     slopes = np.stack([quantity.slopes for quantity in valued])
     whole = np.array([parameter.full_error or np.nan for parameter in parameters])

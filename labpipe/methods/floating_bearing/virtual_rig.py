@@ -51,7 +51,9 @@ class Relaxation(Settings):
 
 @dataclass(frozen=True)
 class Pad(Settings):
-    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in x and in y: a pad with inertia."""
+    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in either direction: a pad with inertia, as of a
+    tilting-pad bearing.
+    """
 
     stiffness: float = quantity("R_0", "N/m")
     damping: float = quantity("R_1", "N.s/m")
@@ -64,7 +66,9 @@ class Pad(Settings):
 
 @dataclass(frozen=True)
 class Condition(Settings):
-    """Film of a test between stator and shaft, H = K + j w C - w^2 M and what is added to it."""
+    """A condition of the test: the film between stator and shaft, H = K + j w C - w^2 M and what is added to
+    it.
+    """
 
     speed: float = quantity("shaft speed", "Hz", 0.0)
     load: float = quantity("static load on the bearing, downwards (-y)", "N", 0.0)
@@ -110,7 +114,9 @@ class FloatingNoise(Settings):
 
 @dataclass(frozen=True)
 class FloatingRig(Settings):
-    """A stator on soft supports around a shaft, under two shakers; runs CONDITION-x, -y, -plus, ..."""
+    """A stator on soft supports around a shaft on its own supports, pushed by two shakers. Runs CONDITION-x,
+    -y, -plus, -minus, ...
+    """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     stator_mass: float = quantity("mass of the stator with its housing", "kg")
@@ -260,7 +266,9 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
 def motions(
     rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """X_s, X_r (n, 2) [m] under *forces* (n, 4) [N] at *frequency* (n,) [Hz]. Equation (sim-floating)."""
+    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,)
+    [Hz]. Equation (sim-floating).
+    """
     omega, h = 2 * np.pi * np.asarray(frequency, float), film(rig, condition, frequency)
     stator = dynamic_stiffness(
         rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega

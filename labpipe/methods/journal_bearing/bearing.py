@@ -58,7 +58,9 @@ class FilmState:
     coarse: FilmState | None = None
 
     def moved(self, first: FilmState, second: FilmState) -> FilmState:
-        """Displacement and pressure changed as from *first* to *second*: a start value."""
+        """This state with displacement and pressure changed as from *first* to *second*: a start value, no
+        equilibrium.
+        """
         return replace(
             self,
             displacement=self.displacement + second.displacement - first.displacement,
@@ -172,7 +174,9 @@ def _balance(
 def film_at(
     film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None
 ) -> FilmState:
-    """The film at *displacement*, *velocity* (2,) [-] over c, c Omega; FitError without convergence."""
+    """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega. FitError when
+    Newton's method does not converge.
+    """
     room, pressure = band_room(film.mesh), _ambient(film) if near is None else near.pressure
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, velocity, pressure)
@@ -302,7 +306,9 @@ class JournalEquilibrium:
 
     @property
     def attitude(self) -> float:
-        """From the load to the displacement, positive with the spin [rad]. Equation (jour-attitude)."""
+        """Angle from the load to the displacement of the journal, positive with the spin [rad]. Equation
+        (jour-attitude).
+        """
         turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
         return float(np.angle(turned))
 
@@ -324,12 +330,16 @@ class JournalEquilibrium:
         )
 
     def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
-        """A start value: its state moved as that of *second* from *first*, on the same mesh."""
+        """A start value beside this equilibrium: its state moved as that of *second* differs from that of
+        *first*, on the same mesh.
+        """
         return replace(self, state=self.state.moved(first.state, second.state))
 
     @property
     def coarser(self) -> JournalEquilibrium | None:
-        """A start value on half the cells each way; None where it was not needed."""
+        """Roughly the same equilibrium on half the cells each way, a start value. None where it was not
+        needed.
+        """
         mesh = self.mesh.halved()
         return (
             None
@@ -393,7 +403,9 @@ def film_force(
     speed: float,
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> FloatArray:
-    """Force on the journal (2,) [N] at *position* (2,) [m] and *velocity* (2,) [m/s], exact."""
+    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without
+    linearisation.
+    """
     displacement = np.asarray(position) / bearing.clearance
     state = film_at(
         bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed)

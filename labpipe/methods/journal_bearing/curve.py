@@ -77,7 +77,9 @@ class JournalCurve:
         )
 
     def rest(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Eccentricity ratio [-], attitude [rad], of the shape (...) of *sommerfeld*; FitError beyond."""
+        """Eccentricity ratio [-] and attitude [rad] from the load with the spin, same shape as *sommerfeld*.
+        FitError outside the table.
+        """
         values = self.spline(self._place(sommerfeld))
         return values[..., 8], values[..., 9]
 
@@ -94,7 +96,9 @@ class JournalCurve:
 
 
 def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArray) -> FloatArray:
-    """mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] (...), N in revolutions per second."""
+    """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] of the same shape, N in revolutions per
+    second.
+    """
     scale = (
         bearing.viscosity
         * bearing.length
@@ -188,7 +192,9 @@ class TableRange:
 
 @dataclass(frozen=True)
 class TableCoefficients:
-    """stiffness [N/m], damping [N s/m], (2, 2), and slopes by PARAMETERS, (5, 2, 2) each."""
+    """stiffness [N/m], damping [N s/m], (2, 2). Their derivatives by PARAMETERS in SI units, (5, 2, 2)
+    each.
+    """
 
     stiffness: FloatArray
     damping: FloatArray

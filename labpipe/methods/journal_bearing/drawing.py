@@ -19,7 +19,9 @@ BOTTOM = 270.0
 
 
 def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
-    """Pressure over angle and width, below it at mid width with the thickness; *size* [in]."""
+    """Pressure over angle and width as filled contours. Below, pressure at mid width and the film's
+    thickness. *size* [in].
+    """
     order = np.argsort(np.mod(film.theta, 2 * np.pi))
     angle, pressure = np.degrees(np.mod(film.theta[order], 2 * np.pi)), BAR * film.pressure[order]
     with style(grid=False):
@@ -52,7 +54,9 @@ def _mid_width(
 
 
 def contour_levels(pressure: FloatArray) -> FloatArray:
-    """Rising round levels (n_level,) [Pa] around all of *pressure* (n_theta, n_axial) [Pa]."""
+    """Rising levels (n_level,) [Pa] at round pressures around all of *pressure* (n_theta, n_axial) [Pa],
+    which leave no cell blank.
+    """
     range_of_pressure = float(np.ptp(pressure)) or 1.0
     low, high = (
         float(pressure.min()) - TORN * range_of_pressure,

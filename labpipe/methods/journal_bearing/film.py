@@ -54,7 +54,9 @@ def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
-    """`worn_depth` over an arc of *width* [rad] about *theta*, (...) [-]. Equation (jour-wear-mean)."""
+    """`worn_depth` averaged over an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact.
+    Equation (jour-wear-mean).
+    """
     if depth <= 0:
         return np.zeros_like(theta)
     from_deepest = np.mod(theta - np.pi / 2 - angle, 2 * np.pi) - np.pi
@@ -71,7 +73,9 @@ FEWEST_ACROSS = 4
 
 @dataclass(frozen=True)
 class FilmMesh:
-    """Cells *around* by cells *across*, both even, because half the width is solved."""
+    """Cells *around* the journal by cells *across* the full width. Both even, because half the width is
+    solved.
+    """
 
     around: int = 120
     across: int = 30
@@ -133,7 +137,9 @@ def film_grid(mesh: FilmMesh) -> FilmGrid:
 
 @lru_cache(maxsize=16)
 def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatArray]:
-    """a (n_fine, n_coarse), b (n_coarse, n_fine) [1]: fine = a @ coarse @ b, periodic around."""
+    """Matrices a (n_fine, n_coarse), b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b. Linear,
+    periodic around the journal.
+    """
     position = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
     before = np.floor(position).astype(int)
     part = position - before
@@ -203,7 +209,9 @@ class Film:
         return None if mesh is None else replace(self, mesh=mesh)
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """h [-] at centres and faces, (n_theta,), at a *displacement* (2,) [-]. Equation (jour-thickness)."""
+        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the
+        journal in y and z. Equation (jour-thickness).
+        """
         return (
             1 + self.worn[0] + displacement @ self.grid.at_centre,
             1 + self.worn[1] + displacement @ self.grid.at_face,
@@ -211,7 +219,9 @@ class Film:
 
     @property
     def force_weights(self) -> FloatArray:
-        """(2, n_theta) [-] of axial sums, over 6 mu Omega (R/c)^2 R L. Equation (jour-force)."""
+        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega
+        (R/c)^2 R L. Equation (jour-force).
+        """
         return self.grid.at_centre * (self.mesh.arc * self.mesh.strip)
 
 
@@ -234,7 +244,9 @@ class FilmEquations:
 def film_equations(
     film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray
 ) -> FilmEquations:
-    """Linear at pressure (n_theta, n_half), displacement, velocity (2,) [-]. Equation (jour-reynolds)."""
+    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,)
+    over c Omega [-]. Equation (jour-reynolds).
+    """
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
     around, across = film.grooves[1] * face**3 / arc**2, film.slenderness**2 * centre**3
@@ -310,7 +322,9 @@ class FactoredFilm:
     diagonal: FloatArray
 
     def solve(self, sides: FloatArray) -> FloatArray:
-        """(A + diagonal)^-1 times (n_side, n_theta, n_half) [-], same shape."""
+        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape. Only the
+        diagonal in cavitated columns.
+        """
         # Imported here: settings of a rotor know bearings, and are read where nothing is solved.
         from scipy.linalg import lapack
 

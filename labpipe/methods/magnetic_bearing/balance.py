@@ -237,7 +237,9 @@ UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
 
 @dataclass(frozen=True)
 class Between:
-    """Current between samples: held at *rate* [Hz], at once or behind an amplifier of *bandwidth* [Hz]."""
+    """How the current goes on between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz]
+    or at once.
+    """
 
     rate: float
     bandwidth: float | None = None
@@ -316,7 +318,9 @@ class MagnetModel:
         return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * matrices["c"]], axis=2)
 
     def slopes(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences."""
+        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not
+        linear.
+        """
         # Sizes of parameters that count, from the inertia at the middle of the band.
         middle = float(np.median(omega))
         inertia = float(np.max(np.abs(self.mass))) * middle**2
@@ -338,7 +342,9 @@ def magnet_model(
     damping: bool,
     between: Between | None,
 ) -> MagnetModel:
-    """The model of axes *labels* with mass (n, n) [kg]: which terms of K_i, K_s and C are estimated."""
+    """The model of axes *labels* on their bearings with mass (n, n) [kg]: which terms of K_i, K_s and C are
+    estimated.
+    """
     n = len(labels)
     pairs = [
         (row, column)

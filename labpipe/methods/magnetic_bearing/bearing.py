@@ -46,7 +46,9 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Magnet(Settings):
-    """A radial hybrid magnet: four poles per ring, a permanent magnet between the two rings."""
+    """Geometry of a radial hybrid magnet: four poles per ring, and between the two rings a permanent
+    magnet.
+    """
 
     turns: int = setting("integer", "turns of the coil on each pole")
     gap: float = quantity("effective air gap of the centred rotor", "m")
@@ -87,7 +89,9 @@ class Magnet(Settings):
 
 @dataclass(frozen=True)
 class MagnetFactors:
-    """F = k_i i + k_n x of the centred rotor: k_i [N/A], k_n [N/m], and the bias flux density [T]."""
+    """F = k_i i + k_n x of the centred rotor: *force_per_current* k_i [N/A], *negative_stiffness* k_n [N/m],
+    bias flux density [T].
+    """
 
     force_per_current: float
     negative_stiffness: float
@@ -109,13 +113,17 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
-    """Force in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N]. Equation (mag-force)."""
+    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N]. Equation
+    (mag-force).
+    """
     fluxes = pole_fluxes(magnet, displacement, current)
     return float(RINGS * (ALONG_X @ fluxes**2) / (2 * MU_0 * magnet.pole_area))
 
 
 def magnet_factors(magnet: Magnet) -> MagnetFactors:
-    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g'); g' = g + l_iron. Equation (mag-factors)."""
+    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the
+    bias flux of a pole. Equation (mag-factors).
+    """
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
     return MagnetFactors(
@@ -126,12 +134,16 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
 
 
 def static_stiffness(factors: MagnetFactors, current_per_displacement: float) -> float:
-    """k_0 = k_i di/dx - k_n [N/m] of the loop at rest, di/dx = probe * G(0) * amplifier [A/m]."""
+    """k_0 = k_i di/dx - k_n of the closed loop at rest. *current_per_displacement* = probe * G(0) * amplifier
+    [A/m] -> [N/m].
+    """
     return factors.force_per_current * current_per_displacement - factors.negative_stiffness
 
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
-    """A = k_i^2 g / (4 N^2 mu_0 k_n) [m^2], iron without reluctance. Equation (mag-area)."""
+    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
+    reluctance [m^2]. Equation (mag-area).
+    """
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
 
@@ -231,7 +243,9 @@ class MagneticFile(Settings):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and the sensitivity's peak."""
+    """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and
+    the sensitivity's peak.
+    """
 
     poles: ComplexArray
     unstable: int
@@ -289,7 +303,9 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
 
 
 def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
-    """Warnings: an unstable loop, poles that grow by the approximated delay only, beyond zone B."""
+    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay; a sensitivity
+    beyond zone B.
+    """
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
         listed = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in right)

@@ -106,7 +106,9 @@ class ClosedLoop:
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
     def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
-        """All amounts with 95 % intervals, *quantile* standard errors to either side, and their budget."""
+        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their
+        logarithm, and their budget.
+        """
         plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
         return (
             with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC)
@@ -127,7 +129,9 @@ class ClosedLoop:
 
 
 def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
-    """The fitted closed loop, modes up to *highest_mode* [Hz], first order. Equation (comp-closed-loop)."""
+    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in
+    the unknowns' errors. Equation (comp-closed-loop).
+    """
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
     unstable = unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
@@ -184,7 +188,9 @@ def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names
 
 
 def bent_findings(loop: ClosedLoop) -> list[Finding]:
-    """A warning where amounts of the fitted loop are not straight within its unknowns' errors."""
+    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their
+    errors.
+    """
     if not loop.bent:
         return []
     names = ", ".join(loop.bent)
@@ -236,7 +242,9 @@ BEYOND = 1.5
 def certificate(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """The certificate of a test's loops; ConfigError for unfit channels, FitError without covariance."""
+    """The certificate of the loops of one test. ConfigError for channels and settings that do not fit
+    together, FitError without a covariance.
+    """
     certificate_settings = resolve(settings)
     matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
     loops = [matrix.loop(number) for number in range(len(matrix.loops))]

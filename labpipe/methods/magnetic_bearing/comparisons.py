@@ -216,7 +216,9 @@ def _values(
 
 
 def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
-    """The bearing file over the condition that sets an entry; ConfigError for another kind."""
+    """The magnetic-bearing file as a function of the condition that sets one of its entries. ConfigError for
+    another kind of bearing.
+    """
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
         raise ConfigError(

@@ -99,7 +99,9 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 def state_space(
     model: MagnetModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements under the currents."""
+    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the
+    currents.
+    """
     matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
     a[:n, n:], c[:, :n] = np.eye(n), np.eye(n)
@@ -109,7 +111,9 @@ def state_space(
 
 
 def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, float]:
-    """k [1], zero, pole [Hz] of the least bound above *weight* (n_line,) [1]. Equation (mag-overbound)."""
+    """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere
+    below *weight* (n_line,) [1]. Equation (mag-overbound).
+    """
     low, high = np.log10(frequency[0]) - BEYOND, np.log10(frequency[-1]) + BEYOND
     corners = np.logspace(low, high, int(PER_DECADE * (high - low)) + 1)
     shapes = np.log(np.abs(1 + 1j * frequency / corners[:, None]))
@@ -171,7 +175,9 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
 
 
 def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
-    """Sign and size of the estimate, its use as a force, and what plain least squares would give."""
+    """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
+    would give.
+    """
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
     notes = [
@@ -239,7 +245,9 @@ def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) 
 
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """A fit per band; ConfigError where settings and channels do not fit, FitError for too few lines."""
+    """One fit, or one per band. ConfigError where settings and channels do not fit together, FitError where
+    the lines cannot determine the parameters.
+    """
     _check(settings)
     return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
 
@@ -354,7 +362,9 @@ LEAST_LINES = 4
 
 @dataclass(frozen=True)
 class Block:
-    """K e^{-j w tau} times low-passes: values (n,) ln |K|, tau by the highest line, ln f, ln zeta."""
+    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau scaled by the highest line, then ln f and
+    ln zeta.
+    """
 
     order: int
     sign: float
@@ -413,7 +423,9 @@ class _Problem:
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """A fit per band; ConfigError for several inputs or outputs, FitError for too few or noiseless lines."""
+    """One fit, or one per band. ConfigError for more than one input or output, FitError for lines without
+    noise or too few.
+    """
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
         raise ConfigError(

@@ -34,7 +34,9 @@ RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
 
 @dataclass(frozen=True)
 class BendingMode(Settings):
-    """A free-free bending mode of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of shape * force."""
+    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of
+    shape times force.
+    """
 
     frequency: float = quantity("natural frequency w_0", "Hz")
     at_bearings: tuple[float, ...] = setting(
@@ -95,7 +97,9 @@ class SampledPid(Settings):
 
 @dataclass(frozen=True)
 class Injection(Settings):
-    """Added at the controller's output (a current) or input (a displacement), its rms by axis."""
+    """What is added in the loop, at the controller's output (a current) or input (a displacement). Its rms is
+    that of one axis.
+    """
 
     rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
     place: str = setting("choice", "where it is added", choices=PLACES, default="output")
@@ -111,7 +115,9 @@ class Injection(Settings):
 
 @dataclass(frozen=True)
 class LevitatedNoise(Settings):
-    """Standard deviations of what is added up to half the sampling rate of the recording."""
+    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of
+    the recording.
+    """
 
     displacement: float = quantity("position sensors; it is in the loop", "m", 1e-7)
     current: float = quantity("measured currents", "A", 1e-4)
@@ -293,7 +299,9 @@ def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray,
 
 
 def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
-    """k_s of the bearings and what couples x with y, (n_axis, n_axis) [N/m]."""
+    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
+    y.
+    """
     n = len(rig.labels)
     coupling = (
         np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))
@@ -340,7 +348,9 @@ class LevitatedLoop:
 
     @property
     def poles(self) -> ComplexArray:
-        """s = rate ln z (n_state,) [1/s], without delays that hold alone (z = 0). Equation (sim-poles)."""
+        """Poles of the closed loop (n_state,) [1/s], s = rate ln z. What a delay holds alone (z = 0) is left
+        out. Equation (sim-poles).
+        """
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))

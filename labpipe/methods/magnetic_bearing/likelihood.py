@@ -147,7 +147,9 @@ def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, Complex
 
 
 def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
-    """Values (n_parameter,) [parameter units] of least squares without regard to noise."""
+    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free
+    of noise.
+    """
     return _least_squares(*_linear(rotor, model)[1:])
 
 
@@ -243,7 +245,9 @@ def _check_noise(rotor: Levitation, noise: Noise) -> None:
 def errors_by_given(
     problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
 ) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation, each source once."""
+    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
+    source once.
+    """
     rotor, model = problem.rotor, problem.model
     smoothed = problem.at(values).smoothed
     axes = smoothed @ rotor.to_axes.T

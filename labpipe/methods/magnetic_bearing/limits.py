@@ -120,7 +120,9 @@ def words(probability: float) -> str:
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
-    """Accepted where all limits are kept with *confidence*, not where one is broken, else undecided."""
+    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else
+    undecided.
+    """
     judged = [limit.probability for limit in limits if limit.probability is not None]
     if any(probability < 1 - confidence for probability in judged):
         return BROKEN
@@ -147,7 +149,9 @@ RATIO, DECREMENT = "zeta", "log_decrement"
 
 
 def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Comparison:
-    """Whether every mode has its decrement; ConfigError without damping. Equation (comp-decrement)."""
+    """The probability that every mode of the fits has its decrement; ConfigError for fits without damping
+    ratios. Equation (comp-decrement).
+    """
     certificate_settings: CertificateSettings = settings.kind_settings
     several = len(fits) > 1
     amounts = [amount for fit in fits for amount in _decrements(fit, several)]
@@ -310,7 +314,9 @@ def recorded_loop(
 def cause_of(
     own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
 ) -> str:
-    """The change of sign, power of ten or place of excitation that makes the fit good; else empty."""
+    """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
+    empty without one.
+    """
     changes = []
     for what, changed_own, changed in _changes(own, response):
         observation = recorded_loop(changed_own, changed, file)

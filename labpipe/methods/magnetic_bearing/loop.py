@@ -70,7 +70,9 @@ class ControlLoop(Settings):
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
-        """Blocks of an element of the controller matrix; none of a PID or a coupling that is zero."""
+        """The blocks of an element of the controller matrix. None for the PID, and for a coupling that is
+        zero.
+        """
         if self.cross is None or (output, input) == ("x", "x"):
             return self.controller if output == input else ()
         return getattr(self.cross, output + input) or (self.controller if output == input else ())
@@ -97,7 +99,9 @@ class ControlLoop(Settings):
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
-    """Terms of the PID, or the blocks as one, by name at *omega* [rad/s], each (n_line,) [1]."""
+    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]. A controller of blocks is
+    one term.
+    """
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
     s = 1j * omega
@@ -123,7 +127,9 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) x by x with delay, amplifier and probe, (n_line,) [1]. Equation (mag-controller)."""
+    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop. Equation
+    (mag-controller).
+    """
     total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
@@ -149,7 +155,9 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
-    """k_n = K G(0) - k_0 [N/m] by *static* k_0; ConfigError for an integrator. Equation (mag-static)."""
+    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError
+    for an integrator. Equation (mag-static).
+    """
     if not np.isfinite(loop.at_rest):
         raise ConfigError(
             "static_stiffness: the controller integrates, so the loop is rigid at rest",
@@ -160,7 +168,9 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
-    """K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
+    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation
+    (mag-stiffness).
+    """
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
@@ -212,7 +222,9 @@ class Margins:
 
 
 def margins(loop: LoopTransfer, highest: float) -> Margins:
-    """Margins of L(omega), omega (n_line,) [rad/s], stable, up to *highest* [Hz]. Equation (mag-margins)."""
+    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to
+    *highest* [Hz]. Equation (mag-margins).
+    """
     omega = 2 * np.pi * np.concatenate([[0.0], np.geomspace(LOWEST * highest, highest, LINES)])
     values = loop(omega)
     finite = np.isfinite(values)

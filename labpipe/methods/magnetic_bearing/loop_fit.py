@@ -29,7 +29,9 @@ ZERO = -1.0
 
 @dataclass(frozen=True)
 class HeldProblem:
-    """The problem over *free* (n_parameter,) parameters, the others held at u (n_parameter,) [1]."""
+    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,)
+    [1].
+    """
 
     problem: LoopProblem
     u: FloatArray
@@ -54,12 +56,16 @@ class HeldProblem:
         return self.problem.jacobian(self.whole(values))[:, self.free]
 
     def chi2(self, values: FloatArray) -> float:
-        """Sum of squares [1] at the free ones (n_free,) [1]; infinite where no bearing can be."""
+        """Sum of squares [1] at the free parameters (n_free,) [1]. Infinite for values that no bearing can
+        have.
+        """
         return self.problem.chi2(self.whole(values))
 
 
 def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
-    """(n_parameter,): unknowns at u (n_parameter,) [1] that would go below zero if they could."""
+    """(n_parameter,): the unknowns that would go below zero if a bearing could have that. U (n_parameter,)
+    [1].
+    """
     gradient = problem.jacobian(u).T @ problem.residual(u)
     at_zero = np.zeros(u.size, dtype=bool)
     for number in range(len(problem.unknowns)):
@@ -143,12 +149,16 @@ class LoopMinimum:
         return self.inverse[len(self.problem.unknowns) :]
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by noise alone."""
+        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the
+        sources add.
+        """
         steps = self.steps
         return np.asarray(inflation * (self.inverse - steps.T @ steps))
 
     def combined(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by noise times *inflation*, and all sources."""
+        """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by
+        all sources.
+        """
         steps = self.steps
         return self.random(inflation) + steps.T @ steps
 
@@ -192,7 +202,9 @@ class LoopMinimum:
         return None
 
     def bent(self, covariance: FloatArray) -> FloatArray:
-        """Second over first order (n_unknown,) [1], REACH combined errors away. Equation (comp-bent)."""
+        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
+        away. Equation (comp-bent).
+        """
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
         for column in range(bends.size):
@@ -446,7 +458,9 @@ def goodness(fit: LoopFit) -> list[Parameter]:
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
-    """Warnings: unknowns hardly told apart, no convergence, errors beyond first order."""
+    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or
+    errors beyond first order.
+    """
     if not fit.parameters:
         return list(fit.contradicted)
     together = " and ".join(fit.alike)

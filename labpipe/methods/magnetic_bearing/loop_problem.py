@@ -114,7 +114,8 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
         changes.setdefault(section, {})[field] = value
     own, magnet = changes.get("", {}), changes.get("magnet")
     # An explicit negative stiffness replaces the one inferred from the static stiffness.
-    own |= {"static_stiffness": None} if "negative_stiffness" in own else {}
+    if "negative_stiffness" in own:
+        own["static_stiffness"] = None
     blocks = tuple(
         _changed(block, changes.get(str(n), {})) for n, block in enumerate(file.loop.controller, 1)
     )
@@ -262,7 +263,9 @@ class LoopProblem:
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
     def changes(self, u: FloatArray) -> FloatArray:
-        """Change (n_source, n_datum) [1] of all residuals by each source beside the support."""
+        """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
+        each source beside the support.
+        """
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
@@ -279,7 +282,9 @@ class LoopProblem:
         return np.hstack(parts)
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """(n_equation, n_parameter) [1] by centred differences, one-sided at the edge of what can be."""
+        """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by
+        one-sided ones; the residual is linear in the sources.
+        """
         shared = self.n_shared
         count = sum(loop.measured.n_equation for loop in self.observations) + u.size - len(self.unknowns)
         slopes = np.zeros((count, u.size))
@@ -301,7 +306,9 @@ class LoopProblem:
         return (ahead - behind) / (2 * STEP)
 
     def residual_within(self, u: FloatArray) -> FloatArray | None:
-        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None where no bearing can be."""
+        """The residual (n_equation,) [1] at u (n_parameter,) [1]. None for values that no bearing can
+        have.
+        """
         try:
             return self.residual(u)
         except ConfigError:
@@ -349,7 +356,9 @@ class View:
 
 
 def checked_view(view: View) -> View:
-    """The view; ConfigError unless its fits are of one bearing in one direction with known mass."""
+    """The view. ConfigError for fits whose coefficients are not those of one bearing in one direction, or
+    without known mass.
+    """
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
@@ -459,7 +468,9 @@ def _sines(measured: Measured, turned_port: Port) -> FloatArray:
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
-    """The same fits of the predicted response, on the same lines with the same weights."""
+    """The same fits of the predicted response, on the same lines with the same weights, for comparison with
+    the measured fits.
+    """
     frequency = view.response.frequency
     rows, columns = view.ports
     matrix = view.response.matrix.copy()

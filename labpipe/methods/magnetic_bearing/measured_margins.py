@@ -57,7 +57,9 @@ class Course:
     dof: float
 
     def follows(self, starts: IntArray, width: int) -> BoolArray:
-        """Whether a parabola leaves noise of *width* lines from *starts* (n,) on. Equation (comp-course)."""
+        """Whether a parabola over log omega leaves no more than noise of *width* lines, from each of *starts*
+        (n,) on. Equation (comp-course).
+        """
         if width <= PARABOLA:
             return np.ones(starts.size, dtype=bool)
         lines = starts[:, None] + np.arange(width)
@@ -75,7 +77,9 @@ class Course:
         return np.asarray(np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding))
 
     def smoother(self) -> FloatArray:
-        """(n_line, n_line) [1]: to every line from as many around it as a parabola follows, up to LOCAL."""
+        """(n_line, n_line) [1]: from the lines as measured to every one by those around it, as many as a
+        parabola follows, up to LOCAL.
+        """
         count = self.omega.size
         weights, open_lines = np.zeros((count, count)), np.arange(count)
         for width in range(LOCAL, FEWEST - 1, -2):
@@ -141,7 +145,9 @@ class Smooth:
     changes: ComplexArray
 
     def of(self, margin: Margin, n: int) -> Found:
-        """A margin between places n and n + 1, its error and changes. Equation (comp-margins-change)."""
+        """A margin between the places n and n + 1, its standard error and its changes. Equation
+        (comp-margins-change).
+        """
         part = slice(n, n + 2)
         pair, places, total = self.values[part], self.omega[part], 0.0
         moved = np.zeros(len(self.changes))
@@ -325,14 +331,18 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Crest:
-    """The highest |S|: value [1] and place [rad/s], each with its error and changes (n_source,)."""
+    """The highest |S| by itself: value [1] and place [rad/s], each with its standard error by noise and its
+    changes (n_source,) by every source.
+    """
 
     value: Found
     place: Found
 
 
 def crest_of(course: Course) -> Crest | None:
-    """The maximum of |S| by parabolas; None at an end of the lines. Equation (comp-peak)."""
+    """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
+    lies at an end of the lines. Equation (comp-peak).
+    """
     count = course.omega.size
     if count < FEWEST:
         return None

@@ -76,7 +76,9 @@ class SampledLoop:
         return states @ self.c.T + inputs @ self.d.T
 
     def response(self, omega: FloatArray) -> ComplexArray:
-        """z over force (as `straight` feeds it), noise, injection at *omega* [rad/s], (n_line, 5, 3)."""
+        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3). The force as `straight` feeds
+        it.
+        """
         z = np.exp(1j * omega / self.rate)[:, None, None]
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
@@ -127,7 +129,9 @@ class SampledPlant:
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop of one direction as matrices; ConfigError as `sampled_matrix`."""
+    """The closed loop of one direction as matrices. ConfigError for what cannot be sampled, see
+    `sampled_matrix`.
+    """
     if plant.loop.cross is not None:
         raise ConfigError(
             "a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross"
@@ -243,7 +247,9 @@ def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
 
 @lru_cache(maxsize=16)
 def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
-    """Motion between samples, whole intervals of the delay, at *rate* [Hz]; ConfigError below the hold."""
+    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz]. ConfigError for
+    one shorter than the hold.
+    """
     loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:

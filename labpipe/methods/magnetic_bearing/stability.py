@@ -112,7 +112,9 @@ def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Poly
 
 
 def sample(plant: Suspended, rate: float) -> FloatArray:
-    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of x unless a matrix controls."""
+    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the
+    controller is a matrix.
+    """
     return sampled_loop(plant, rate).a if plant.loop.cross is None else sampled_matrix(plant, rate)
 
 
@@ -129,7 +131,9 @@ def closed_loop_poles(plant: Suspended) -> ComplexArray:
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
-    """s = f_s ln z [rad/s], z != 0 of *matrix* (n_state, n_state) [1]. Equation (mag-sampled)."""
+    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty
+    memory, are left out. Equation (mag-sampled).
+    """
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
     return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
 
@@ -169,7 +173,9 @@ def unstable_poles(plant: Suspended) -> int:
 
 
 def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:
-    """S(jw) = 1 / (1 + L), L = K G / (-m w^2 - k_n), (n_line,) [1], of x; ISO 14839-3."""
+    """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3. Of a controller
+    matrix that of x.
+    """
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
@@ -182,7 +188,9 @@ def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:
 
 
 def sensitivity_matrix(plant: Suspended, omega: FloatArray) -> ComplexArray:
-    """S = (I + L)^-1, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]. Equation (mag-sensitivity)."""
+    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes
+    the largest |S_ii|. Equation (mag-sensitivity).
+    """
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     return rotor[:, None, None] * np.linalg.inv(
         rotor[:, None, None] * np.eye(2) + loop_stiffness(plant.loop) * controller_matrix(plant.loop, omega)
@@ -190,7 +198,9 @@ def sensitivity_matrix(plant: Suspended, omega: FloatArray) -> ComplexArray:
 
 
 def zone_of(peak: float) -> str:
-    """Zone of ISO 14839-3 of a peak: A below 3 (9.5 dB), B 4, C 5, D above. Equation (mag-zone)."""
+    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above.
+    Equation (mag-zone).
+    """
     return next((zone for zone, end in ZONES if peak < end), "D")
 
 
@@ -290,7 +300,9 @@ def _own_law(loop: ControlLoop, rate: float) -> SampledLaw:
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
-    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]; infinite at a pole."""
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]. Infinite at a pole, as of an
+    integrator at rest.
+    """
     if not len(law.a):
         return np.full(np.shape(omega), law.d, np.complex128)
     law_bytes = (law.a.tobytes(), law.b.tobytes(), law.c.tobytes())

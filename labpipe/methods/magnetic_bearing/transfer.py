@@ -98,7 +98,9 @@ def low_pass(frequency: float, order: int, damping: float) -> Transfer:
 
 
 def notch(frequency: float, depth: float, width: float) -> Transfer:
-    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D, *frequency* [Hz], *width* 2 D at -3 dB."""
+    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D: |G| = *depth* at *frequency* [Hz], *width*
+    2 D of it at -3 dB.
+    """
     omega = 2 * np.pi * frequency
     return Transfer(_pair(omega, depth * width / 2), _pair(omega, width / 2), 1.0)
 
@@ -228,7 +230,9 @@ CONJUGATE = 1e-6
 
 @dataclass(frozen=True)
 class Form:
-    """Entries that a block *needs* and *takes* beside them, and its transfer function of all, in order."""
+    """Entries that a block of the form *needs* and those that it *takes* beside them, and its transfer
+    function.
+    """
 
     needs: tuple[str, ...]
     takes: tuple[str, ...]
@@ -325,7 +329,9 @@ class ControllerBlock(Settings):
 
     @classmethod
     def entries_from(cls, value: Any) -> Any:
-        """Blocks, or a system of python-control or scipy.signal with one input and output."""
+        """Blocks as they are, or from a system with one input and one output of python-control or
+        scipy.signal.
+        """
         if isinstance(value, (str, Sequence)):
             return value
         try:
@@ -346,7 +352,9 @@ def block_of(transfer: Transfer) -> ControllerBlock:
 
 
 def blocks_of_matrix(system: Any) -> dict[str, tuple[ControllerBlock, ...]]:
-    """Elements xx, xy, yx, yy of a two-by-two system of another package; ConfigError else."""
+    """Elements xx, xy, yx and yy of a system of python-control or scipy.signal with two inputs and two
+    outputs; ConfigError for others.
+    """
     elements = matrix_of(system)
     if len(elements) != 2 or any(len(row) != 2 for row in elements):
         raise ConfigError("a controller of two directions has two inputs and two outputs")

@@ -104,13 +104,17 @@ class Timing:
 
 
 def relaxation(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k_0 + k_1 j w tau / (1 + j w tau) at *omega* (n_line,) [rad/s], [N/m]. Equation (sim-relaxation)."""
+    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m].
+    Equation (sim-relaxation).
+    """
     relative: ComplexArray = 1j * omega / (2 * np.pi * levitation.corner)
     return levitation.static + levitation.dynamic * relative / (1 + relative)
 
 
 def control_loop(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """K G(jw) - k_n at *omega* [rad/s], (n_line,) [N/m]; Lim et al. (2009), eq. 7 and table 1."""
+    """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,)
+    [N/m]. Lim et al. (2009), eq. 7 and table 1.
+    """
     return dynamic_stiffness(levitation.loop, negative_stiffness(levitation), omega)
 
 
@@ -131,7 +135,9 @@ def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexAr
 
 
 def levitated_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
-    """Of pedestal and rotor in a direction at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-levitated)."""
+    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m].
+    Equation (sim-levitated).
+    """
     pedestal = linear.dynamic_stiffness(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
 

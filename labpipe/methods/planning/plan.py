@@ -235,8 +235,10 @@ def _over_draws(
         return replace(plan, notes=(*plan.notes, NO_ERRORS))
     if not np.any(covariance):
         return plan
-    campaigns, limits = (timed, question.flats[LEAST_CREST]), wanted.goals / plan.factor
-    drawn = spread(rig, *campaigns, covariance, limits, wanted.criterion, plan.duration)
+    limits = wanted.goals / plan.factor
+    drawn = spread(
+        rig, timed, question.flats[LEAST_CREST], covariance, limits, wanted.criterion, plan.duration
+    )
     ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in drawn.errors.T]
     pairs = zip(plan.coefficients, ranges, strict=True)
     errors = np.array([c.error for c in plan.coefficients])
@@ -302,8 +304,9 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
     else:
         assert settings.noise is not None
         sampled = settings.noise
-        sizes = sampled.force, sampled.displacement, sampled.acceleration
-        noise = Noise.of_samples(*sizes, settings.sample_rate)
+        noise = Noise.of_samples(
+            sampled.force, sampled.displacement, sampled.acceleration, settings.sample_rate
+        )
     limits = Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
     return Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 

@@ -226,8 +226,9 @@ def question_of(
         prior = np.zeros((len(parameters),) * 2)
     conditions = tuple(_condition(settings, test, slope) for test, slope in zip(tests, slopes, strict=True))
     quantities = tuple(_quantities(settings, tests, slopes, common))
-    time = settings.duration, settings.criterion
-    return RunQuestion(parameters, units, prior, conditions, quantities, *time)
+    return RunQuestion(
+        parameters, units, prior, conditions, quantities, settings.duration, settings.criterion
+    )
 
 
 def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray) -> Condition:

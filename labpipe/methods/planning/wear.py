@@ -347,8 +347,14 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
         (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
     )
     noise = settings.noise
-    densities = noise.displacement * density, noise.force * density
-    testing = ResponseTest(settings.force, settings.run, 1 / settings.block, *densities, exclude)
+    testing = ResponseTest(
+        settings.force,
+        settings.run,
+        1 / settings.block,
+        noise.displacement * density,
+        noise.force * density,
+        exclude,
+    )
     points = tuple(_points(settings))
     conditions = _conditions(settings, expected, testing, points)
     question = RunQuestion(

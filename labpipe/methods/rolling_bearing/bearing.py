@@ -74,7 +74,9 @@ def ball_passage(
     fixed_dofs: Sequence[str] = (),
     positions: int = POSITIONS,
 ) -> Passage:
-    """`equilibrium` at *positions* cage angles of one passage. Equation (roll-passage)."""
+    """Equilibrium and stiffness at *positions* cage angles of one passage; arguments and errors as in
+    `equilibrium`. Equation (roll-passage).
+    """
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     n_case = max(len(f), len(q))
     angles = 2 * np.pi / bearing.elements * np.arange(positions) / positions
@@ -194,7 +196,9 @@ def rolling_response(
 
 @dataclass(frozen=True)
 class RollingOnRotor:
-    """A rolling bearing on a rotor: x, y are the rotor's y, z; axial load and moments are its own."""
+    """A rolling bearing on a rotor: its x and y are the rotor's y and z, its axial load and moments are those
+    of its settings.
+    """
 
     settings: RollingSettings
 

@@ -86,7 +86,9 @@ def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Seque
 
 
 def check_carried(bearing: RollingBearing, at: Contacts) -> None:
-    """FitError beyond the range of Hertzian contact, or of a contact angle beyond 90 deg."""
+    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90
+    deg.
+    """
     for wrong, pressed in (
         (at.deflection > bearing.reach, True),
         ((at.deflection > 0) & (at.cos < 0), False),
@@ -175,7 +177,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class Trial:
-    """u (n_case, 5) [m], contacts, residual f - F of free dofs [N], and the potential [J]."""
+    """A position u (n_case, 5) [m], the contacts there, the residual f - F of the free dofs [N], and the
+    potential [J].
+    """
 
     u: FloatArray
     state: Contacts
@@ -189,7 +193,9 @@ class Trial:
 
 
 def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): zero where free."""
+    """Positions u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): displacements,
+    zero where free.
+    """
     u = starting_point(problem, fixed)
     unsolved = np.arange(len(u))
     solved = np.zeros(len(u), dtype=bool)
@@ -313,7 +319,9 @@ class Equilibrium:
 
     @cached_property
     def mirrored(self) -> BoolArray:
-        """Cases (n_case,) with an element carrying at the opposite contact angle, as equations allow."""
+        """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite
+        contact angle. The equations allow it.
+        """
         opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
         return np.any(
             opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1

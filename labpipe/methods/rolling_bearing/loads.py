@@ -90,7 +90,9 @@ class RollingBearing:
 
     @property
     def reach(self) -> float:
-        """Largest deflection [m]: groove centres' distance, or 2 % of the rollers' pitch radius."""
+        """Largest deflection of the model [m]: the groove centres' distance, about 5 % of a ball; 2 % of the
+        pitch radius for rollers.
+        """
         return self.groove_distance or ROLLER_REACH * self.pitch_radius
 
     def angles(self, cage_angle: ArrayLike = 0.0) -> FloatArray:
@@ -118,7 +120,9 @@ class ElementFrame:
 
     @cached_property
     def squares(self) -> FloatArray:
-        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-]."""
+        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-]. For a frame common
+        to all load cases.
+        """
         r, a = self.radial, self.axial
         mixed = r[:, :, None] * a[:, None, :]
         pairs = (
@@ -228,7 +232,9 @@ def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike =
 
 
 def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """K (n_case, 5, 5) [N/m, N/rad, N m/rad], symmetric, at *q* (n_case, 5) [m, rad]."""
+    """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad],
+    symmetric.
+    """
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
     return stiffness_sum(contacts(bearing, displacement, frame), frame)
@@ -422,7 +428,9 @@ class BendingShaft:
         return float(np.pi**4 * self.rigidity / (2 * self.span**3))
 
     def equivalent_mass(self) -> float:
-        """rho A l / 2 [kg] of y = cos(pi x / l): moves with mid span. Equation (roll-bending-mass)."""
+        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves
+        with mid span. Equation (roll-bending-mass).
+        """
         return self.density * np.pi * self.diameter**2 / 4 * self.span / 2
 
     def total_mass(self) -> float:
@@ -432,7 +440,9 @@ class BendingShaft:
 
 @dataclass(frozen=True)
 class SeriesCorrection:
-    """Stiffness without the shaft's bending [N/m], 95 % interval, amplification of its error."""
+    """A bearing's stiffness without the shaft's bending [N/m], its 95 % interval, and the amplification of
+    the relative error.
+    """
 
     bearing: Uncertain
     ci95: tuple[float, float]
@@ -461,7 +471,9 @@ def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
 
 
 def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain) -> Uncertain:
-    """c_total (k_b / k_total)^2 [N s/m], w c << k, to first order. Equation (roll-series-damping)."""
+    """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three
+    uncertainties to first order. Equation (roll-series-damping).
+    """
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2
     gap = shaft.value - total.value

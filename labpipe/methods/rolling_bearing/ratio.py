@@ -46,7 +46,9 @@ LARGEST_MOVE = 1.0
 
 @dataclass(frozen=True)
 class TheoryAt:
-    """K (5, 5) [N/m, N/rad, N m/rad] at a condition, one larger by the share *step*, the shaft."""
+    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share
+    *step*, and the shaft.
+    """
 
     stiffness: FloatArray
     near: FloatArray
@@ -56,7 +58,9 @@ class TheoryAt:
 
 @dataclass(frozen=True)
 class Rig:
-    """Bending stiffness of the shaft [N/m] (infinite: rigid), and arm of tilts [m]."""
+    """How the rig measures the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts
+    [m].
+    """
 
     bending: Uncertain
     arm: float | None
@@ -165,7 +169,9 @@ def _log_changes(fit: Fit) -> dict[str, FloatArray]:
 
 
 def log_covariance(fit: Fit) -> FloatArray:
-    """Covariance of ln k, ln c, (2, 2) [1], of a fit; FitError without standard errors."""
+    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation. FitError
+    without standard errors.
+    """
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     places = [names.index("k"), names.index("c")]
     chosen = [fit.parameters[place] for place in places]
@@ -179,7 +185,9 @@ def log_covariance(fit: Fit) -> FloatArray:
 def overlay(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig, matched: Matched
 ) -> Overlay:
-    """|H| of the fitted term: measured, theory with the measured damping, theory times the ratio."""
+    """|H| of the fitted term on all lines of the response: measured, theory with the measured damping, theory
+    times the ratio.
+    """
     curve = _curve(fit, response, settings, rig, whole=True)
     beta = float(np.exp(matched.log[1]))
     curves = [
@@ -415,7 +423,9 @@ Solved = tuple[list[Matched], tuple[Overlay, ...]]
 
 
 def theory_of(folder: Path, settings: TheorySettings) -> Theory:
-    """The bearing file over the condition [SI]; ConfigError without five dofs or a shaft."""
+    """The bearing file as a function of the condition [SI]. ConfigError for a bearing without five dofs, or
+    without a shaft on it.
+    """
     file = open_bearing(folder / settings.bearing)
 
     def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:

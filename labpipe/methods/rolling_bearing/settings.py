@@ -68,19 +68,25 @@ class BallGeometry:
 
     @property
     def groove_distance(self) -> float:
-        """A0 = (f_i + f_o - 1) D [m] of the groove centres at rest. Equation (roll-groove-distance)."""
+        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load. Equation
+        (roll-groove-distance).
+        """
         return (self.inner_conformity + self.outer_conformity - 1) * self.ball_diameter
 
     @property
     def groove_centre_radius(self) -> float:
-        """d/2 + (f_i - 1/2) D cos a0 [m] of inner centres. Equation (roll-groove-radius)."""
+        """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie. Equation
+        (roll-groove-radius).
+        """
         return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(
             np.cos(self.contact_angle)
         )
 
     @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
-        """(K_i^(-2/3) + K_o^(-2/3))^(-3/2) [N/m^1.5]. Equation (roll-ball-constant)."""
+        """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2).
+        Equation (roll-ball-constant).
+        """
         contacts = (
             self._contact(1, self.inner_conformity, rings, balls),
             self._contact(-1, self.outer_conformity, rings, balls),
@@ -118,7 +124,9 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
 
 
 def ellipse_ratio(curvature_ratio: float) -> float:
-    """k = b/a: A/B = R_D(0, k^2, 1) / R_D(0, 1, k^2) <= 1 (Carlson). Equation (roll-ellipse)."""
+    """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0,
+    1, k^2) (Carlson). Equation (roll-ellipse).
+    """
     if curvature_ratio >= 1:
         return 1.0
 
@@ -149,7 +157,9 @@ def roller_stiffness_constant(length: float) -> float:
 
 
 def in_series(constants: tuple[float, ...], exponent: float) -> float:
-    """K_n = (sum K^(-1/n))^(-n) of contacts that carry the same load. Equation (roll-series)."""
+    """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n). Equation
+    (roll-series).
+    """
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)
 
 
@@ -214,13 +224,20 @@ class BallGeometrySettings(Settings):
 
     def at(self, contact_angle: float) -> BallGeometry:
         """The geometry at a contact angle [rad]; ConfigError where it is impossible."""
-        conformities = self.inner_conformity, self.outer_conformity
-        return BallGeometry(self.ball_diameter, self.pitch_diameter, *conformities, contact_angle)
+        return BallGeometry(
+            self.ball_diameter,
+            self.pitch_diameter,
+            self.inner_conformity,
+            self.outer_conformity,
+            contact_angle,
+        )
 
 
 @dataclass(frozen=True)
 class ShaftSettings(Settings):
-    """A rigid shaft with its centre of mass in the bearing, for natural frequencies and transfer."""
+    """A rigid shaft whose centre of mass is at the bearing's centre, for natural frequencies and the
+    theoretical transfer matrix.
+    """
 
     mass: float = quantity("mass of the shaft", "kg")
     inertia_x: float = quantity("moment of inertia about x", "kg.m^2")
@@ -289,7 +306,9 @@ class RollingSettings(Settings, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class BallBearingSettings(RollingSettings):
-    """A ball bearing by its constants, which come first, or the geometry they follow from."""
+    """A ball bearing: its constants, or the geometry they follow from. An explicit constant takes
+    precedence.
+    """
 
     stiffness_constant: float | None = quantity("K_n of Q = K_n delta^1.5", "N/m^1.5", None)
     groove_distance: float | None = quantity("unloaded distance A0 of the groove centres", "m", None)
@@ -328,7 +347,9 @@ class BallBearingSettings(RollingSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class RollerBearingSettings(RollingSettings):
-    """A roller bearing; tilts (z at angle 0) are zero without load or displacement."""
+    """A roller bearing. Tilts (and z at contact angle 0) are fixed at zero where neither load nor
+    displacement is given.
+    """
 
     stiffness_constant: float | None = quantity("K_n of Q = K_n delta^(10/9)", "N/m^(10/9)", None)
     roller_length: float | None = quantity("effective length of a steel roller", "m", None)

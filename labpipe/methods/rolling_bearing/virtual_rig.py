@@ -40,7 +40,9 @@ CALIBRATION_POINTS = 12
 
 @dataclass(frozen=True)
 class TestedBearing(Settings):
-    """A bearing, the preloads at which it is tested, and the shaft's bending stiffness under it."""
+    """One bearing on the rig, the preloads at which it is tested, and the shaft's bending stiffness under its
+    load.
+    """
 
     name: str = setting("text", "short name, with which the names of the runs begin")
     bearing: BallBearingSettings = setting(
@@ -110,7 +112,9 @@ class VirtualBallBearingRig(Settings):
 
 @dataclass(frozen=True)
 class ShakerTest:
-    """A bearing at a nominal *preload* [N]; *setting*: its name, *way*: up or down."""
+    """One run: a bearing at one nominal *preload* [N]; *setting*: name of the setting of the preload, *way*:
+    up or down.
+    """
 
     tested: TestedBearing
     preload: float
@@ -161,7 +165,9 @@ def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> flo
 
 
 def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> FloatArray:
-    """K (5, 5): ratio (1 + hysteresis down) times theory's at the preload [N]. Equation (sim-ball)."""
+    """K of the bearing (5, 5): ratio (1 + hysteresis on the way down) times the theory's at the preload [N].
+    Equation (sim-ball).
+    """
     loads = replace(test.tested.bearing.loads, z=preload)
     (theory,) = rolling_coefficients([replace(test.tested.bearing, loads=loads)])
     factor = rig.stiffness_ratio * (1 + rig.hysteresis if test.way == "down" else 1.0)
@@ -169,7 +175,9 @@ def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float)
 
 
 def lever(rig: VirtualBallBearingRig) -> FloatArray:
-    """Displacement per dof, (5,) [m/m, m/rad]: a tilt is measured at the arm, its moment a force there."""
+    """Displacement measured per dof, (5,) [m/m, m/rad]: a tilt is measured as displacement at the arm, its
+    moment is a force there.
+    """
     return np.array([1.0, 1.0, 1.0, rig.arm, rig.arm])
 
 

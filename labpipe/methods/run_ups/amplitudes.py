@@ -44,7 +44,9 @@ Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """Limits of a search: meshes as shares of the box, *target_share* of the objective at the start."""
+    """Limits of a search. Meshes are shares of the box's width, *target_share* is a share of the objective at
+    the start.
+    """
 
     first_mesh: float = 0.25
     smallest_mesh: float = 1e-4
@@ -64,7 +66,9 @@ class SearchLimits:
 
 @dataclass(frozen=True)
 class SearchHistory:
-    """By iteration (n_iteration, n_problem): evaluations, lowest objective [its unit], mesh [-] or NaN."""
+    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh
+    [-] (NaN without a mesh).
+    """
 
     evaluations: IntArray
     objective: FloatArray
@@ -251,7 +255,9 @@ class SpeedwiseFit:
         return float(np.mean(self.at_bound))
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C over speed, linear between the points; beyond them K and Omega C stay constant."""
+        """K and C as a function of speed, linear between the points. Beyond them K and Omega C stay
+        constant.
+        """
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -369,7 +375,9 @@ def _fit_load(
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Largest displacements of all *runs* of a load with standard errors, (n_speed, n_plane) [m]."""
+    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane)
+    [m], planes of all runs.
+    """
 
     runs: tuple[ExcitedRun, ...]
     measured: FloatArray
@@ -407,7 +415,9 @@ class Amplitudes:
         return squares
 
     def slopes(self, eight: FloatArray) -> FloatArray:
-        """Derivatives (n_speed, n_plane, 8) by coefficients (n_speed, 8) [N/m, N s/m], over errors."""
+        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard
+        errors.
+        """
         matrices = as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]

@@ -74,7 +74,8 @@ def orders(**settings: Any) -> int:
 
     Responses with dofs such as front.x and front.y form a plane.
 
-    \b labpipe orders run-up.parquet -r rig.yaml --tacho n --gap '0.45 mm' -o out/run-up
+    \b
+    labpipe orders run-up.parquet -r rig.yaml --tacho n --gap '0.45 mm' -o out/run-up
     """
     from labpipe.methods.run_ups.orders import track_and_write
 

@@ -142,7 +142,9 @@ def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Se
 
 
 def best_method(result: RunUpResult) -> RunUpMethod | None:
-    """The method of figures of one method: (d) where chi-square rejects (c), else (c), (b), (a)."""
+    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else
+    (c), (b), (a).
+    """
     joint = result.method("joint")
     order = (
         ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
@@ -196,7 +198,9 @@ def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
 
 
 def orbit_places(run: MeasuredRun) -> list[int]:
-    """Rows of a run at three quarters, one, and beyond its critical speed, and its last; else evenly."""
+    """Rows of a run at three quarters, one, and beyond its critical speed, and its last. Spread evenly
+    without one.
+    """
     n, speed = len(run.speed), np.array(run.speed)
     if run.critical_speed is None:
         return [int(place) for place in np.linspace(0, n - 1, ORBITS).round()]
@@ -312,7 +316,9 @@ ITERATION = Axis("iteration")
 
 @dataclass(frozen=True, eq=False)
 class CoefficientSurfaces:
-    """*values* (n, n_load, n_speed) of *titles* over *speed* (n_speed,) [rpm] and *load* (n_load,) [N]."""
+    """Surfaces of coefficients: *speed* (n_speed,) [rpm], *load* (n_load,) [N], *values* (n, n_load, n_speed)
+    in the units of *titles*.
+    """
 
     speed: FloatArray
     load: FloatArray

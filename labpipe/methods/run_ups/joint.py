@@ -133,7 +133,9 @@ STEP = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class RunUpFit(Posterior[Family]):
-    """The posterior of a family's parameters by all run-ups of a *rig*, after so many *steps*."""
+    """The posterior of the parameters of a family of coefficients, of all run-ups of a *rig*, after so many
+    *steps*.
+    """
 
     rig: RunUpRotor
     steps: int
@@ -164,7 +166,9 @@ class RunUpFit(Posterior[Family]):
 
     @cached_property
     def systematic(self) -> FloatArray:
-        """Changes (n_source, n_parameter) [1] by one standard uncertainty of each of the sources."""
+        """Changes of the parameters by one standard uncertainty of each of the sources, (n_source,
+        n_parameter) [1].
+        """
         systematic = np.zeros((len(self.sources), self.values.size))
         systematic[:, self.problem.free] = steps_by(self.changes, self.slopes, self.free_covariance)
         return systematic
@@ -208,7 +212,9 @@ class RunUpFit(Posterior[Family]):
 
 @dataclass(frozen=True, kw_only=True)
 class JointFit(RunUpFit[FilmFamily]):
-    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing; *known*: not estimated."""
+    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing; *known*: those that were not
+    estimated.
+    """
 
     known: Collection[str] = ()
 
@@ -240,11 +246,15 @@ class JointFit(RunUpFit[FilmFamily]):
 
     @property
     def whole_covariance(self) -> FloatArray:
-        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the probes."""
+        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the uncertainties of the
+        probes.
+        """
         return np.asarray(self.widening**2 * self.covariance + self.systematic.T @ self.systematic)
 
     def parameter(self, name: str) -> Uncertain:
-        """The factor exp(value) on the rotor file's value, of a slope the exponent, with its error."""
+        """The factor exp(value) on the rotor file's value, for the two slopes the exponent itself, with its
+        standard error.
+        """
         n = PARAMETERS.index(name)
         value, error = float(self.values[n]), float(self.std_error[n])
         if name in EXPONENTS:
@@ -258,11 +268,15 @@ class JointFit(RunUpFit[FilmFamily]):
         return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement at a plane, the last one unless named."""
+        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
+        named.
+        """
         return self._predict(lambda values: self.rig.critical_speed(self.model.at_load(values, load), plane))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]; None up to twice the highest speed of the search."""
+        """Onset speed of instability [rad/s]. None when there is none up to twice the highest speed of the
+        search.
+        """
         if self.rig.threshold(self.at_load(load)) is None:
             return None
         return self._predict(lambda values: self._threshold_or_error(values, load))
@@ -310,7 +324,9 @@ NEAR = 0.05
 
 
 def family_about(rig: RunUpRotor, groups: Iterable[LoadRuns]) -> FilmFamily:
-    """The family about the rotor file's bearing, the middle of the loads and half the highest speed."""
+    """The family about the rotor file's bearing, its slopes about the middle of the loads and half the
+    highest speed.
+    """
     film = rig.place.film("a joint fit of the film's parameters")
     return FilmFamily(
         film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted({group.load for group in groups})))))

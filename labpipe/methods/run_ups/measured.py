@@ -303,7 +303,9 @@ def difference(run: RunUp, residual: RunUp) -> RunUp:
 
 
 def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
-    """The run at *speed* (n,) [rad/s] within its range, interpolated; DataError when none is inside."""
+    """A densely tracked run at *speed* (n,) [rad/s], linearly interpolated; speeds outside its range are
+    dropped. DataError when none is inside.
+    """
     inside = speed[(speed >= run.speed[0]) & (speed <= run.speed[-1])]
     if inside.size == 0:
         raise DataError(f"run '{run.name}' does not reach the speeds of the run that it is subtracted from")

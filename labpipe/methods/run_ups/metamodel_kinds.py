@@ -43,7 +43,9 @@ class Queried(Protocol):
 
 @dataclass(frozen=True)
 class Grid:
-    """load [N], speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError where impossible."""
+    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]. DataError for other shapes or
+    impossible values.
+    """
 
     load: FloatArray
     speed: FloatArray
@@ -75,7 +77,9 @@ class Grid:
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
-        """From a fit at any load, such as a JointFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
+        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,)
+        [rad/s].
+        """
         parts = [
             (np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0])
             for load in loads
@@ -104,7 +108,9 @@ class Grid:
 
 @dataclass(frozen=True)
 class Extent:
-    """Ends of *loads* [N] and *speeds* [rad/s] of a grid; places are coded to -1 to 1 between them."""
+    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid. Places are coded to -1 to 1 between
+    them.
+    """
 
     loads: tuple[float, float]
     speeds: tuple[float, float]
@@ -211,7 +217,9 @@ class ResponseSurface(WithinExtent):
 
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
-    """Least squares; FitError below three loads or three speeds. Equation (run-surface)."""
+    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds.
+    Equation (run-surface).
+    """
     extent = Extent.of(grid)
     terms = _terms(extent.coded(grid.load, grid.speed))
     n, m = terms.shape
@@ -245,7 +253,9 @@ def _terms(coded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """Logarithms *values* (12,), *covariance* (12, 12), widened, [-] of a *family* within an *extent*."""
+    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and
+    speeds of the fit.
+    """
 
     extent: Extent
     family: FilmFamily

@@ -66,7 +66,9 @@ def scikit_learn(name: str, what: str) -> Any:
 
 @dataclass(frozen=True)
 class GaussianProcess(WithinExtent):
-    """A fitted grid; hyper (8, 4) [-]: a, l_w, l_s, n by coefficient; scikit-learn's regressors."""
+    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors:
+    scikit-learn's, one of each.
+    """
 
     grid: Grid
     extent: Extent
@@ -77,7 +79,9 @@ class GaussianProcess(WithinExtent):
 
     @classmethod
     def of(cls, grid: Grid, hyper: FloatArray, search: Callable[..., Any] | None = None) -> GaussianProcess:
-        """The process of a grid, hyper (8, 4) [-] as given, or where a *search* from there ends."""
+        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient. A
+        *search* starts from them.
+        """
         processes = scikit_learn("gaussian_process", "a Gaussian process")
         kernels = processes.kernels
         extent = Extent.of(grid)
@@ -147,7 +151,9 @@ class GaussianProcess(WithinExtent):
 
 
 def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
-    """A descent of the hyperparameters from the medians of their priors. Equation (run-process)."""
+    """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
+    priors. Equation (run-process).
+    """
     return GaussianProcess.of(grid, np.tile([median for median, _ in HYPER], (8, 1)), _likeliest)
 
 
@@ -170,7 +176,9 @@ def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) 
 
 @dataclass(frozen=True)
 class Network(WithinExtent):
-    """*repeats*: layers; middle, deviation (8,) [N/m, N s/m] of outputs; n_converged trainings."""
+    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats
+    whose training converged.
+    """
 
     extent: Extent
     repeats: tuple[Layers, ...]
@@ -312,7 +320,9 @@ class Metamodel(Protocol):
 
 
 def fit_metamodel(kind: str, grid: Grid, seed: int = 0) -> Metamodel:
-    """One of METAMODELS on a grid; ConfigError for an unknown one or a missing package."""
+    """One of METAMODELS on a grid. ConfigError with the nearest name on a miss, or where a package is not
+    installed.
+    """
     if kind not in METAMODELS:
         raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
     return METAMODELS[kind](grid, seed)
@@ -360,8 +370,8 @@ def leave_one_load_out(
     physical: Callable[[float], Metamodel] | None = None,
     seed: int = 0,
 ) -> dict[str, list[LeftOut]]:
-    """Leave-one-load-out validation by kind, against the grid's coefficients at that load. *physical*: the
-    physical fit without a load, see `physical_without`. Where a fit fails, the row states the reason.
+    """Leave-one-load-out validation of every kind, against the grid's coefficients at that load. *physical*:
+    the physical fit without a load, see `physical_without`. Where a fit fails, the row states the reason.
     """
     kinds = tuple(kinds)
     rows: dict[str, list[LeftOut]] = {
@@ -370,7 +380,8 @@ def leave_one_load_out(
     for load in grid.loads:
         training = grid.without(load) if len(grid.loads) > 1 else grid
         fits = {kind: partial(fit_metamodel, kind, training, seed) for kind in kinds}
-        fits |= {} if physical is None else {PhysicalFit.kind: partial(physical, load)}
+        if physical is not None:
+            fits[PhysicalFit.kind] = partial(physical, load)
         for kind, fitted in fits.items():
             rows[kind].append(_validate(grid, load, fitted))
     return rows

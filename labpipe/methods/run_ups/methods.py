@@ -87,7 +87,9 @@ def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 def predict(
     rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True
 ) -> RunPrediction:
-    """Prediction for one run, with the reasons of missing values; *rig*: with the run's unbalance."""
+    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the
+    run's unbalance.
+    """
     if isinstance(solution, str):
         return RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
@@ -148,7 +150,9 @@ LEAST_DAMPING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class PointFit(SpeedwiseFit):
-    """std_error (n_speed, 8) [N/m, N s/m] with probes, NaN at a bound; n_effective parameters."""
+    """std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes, NaN at a bound; n_effective:
+    parameters that the data determine.
+    """
 
     std_error: FloatArray
     n_effective: float
@@ -165,7 +169,9 @@ PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 def fit_points(
     rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE
 ) -> list[PointFit]:
-    """By load; *bound*, *ridge* > 0 (else ConfigError) in parts of `scales`. Equation (run-points)."""
+    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
+    ConfigError unless positive. Equation (run-points).
+    """
     if not (bound > 0 and ridge > 0):
         raise ConfigError(
             "bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %"
@@ -405,7 +411,9 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
-    """The *combined* error [1] in parts, of noise and priors and of each source, largest first."""
+    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each uncertainty of
+    the probes, largest first.
+    """
     scale = 1.0 if parameter.name in EXPONENTS else parameter.value
     changes = scale * fit.systematic[:, PARAMETERS.index(parameter.name)]
     systematic = float(np.sqrt(np.sum(changes**2)))

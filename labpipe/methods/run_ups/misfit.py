@@ -53,7 +53,9 @@ class ExcitedRun:
         return self._weight(response - self._measured), np.moveaxis(weighted, 0, -1)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Changes (n_source, n_speed, n_equation) [-] by one standard uncertainty of each source."""
+        """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of
+        the *sources*.
+        """
         changes = self.run.changes()
         none = np.zeros_like(self.run.response)
         rows = [self._weight(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
@@ -90,14 +92,18 @@ class LoadRuns:
         return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
 
     def residual(self, model: CoefficientFamily, values: FloatArray) -> Residual:
-        """Of all runs (n,) [1] at a family's *values* (n_parameter,), and slopes (n, n_parameter)."""
+        """Of all runs (n,) [1] with coefficients of a family at its parameters *values* (n_parameter,), and
+        derivatives by these (n, n_parameter).
+        """
         load = np.full(self.speed.size, self.load)
         eight, by_parameter = model.coefficients_and_slopes(values, load, self.speed)
         residual, slopes = self.residual_and_slopes(eight)
         return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Of all runs (n_source, n_speed, n_equation) [-], as of each of them."""
+        """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty
+        of each source.
+        """
         return np.concatenate([run.residual_changes(sources) for run in self.runs], axis=2)
 
 
@@ -117,7 +123,9 @@ def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
 
 
 def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
-    """The runs grouped by load and speeds, in order: for a fit over all speeds."""
+    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share
+    none.
+    """
     return _group(rig, runs, lambda run: (run.load, run.speed.tobytes()))
 
 
@@ -233,7 +241,9 @@ def rank_statements(
 
 
 def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankRow:
-    """The statement for *runs* of one load; advice where a second unbalance adds no rank."""
+    """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second
+    unbalance adds no rank.
+    """
     runs = list(runs)
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place))

@@ -238,7 +238,9 @@ def track_run(
     output: OutputFolder,
     clearance: Clearance | None = None,
 ) -> TrackedRun:
-    """The order of a raw file or a calibrated recording; ConfigError for a gap without orbit."""
+    """The order of a raw file (with its rig) or of a calibrated recording. ConfigError for a gap where no
+    plane moves in it.
+    """
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", where=str(source), hint="add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
@@ -271,7 +273,9 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
 
 
 def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str, complex]) -> int:
-    """Order 1 of every plane as a run-up table; number of speeds. ConfigError for another order."""
+    """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds. ConfigError
+    for another order.
+    """
     if run.track.order != 1:
         raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
     table = run_up_of(run.track, run.name, load, unbalance)

@@ -75,7 +75,9 @@ class SquaredExponential:
 
 @dataclass(frozen=True)
 class SmoothField:
-    """Fields of a *kernel* on data *places* (n_place, 2) [N, rad/s]; weights (n_place, n_mode)."""
+    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data. *weights* (n_place,
+    n_mode): U / sqrt(eigenvalue).
+    """
 
     kernel: SquaredExponential
     places: FloatArray
@@ -97,14 +99,18 @@ class SmoothField:
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:
-        """Covariance (n_point, n_point) [-] beyond the basis, at places (n_point, 2) [N, rad/s]."""
+        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N,
+        rad/s].
+        """
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
 
 
 @dataclass(frozen=True)
 class ProcessFamily:
-    """A *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) by row."""
+    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row
+    by row.
+    """
 
     family: FilmFamily
     field: SmoothField
@@ -211,7 +217,9 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]; None up to twice the highest speed of the search."""
+        """Onset speed of instability [rad/s]. None when there is none up to twice the highest speed of the
+        search.
+        """
         onset = self.rig.threshold(self.at_load(load))
         if onset is None:
             return None
@@ -257,7 +265,9 @@ SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 def fit_with_process(
     rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True
 ) -> ProcessFit:
-    """With smooth factors, from a *joint* fit or the rotor file's bearing; FitError without minimum."""
+    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the
+    rotor file's bearing. FitError when no minimum is found.
+    """
     runs = list(runs)
     rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
@@ -324,7 +334,9 @@ class LinearData:
 
     @classmethod
     def at(cls, problem: Problem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
-        """Linear about *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s] of the data."""
+        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s]
+        of the data.
+        """
         n = len(PARAMETERS)
         eight, slopes = problem.model.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
@@ -337,7 +349,9 @@ class LinearData:
         return cls(problem.model.field, normal, side, by_family)
 
     def log_likelihood(self, field: SmoothField) -> float:
-        """b^T M^-1 b / 2 - ln det M / 2 of another field, M = 1 + B^T A^T A B."""
+        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M
+        = 1 + B^T A^T A B.
+        """
         basis = field.basis(field.places)
         scaled = self.by_family * PRIOR
         corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)

@@ -20,7 +20,9 @@ DIRECTIONS = ("x", "y")
 
 @dataclass(frozen=True)
 class Shaker:
-    """A force that does not turn: *plane*, components [N], frequency over the shaft's speed."""
+    """A force that does not turn: *plane* where it acts, its components [N] and its frequency over the
+    shaft's speed.
+    """
 
     plane: str
     x: float
@@ -111,7 +113,9 @@ class RunUp:
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
 
     def changes(self) -> dict[str, ComplexArray]:
-        """Change (n_speed, n_plane, 2) [m] of the response by every source, which errs as one."""
+        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source. One
+        source errs as one.
+        """
         omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
         changes: dict[str, ComplexArray] = {}
         for error in self.uncertainties:
@@ -158,7 +162,9 @@ class Amount:
 
 @dataclass(frozen=True)
 class Motion:
-    """A direction of a plane: phasor real + j imag (n_speed,) [m], 0-to-peak, errors if measured."""
+    """One direction of one plane over the speeds: phasor real + j imag (n_speed,) [m], 0-to-peak. Errors
+    where it was measured.
+    """
 
     plane: str
     direction: str
@@ -170,7 +176,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Cascade:
-    """Spectra of a response: speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude [m] of each."""
+    """Spectra of one response, block by block of a recording: speed (n_block,) [Hz], frequency (n_line,)
+    [Hz], amplitude [m] of each.
+    """
 
     label: str
     speed: Column
@@ -223,7 +231,9 @@ class RunPrediction:
 
 @dataclass(frozen=True)
 class Convergence:
-    """By iteration (n_iteration,): objective, mesh size, evaluations; *capped*: ended by a limit."""
+    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: True if
+    ended by a limit.
+    """
 
     where: str
     objective: Column
@@ -235,7 +245,9 @@ class Convergence:
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Ends of several starts of a search: eight factors on the start values, and the objective."""
+    """Final points of several starts of one search: eight factors on the start values per start, and its
+    objective.
+    """
 
     where: str
     factors: tuple[Column, ...]
@@ -296,7 +308,9 @@ class RankRow:
 
 @dataclass(frozen=True)
 class Surface:
-    """Values [coefficient][load][speed] in SI over load (n_load,) [N] and speed (n_speed,) [rad/s]."""
+    """Eight coefficients over a grid: load (n_load,) [N], speed (n_speed,) [rad/s], values
+    [coefficient][load][speed] in SI units.
+    """
 
     load: Column
     speed: Column

@@ -68,7 +68,9 @@ def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
 
 
 def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Critical speeds and thresholds by every method and measured, then those printed in a source."""
+    """Critical speeds and thresholds of every method with the measurement, then values printed in a
+    source.
+    """
     blocks: list[Block] = []
     for item, title in KINDS.items():
         blocks.append(_speed_table(result, item, f"{title} [rpm]: measured, and by every method"))

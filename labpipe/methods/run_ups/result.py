@@ -295,7 +295,9 @@ MEASURED = "run_ups.measured"
 
 
 def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParameter]:
-    """Parameters by method, and critical and threshold speeds [rad/s] by run."""
+    """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and
+    predicted.
+    """
     for run in result.runs:
         yield from _speeds(MEASURED, run.name, run, ())
     for predictor in result.predictors:

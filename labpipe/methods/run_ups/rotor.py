@@ -95,7 +95,9 @@ class FilmFamily:
         return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Eight (n_point, 8) [N/m, N s/m]; FitError outside the table. Equation (run-family)."""
+        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table. Equation
+        (run-family).
+        """
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         return self._join(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
@@ -159,7 +161,9 @@ def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: 
 
 
 def coefficient_errors(estimate: FloatArray, true: FloatArray) -> FloatArray:
-    """rms of *estimate* - *true* over rms of *true*, (8,) [-], of (n_point, 8) each."""
+    """rms error of *estimate* over the points, relative to the rms of the true coefficient, (8,) [-], of
+    (n_point, 8) each.
+    """
     return np.sqrt(np.mean((estimate - true) ** 2, axis=0) / np.mean(true**2, axis=0))
 
 
@@ -186,7 +190,9 @@ class TabulatedCoefficients(Protocol):
 
 @dataclass(frozen=True)
 class SpeedSearch:
-    """Critical speeds between *low* and *high* [rad/s], thresholds of instability up to *highest*."""
+    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to
+    *highest*.
+    """
 
     low: float
     high: float
@@ -311,7 +317,9 @@ class RunUpRotor:
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, speed)
 
     def excited(self, run: RunUp) -> CondensedRotor:
-        """At the speeds and under the excitation of a run; DataError when it has other planes."""
+        """Condensed at the speeds, and under the excitation, of a run. DataError when the run has other
+        planes.
+        """
         if run.planes != self.plane_names:
             raise DataError(
                 f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has "
@@ -321,7 +329,9 @@ class RunUpRotor:
         return self.condensed(run.speed, run.unbalance, run.shaker)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K [N/m], C [N s/m], (n_speed, 2, 2), of the rotor file's bearing or as *tabulated*."""
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld
+        number), or as *tabulated*.
+        """
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
@@ -384,7 +394,9 @@ class RunUpRotor:
         return resonance_speed(self.stability, coefficients, self.search.critical[::5])
 
     def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
-        """Onset of instability [rad/s], up to twice the highest speed of the search, or None."""
+        """Onset speed of instability [rad/s], up to twice the highest speed of the search. None when there is
+        none.
+        """
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
@@ -397,7 +409,9 @@ def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 
 
 def largest_displacement(response: ComplexArray) -> FloatArray:
-    """Major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...), of (..., 2). Equation (rotor-largest)."""
+    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of
+    phasors (..., 2). Equation (rotor-largest).
+    """
     return (
         np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])
     ) / 2

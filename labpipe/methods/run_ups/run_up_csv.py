@@ -235,7 +235,9 @@ def _parse(text: str, where: str, key: str, unit: str) -> float:
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:
-    """As `read_run_up_csv` reads it: rpm, um, degrees, six digits; constant errors as comments."""
+    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits. Constant
+    errors as comment lines.
+    """
     columns = {"speed [rpm]": run.rpm}
     relative, phase = _common_errors(run)
     for n, plane in enumerate(run.planes):

@@ -57,7 +57,9 @@ def read_run(
     folder: Path,
     probes: ProbeUncertainties = NO_UNCERTAINTIES,
 ) -> ReadRun:
-    """The run of an entry less its residual run; LabpipeError names the entry. *probes*: of tables."""
+    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry.
+    *probes*: those of tables.
+    """
     try:
         read = run_as_measured(settings, output, folder, probes)
         rig.excited(read.run)
@@ -163,7 +165,9 @@ def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
 def identify_run_ups(
     settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None
 ) -> RunUpResult:
-    """All methods fitted to the trained runs, compared on every run; *folder* of the pipeline."""
+    """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the
+    pipeline file.
+    """
     rig = settings.rig
     assert rig is not None
     probes = settings.probes.uncertainties

@@ -23,7 +23,9 @@ KEYPHASOR = "keyphasor"
 
 @dataclass(frozen=True)
 class ProbeUncertainties:
-    """Of a table's probes: gain [1], phase [rad], delay [s] of each, keyphasor [rad]; or None."""
+    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad]
+    of the keyphasor. None for none.
+    """
 
     gain: Uncertain | None = None
     phase: Uncertain | None = None
@@ -31,7 +33,9 @@ class ProbeUncertainties:
     keyphasor: Uncertain | None = None
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
-        """Errors of every probe by plane and direction, each its own unless a source is named."""
+        """The errors of every probe, named by plane and direction. Each is its own, unless the uncertainty
+        names a source.
+        """
         errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)
@@ -144,7 +148,9 @@ class RunSettings(Settings):
 
 @dataclass(frozen=True)
 class ProbeSettings(Settings):
-    """Standard uncertainties of all probes, each by itself unless brackets say how, as in a rig file."""
+    """Standard uncertainties of the probes of all runs, each by itself. How else they are meant stands in
+    brackets, as in a rig file.
+    """
 
     gain: str = setting(
         "text",

@@ -127,7 +127,9 @@ class VirtualUnbalanceRig(Settings):
 
     @property
     def nominal(self) -> RunUpRotor:
-        """The rotor with the run-ups' range of search, unless it has one; ConfigError without it."""
+        """The rotor file's rotor, its range of search that of the run-ups where the file has none.
+        ConfigError without a rotor.
+        """
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
         return (
@@ -155,7 +157,9 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
 
 
 def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
-    """The family about the rotor file's bearing and the middle of the loads [N] and speeds."""
+    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the
+    speeds.
+    """
     return FilmFamily(
         rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads)))))
     )

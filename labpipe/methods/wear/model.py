@@ -65,18 +65,24 @@ class WornModel:
 
     @property
     def film_mesh(self) -> FilmMesh:
-        """Of films that refine a minimum: 4 times the cells around, along front and edges, twice across."""
+        """The mesh of the films that refine a minimum: four times the tables' cells around the journal, twice
+        those across. Around it they follow the film's front and the edges of wear.
+        """
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
-        """With the films' coefficients and slopes at scaled parameters (n,) [1], on their own mesh."""
+        """The model with the films' coefficients and slopes at scaled parameters (n,) [1], on the films' own
+        mesh.
+        """
         values, mesh = self.values(parameters), self.film_mesh
         return replace(
             self, bearings=tuple(bearing.refined(values, mesh, with_slopes) for bearing in self.bearings)
         )
 
     def with_mesh_error(self, parameters: FloatArray) -> tuple[WornModel, ...]:
-        """For every film, refined before, a model with its mesh's error at parameters (n,) [1]."""
+        """One model for every oil film, refined before, with the error of that film's mesh at scaled
+        parameters (n,) [1] added.
+        """
         values = self.values(parameters)
         models = []
         for number, bearing in enumerate(self.bearings):
@@ -128,7 +134,9 @@ def _reduced_rotor(
 
 
 def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
-    """Of a fit on *frequency* (n_line,) [Hz]; FitError without a rotor, ConfigError where unfit."""
+    """The model of a fit on its lines *frequency* (n_line,) [Hz]. FitError without a rotor, ConfigError where
+    settings and rotor do not fit together.
+    """
     if settings.rig is None:
         raise FitError("no rotor was read for this fit", hint="name it with wear.rotor")
     prior = settings.nuisance_prior
@@ -232,7 +240,9 @@ class WornReceptance:
 
 
 def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornReceptance:
-    """Lines, frame and terms of a fit; ConfigError where unfit, FitError where nothing is left."""
+    """Lines, frame and terms of a fit. ConfigError where they do not fit the response, FitError where nothing
+    is left.
+    """
     left, right = _turn(response, wear.response)
     lines = _lines(response, settings.band, wear)
     measured = measured_part(response, [0, 1], [0, 1], lines)
@@ -430,7 +440,9 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 
 
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """log10(|H_model| / |H_measured|) of all lines (Mendes et al. 2017). Equation (wear-log)."""
+    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017). Equation
+    (wear-log).
+    """
     matrix = measured.chosen.matrix
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:

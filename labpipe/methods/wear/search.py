@@ -48,7 +48,9 @@ class Minimum:
 
 
 def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
-    """Starts (n,), scaled [1]: depths by angles, others at their prior; that alone of known wear."""
+    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean. That alone
+    where wear is known before.
+    """
     model = misfit.model
     mean = np.array(model.prior.mean) / model.scale[len(model.names) - misfit.n_prior :]
     if DEPTH not in model.names or DEPTH in model.prior.names:
@@ -64,7 +66,9 @@ def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
 def descend(
     misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE
 ) -> Minimum:
-    """Minimum in bounds from a scaled *start* (n,) [1]; *free*: numbers that move (default: all)."""
+    """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: indices of the parameters that move
+    (default: all).
+    """
     moving = list(range(start.size)) if free is None else list(free)
     model, whole = misfit.model, np.array(start, float)
     low, high = model.low[moving], model.high[moving]
@@ -98,7 +102,9 @@ def descend(
 
 
 def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
-    """Distinct minima of scaled starts (n,) [1], the lowest first; FitError where none is finite."""
+    """The distinct minima of all scaled starts (n,) [1], the lowest first. FitError when no start leads to a
+    finite misfit.
+    """
     rough = _rank([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
     candidates = _rank([_continue(misfit, minimum) for minimum in merge(rough)])
     if not np.isfinite(candidates[0].chi2):
@@ -175,7 +181,9 @@ PROFILE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Interval:
-    """Ends of a profile interval, scaled; *open*: it ends at the bound only as the range does."""
+    """Ends of a profile interval in scaled units; *open*: whether it ends at the bound only because the range
+    does.
+    """
 
     low: float
     high: float
@@ -271,7 +279,9 @@ LEAST_INFORMATION = 1e-8
 
 
 def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
-    """Minimum at zero depth, where the slope by depth is zero, refined on the films."""
+    """Minimum at zero depth, refined on the films. No start leads there, because the slope by depth is
+    zero.
+    """
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
     refined_misfit, healthy = refine(misfit, healthy, nuisances, best.chi2 + HOPELESS)
@@ -339,7 +349,9 @@ def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArr
 
 
 def widen(interval: Interval, best: float, distance: float, low: float, high: float) -> Interval:
-    """Half-widths w about *best* become sqrt(w^2 + *distance*^2), from *low* to *high*; scaled."""
+    """A profile interval about *best* with each half-width w replaced by sqrt(w^2 + *distance*^2), within
+    *low* and *high*; all scaled.
+    """
     first, last = (
         best - np.hypot(best - interval.low, distance),
         best + np.hypot(interval.high - best, distance),
@@ -353,6 +365,8 @@ def widen(interval: Interval, best: float, distance: float, low: float, high: fl
 
 
 def widened_region(outline: FloatArray, best: FloatArray, noise: FloatArray, film: FloatArray) -> FloatArray:
-    """An outline (n, 2) about *best* (2,) for *noise* (2, 2), stretched to it and *film* (2, 2) [1]."""
+    """An outline (n, 2) about *best* (2,) for the covariance *noise* (2, 2), stretched to noise and *film*
+    (2, 2); all scaled [1].
+    """
     stretch = np.linalg.cholesky(noise + film) @ np.linalg.inv(np.linalg.cholesky(noise))
     return best + (outline - best) @ stretch.T

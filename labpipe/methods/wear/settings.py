@@ -176,7 +176,9 @@ LEAST_SHARE = 1e-3
 
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the earlier fit that `prior` names, if any; ConfigError if there is none."""
+    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`.
+    ConfigError if there is no such fit.
+    """
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings

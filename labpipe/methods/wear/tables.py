@@ -27,7 +27,9 @@ from labpipe.spectra.convert import FROM_DIRECTIONAL
 
 @dataclass(frozen=True)
 class VaryingSupport:
-    """A bearing; stiffness_slopes, damping_slopes (n, 2, 2) [SI] by *n* parameters."""
+    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes
+    (n, 2, 2) [SI].
+    """
 
     support: Support
     stiffness_slopes: FloatArray
@@ -78,7 +80,9 @@ def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
 
 
 def forward_backward(matrix: ComplexArray) -> ComplexArray:
-    """A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] (Mendes et al. 2017, eq. 18)."""
+    """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z
+    (Mendes et al. 2017, eq. 18).
+    """
     return np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
 
 
@@ -109,7 +113,9 @@ STEPS = {
 
 @dataclass(frozen=True)
 class Ranges:
-    """Factors of viscosity and clearance, lowest cavitation pressure [Pa], wear limits of tables."""
+    """What the tables must cover: factors of viscosity and clearance up and down, lowest cavitation pressure
+    [Pa]; wear limits.
+    """
 
     depth: float
     angle: float
@@ -204,7 +210,9 @@ class Correction:
     slopes: FloatArray
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of PARAMETERS."""
+        """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of
+        PARAMETERS.
+        """
         return self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
 
 
@@ -277,7 +285,9 @@ class TabledBearing:
         return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
 
     def shifted(self, change: FloatArray) -> TabledBearing:
-        """With a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N s/m]."""
+        """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N
+        s/m].
+        """
         if self.fixed is not None:
             return replace(
                 self,
@@ -298,7 +308,9 @@ class TabledBearing:
 def tabulate(
     place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh
 ) -> TabledBearing:
-    """A bearing with its table; ConfigError where fixed wear would follow other parameters."""
+    """A bearing of the rig with its table. ConfigError where a bearing with fixed wear would follow other
+    parameters.
+    """
     if not place.is_film and not worn:
         coefficients = place.bearing.at(OperatingPoint(load, speed, speed))
         return TabledBearing(

@@ -40,7 +40,9 @@ class JournalNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
-    """A rotor file's rotor with a model error, shaker and sensors; *rig*: contents of `rotor`."""
+    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of
+    `rotor`.
+    """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
@@ -110,7 +112,9 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
 
 
 def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
-    """Forces to displacements in y, z at *frequency* (n,) [Hz], above zero; (n, 2, 2) [m/N]."""
+    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above
+    zero; (n, 2, 2) [m/N].
+    """
     supports = rig.supports(mesh)
     nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
     parts = [frequency[n : n + LINES_AT_ONCE] for n in range(0, frequency.size, LINES_AT_ONCE)]
