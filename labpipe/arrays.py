@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from labpipe.errors import DataError
 
-FloatArray: TypeAlias = NDArray[np.floating[Any]]
-ComplexArray: TypeAlias = NDArray[np.complexfloating[Any, Any]]
-IntArray: TypeAlias = NDArray[np.intp]
-BoolArray: TypeAlias = NDArray[np.bool_]
+# Files are read by these types, so they are arrays themselves and not NDArray, which is an alias of another
+# kind from numpy 2.5 on.
+FloatArray: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.floating[Any]]]
+ComplexArray: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.complexfloating[Any, Any]]]
+IntArray: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.intp]]
+BoolArray: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 
 # Checking and freezing of the arrays that records hold.
 

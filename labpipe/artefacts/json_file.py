@@ -103,6 +103,9 @@ def record_of(entry: Any, kind: Any) -> Any:
         return _array(entry, kind)
     if dataclasses.is_dataclass(kind):
         return _dataclass(entry, kind)
+    if hasattr(origin, "__value__"):
+        # The fields of a plug-in's record may be NDArray.
+        return record_of(entry, origin.__value__[get_args(kind)])
     return _scalar(entry, kind)
 
 

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import Header, SourceRef
 from labpipe.artefacts.identification_file import read_identification, write_identification
+from labpipe.artefacts.json_file import record_of
 from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents
 from labpipe.artefacts.writing import output_file, output_folder
@@ -261,3 +263,10 @@ def test_a_result_with_other_entries_is_refused_in_plain_words(tmp_path: Path, c
     with pytest.raises(DataError, match=r"was written by labpipe .*, or edited") as caught:
         read_identification(path)
     assert "run `labpipe identify` again" in str(caught.value.hint)
+
+
+def test_fields_of_a_plugin_may_be_any_array_of_numpy() -> None:
+    """From numpy 2.5 on NDArray is an alias of another kind than the arrays of labpipe's own records."""
+    entry = {"re": [1.0, 0.0], "im": [0.0, -2.0]}
+    np.testing.assert_array_equal(record_of(entry, NDArray[np.complex128]), [1.0, -2.0j])
+    np.testing.assert_array_equal(record_of([1, 2], NDArray[np.float64] | None), np.array([1.0, 2.0]))

@@ -64,9 +64,8 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
     samples = np.hstack([fine, plain[:, n_axis:]])
     samples[:, n_axis : 2 * n_axis] += plain[:, :n_axis]
     channels = _channels(rig, name)
-    samples = samples + rng.standard_normal(samples.shape) * [
-        _measuring_noise(rig, channel) for channel in channels
-    ]
+    noise = np.array([_measuring_noise(rig, channel) for channel in channels])
+    samples = samples + rng.standard_normal(samples.shape) * noise
     if rig.force_recorded:
         samples[:, :n_axis] *= rig.force_per_current
     if rig.speed > 0:

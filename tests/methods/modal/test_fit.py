@@ -63,7 +63,7 @@ def within(fit: Fit, name: str, truth: float, limit: float = 4.0) -> bool:
 def chain_truth() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frequencies [Hz], damping ratios and modal masses at x0 [kg] of the chain."""
     mass, _, stiffness = chain(2)
-    square, shapes = np.linalg.eig(np.linalg.solve(mass, stiffness))
+    square, shapes = (part.real for part in np.linalg.eig(np.linalg.solve(mass, stiffness)))
     order = np.argsort(square)
     shapes = shapes[:, order] / shapes[0, order]
     w = np.sqrt(square[order])
