@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, frozen_array
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertainty
@@ -191,7 +191,7 @@ def frequency_hz(point: OperatingPoint) -> float:
 
 def not_on_rotor(entry: str) -> ConfigError:
     """The fault of an entry of a rotor's bearing that follows from the rotor."""
-    return ConfigError(f"{entry}: follows from the rotor", hint="leave it out", field=entry.partition(".")[0])
+    return SettingError(entry.partition(".")[0], f"{entry}: follows from the rotor", "leave it out")
 
 
 # What uncertainties of geometry, oil, loads and gains do to the coefficients of a bearing.

@@ -154,9 +154,7 @@ SECTIONS = (*LISTS, "bearings", "materials", "damping")
 
 def load_rotor(path: Path, overrides: Iterable[str] = ()) -> RotorRig:
     """The rotor of a rotor file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     rig = read_rotor(tree, path.stem, faults)
     faults.raise_any()

@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import with_error
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import forward_backward_motion, unbalance_response
 from labpipe.methods.rotor.rig import RotorRig
@@ -126,9 +126,7 @@ class UnbalanceSettings(Settings):
 
     def __post_init__(self) -> None:
         if not self.cases:
-            raise ConfigError(
-                "cases: are missing", hint="for example cases: {healthy: {depth: 0 um}}", field="cases"
-            )
+            raise SettingError("cases", "cases: are missing", "for example cases: {healthy: {depth: 0 um}}")
         if not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError("'speeds' must rise from above zero", hint="for example speeds: 40-65 Hz")
         if not 0 < self.step <= self.speeds[1] - self.speeds[0]:
@@ -138,9 +136,7 @@ class UnbalanceSettings(Settings):
         if self.rig is None:
             return
         if not self.rig.unbalances:
-            raise ConfigError(
-                "the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor"
-            )
+            raise SettingError("rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
         for _, case in self.cases:
             self.rig.with_bearings(
                 (self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle
@@ -471,16 +467,10 @@ def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNu
     name, _, item = rule.item.rpartition(".")
     cases = {case.name: case for case in runs.cases}
     if name not in cases:
-        hint = nearest(name, list(cases))
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: no such case of unbalance", where=rule.place, hint=hint
-        )
+        raise rule.fault("no such case of unbalance", nearest(name, cases))
     values = runs.values(cases[name])
     if item not in values:
-        hint = nearest(item, list(values))
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: a case of unbalance has no '{item}'", where=rule.place, hint=hint
-        )
+        raise rule.fault(f"a case of unbalance has no '{item}'", nearest(item, values))
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, *values[item]))
 
 

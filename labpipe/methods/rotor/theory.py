@@ -207,17 +207,13 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
 def _with_response(theory: RotorTheory, at: _SupportsBetween) -> RotorTheory:
     """The response to the file's unbalances at bearings, discs and the node that is measured."""
     rig = theory.rig
-    amounts: dict[int, complex] = {}
-    for part in rig.unbalances:
-        amounts[part.node] = amounts.get(part.node, 0j) + part.size * np.exp(1j * part.phase)
+    amounts = rig.amounts
     nodes = sorted({rig.response, *amounts, *(place.node for place in rig.bearings)})
     outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
     fine = np.linspace(theory.speed[0], theory.speed[-1], FINE)
     motion = np.array(
         [
-            unbalance_response(rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs)[
-                0
-            ]
+            unbalance_response(rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs)
             for speed in fine
         ]
     ).reshape(fine.size, len(nodes), 2)

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from labpipe.display import amount_text, number, plain_text, with_error
-from labpipe.errors import ConfigError
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
 from labpipe.methods.rotor_system.records import (
@@ -17,6 +16,7 @@ from labpipe.methods.rotor_system.records import (
     VibrationResult,
 )
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
+from labpipe.methods.run_ups.section import warnings_outcome
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.records.finding import NORMAL, WARNING, Finding, Parameter, of_level
@@ -76,18 +76,15 @@ def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber
     the result does not have.
     """
     if rule.item == "warnings":
-        codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
-        wanted = rule.bound.removeprefix("not ").strip()
-        passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
-        return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+        return warnings_outcome(rule, result.findings)
     decisions = _decisions(result)
     if rule.item in decisions:
         word = decisions[rule.item]
         return RuleOutcome(rule.section, rule.text, word, word == rule.bound)
     amounts = _amounts(result)
     if rule.item not in amounts:
-        what = f"{rule.section}.{rule.address}: the rotor has no '{rule.item}'"
-        raise ConfigError(what, where=rule.place, hint=nearest(rule.item, [*amounts, *decisions, "warnings"]))
+        hint = nearest(rule.item, [*amounts, *decisions, "warnings"])
+        raise rule.fault(f"the rotor has no '{rule.item}'", hint)
     value, error, unit = amounts[rule.item]
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, unit, error))
 

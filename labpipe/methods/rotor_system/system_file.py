@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.rotor_file import read_rotor
 from labpipe.methods.rotor_system.build import COEFFICIENTS, LinearBearing, Pedestal, RotorSystem
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError
 from labpipe.records.settings import FileKind, Settings, setting
@@ -70,9 +70,7 @@ class InternalSettings(Settings):
 
 def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     """The rotor of a file with what is known of it; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     taken = {key: _take(entries.get(key), key, name, unit, faults) for key, name, unit in UNCERTAIN}
@@ -285,10 +283,10 @@ def _linear(
 def check_unknown(system: RotorSystem) -> None:
     """ConfigError where nothing of a rotor is unknown."""
     if not system.is_uncertain:
-        raise ConfigError(
+        raise SettingError(
+            "rotor",
             "nothing of the rotor is unknown",
-            hint=f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]",
-            field="rotor",
+            f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]",
         )
 
 

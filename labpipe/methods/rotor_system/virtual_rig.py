@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
@@ -58,9 +58,9 @@ class RotorTestRig(Settings):
     def __post_init__(self) -> None:
         require_positive(self, "amplitude", "spacing", "duration", "sample_rate")
         if self.periods < 2:
-            raise ConfigError("at least two periods are needed", field="periods")
+            raise SettingError("periods", "at least two periods are needed")
         if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
-            raise ConfigError("the sampling rate is too low for band and speeds", field="sample_rate")
+            raise SettingError("sample_rate", "the sampling rate is too low for band and speeds")
 
 
 @dataclass(frozen=True)

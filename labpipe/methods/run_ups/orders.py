@@ -242,7 +242,7 @@ def track_run(
     plane moves in it.
     """
     if rig is None and not is_recording(source):
-        raise ConfigError("a raw file needs its rig file", where=str(source), hint="add -r RIG")
+        raise ConfigError("a raw file needs its rig file", source, "add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
     recording = ingest(source, rig or Rig("", ()), output, source.stem, Path.cwd())
     track = track_order(recording, lines, order=order, revolutions=revolutions)
@@ -251,7 +251,7 @@ def track_run(
     quantity = quantities.pop() if len(quantities) == 1 else ""
     if clearance is not None and (quantity != "displacement" or not circles):
         hint = "two displacements in known directions (dof: x and y, or front.x and front.y) are needed"
-        raise ConfigError("--gap: no orbit to hold against the gap", where=str(source), hint=hint)
+        raise ConfigError("--gap: no orbit to hold against the gap", source, hint)
     return TrackedRun(recording.name, track, circles, quantity, clearance)
 
 

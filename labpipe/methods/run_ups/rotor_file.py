@@ -23,7 +23,7 @@ from labpipe.methods.rotor.rotor_file import (
 )
 from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
 from labpipe.methods.run_ups.rotor import RunUpRotor
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.records.settings import FileKind, Settings, setting
 from labpipe.registry import nearest
@@ -51,9 +51,7 @@ class PinnedSettings(Settings):
 
 def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
     """The rotor of a rotor file with pins; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     rig = read_run_up_rotor(tree, path.stem, faults, path.parent)
     faults.raise_any()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.errors import DataError, LabpipeError
 from labpipe.methods.run_ups.measured import ReadRun, at_speeds, column, difference, run_up_of
 from labpipe.methods.run_ups.records import (
     REJECTED,
@@ -36,7 +36,7 @@ from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.judging import CompareNumber, compare_covers
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
-from labpipe.records.finding import WARNING, of_level
+from labpipe.records.finding import WARNING, Finding, of_level
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.rig import Rig
 from labpipe.records.sections import PipelineSection
@@ -115,7 +115,7 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
 
 def _open(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
     if settings.recorded_by is None and not is_recording(path):
-        raise DataError("a raw file needs its rig file", where=str(path), hint="add rig: FILE to the entry")
+        raise DataError("a raw file needs its rig file", path, "add rig: FILE to the entry")
     return ingest(
         path, settings.recorded_by or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder
     )
@@ -203,25 +203,28 @@ class _Address:
     attribute: str
 
 
+def warnings_outcome(rule: Rule, findings_of_rotor: Iterable[Finding]) -> RuleOutcome:
+    """The outcome of a rule such as "warnings: none" or "warnings: not code" on all findings together."""
+    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, findings_of_rotor)))
+    wanted = rule.bound.removeprefix("not ").strip()
+    passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
+    return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+
+
 def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
-        codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
-        wanted = rule.bound.removeprefix("not ").strip()
-        passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
-        return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+        return warnings_outcome(rule, result.findings)
     match = _ADDRESS.match(rule.item)
     if match is None:
-        raise _fault(rule, "is no address", "write run_ups.joint[held-out].critical_speed")
+        raise rule.fault("is no address", "write run_ups.joint[held-out].critical_speed")
     address = _Address(*(part or "" for part in match.groups()))
     names = [run.name for run in result.runs]
     if address.run and address.run not in names:
-        raise _fault(rule, f"there is no run '{address.run}'", nearest(address.run, names))
+        raise rule.fault(f"there is no run '{address.run}'", nearest(address.run, names))
     if address.item in SPEEDS:
         if address.attribute and address.attribute not in ATTRIBUTES:
-            raise _fault(
-                rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES)
-            )
+            raise rule.fault(f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
         runs = [run for run in result.runs if address.run in ("", run.name)]
         candidates = [(run, _amount(rule, address, result, run)) for run in runs]
         selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
@@ -232,18 +235,14 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
     return _of_method(rule, address, result, compare_number)
 
 
-def _fault(rule: Rule, what: str, hint: str) -> ConfigError:
-    return ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
-
-
 def _of_method(
     rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
     predictor = _predictor(rule, address, result)
     if isinstance(predictor, MetamodelResult):
         if address.item != "left_out":
-            raise _fault(
-                rule, f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
+            raise rule.fault(
+                f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
             )
         worst = max((validation.rms for validation in predictor.left_out), default=None)
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, worst, "1"))
@@ -251,7 +250,7 @@ def _of_method(
         return RuleOutcome(rule.section, rule.text, predictor.verdict, predictor.verdict == rule.bound)
     if address.item not in METHOD_VALUES:
         hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
-        raise _fault(rule, f"a method has no '{address.item}'", hint)
+        raise rule.fault(f"a method has no '{address.item}'", hint)
     return RuleOutcome(
         rule.section, rule.text, *compare_number(rule, METHOD_VALUES[address.item](predictor), "1")
     )
@@ -261,7 +260,7 @@ def _predictor(rule: Rule, address: _Address, result: RunUpResult) -> RunUpMetho
     predictors = {predictor.name: predictor for predictor in result.predictors}
     if address.method not in predictors:
         hint = nearest(address.method, [*predictors, MEASURED])
-        raise _fault(rule, f"there is no method '{address.method}'", hint)
+        raise rule.fault(f"there is no method '{address.method}'", hint)
     return predictors[address.method]
 
 

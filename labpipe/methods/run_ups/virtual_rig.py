@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups.records import RunUp, Shaker
@@ -104,9 +104,7 @@ class VirtualUnbalanceRig(Settings):
 
     def __post_init__(self) -> None:
         if self.rig is not None and not self.rig.unbalances:
-            raise ConfigError(
-                "the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor"
-            )
+            raise SettingError("rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
         if not 2 <= self.count <= MOST_SPEEDS or not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError(f"a run-up has 2 to {MOST_SPEEDS} speeds that rise from above zero")
         if not self.loads or min(*self.loads, self.held_out) <= 0:
