@@ -551,7 +551,6 @@ def _next_tests(
     """Standard error of a prediction with this *gradient* (n_unknown,), as it is and with one more test of
     each kind: u' = sqrt(g^T (F + F_c)^-1 g).
     """
-    information = np.linalg.inv(posterior.covariance)
     candidates: dict[str, SystemEvidence] = {f"{test.name} once more": test for test in posterior.tests}
     for test in posterior.tests:
         if not isinstance(test, RunUpVectors):
@@ -563,7 +562,5 @@ def _next_tests(
             candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = nearer
     errors = {"as it is": float(posterior.gradient_error(gradient))}
     for name, test in candidates.items():
-        _, jacobian = test.residual(posterior.model, posterior.values)
-        covariance = np.linalg.inv(information + jacobian.T @ jacobian)
-        errors[name] = float(np.sqrt(gradient @ covariance @ gradient))
+        errors[name] = float(np.sqrt(gradient @ posterior.covariance_with(test) @ gradient))
     return errors

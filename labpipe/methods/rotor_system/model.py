@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -29,6 +29,8 @@ Curve = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 # What follows the frequency, at frequencies of the motion (n_mode,) [rad/s]: power of the eigenvalue that the
 # blocks are multiplied by, dofs, blocks (n_mode, k, k).
 _Added = Callable[[FloatArray], Iterator[tuple[int, IntArray, FloatArray]]]
+# What computes derivatives (n_unknown, ...) where they are asked for.
+Derivatives = Callable[[], ComplexArray]
 # Half-width of the difference that gives the slope of a block by an input, in its standard uncertainties, and
 # by the frequency, as a part of it.
 INPUT_STEP, FREQUENCY_STEP = 1e-3, 1e-4
@@ -367,7 +369,7 @@ class SystemModel:
         forces: ComplexArray | FloatArray,
         outputs: Sequence[int],
         supported: bool = True,
-    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    ) -> tuple[ComplexArray, Derivatives, ComplexArray]:
         """y = S D^-1 F (n_line, n_output, n_force) [m], its derivatives (n_unknown, n_line, n_output,
         n_force), and S D^-1 (n_line, n_output, n_dof) [m/N].
 
@@ -390,8 +392,8 @@ class SystemModel:
                 right[:, part] = solve(block, loads[:, :, :n_force])
                 turned = solve(block.swapaxes(1, 2), loads[:, :, n_force:])
             left[:, :, part] = turned.swapaxes(1, 2)
-        slopes = -self.slopes(values, spin, left, right, 1j * np.asarray(omega), supported)
-        return right[:, list(outputs)], slopes, left
+        slopes = partial(self.slopes, values, spin, left, right, 1j * np.asarray(omega), supported)
+        return right[:, list(outputs)], lambda: -slopes(), left
 
     def roots(
         self,

@@ -138,6 +138,11 @@ class SystemPosterior(Posterior[SystemModel]):
         variance = np.einsum("...i,ij,...j->...", gradient, self.spread, gradient)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
+    def covariance_with(self, test: SystemEvidence) -> FloatArray:
+        """The covariance with one more *test*, (F + J^T J)^-1, (n_unknown, n_unknown) [unit of each]."""
+        slopes = test.residual(self.model, self.values)[1]()
+        return np.linalg.inv(np.linalg.inv(self.covariance) + slopes.T @ slopes)
+
     def draws(self, n_draw: int, seed: int = 0) -> FloatArray:
         """Draws (n_draw, n_unknown) [unit of each], of the refits where there are such."""
         if self.refits is not None:

@@ -85,7 +85,7 @@ class MeasuredThreshold:
         mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
         slopes = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) @ by_parameter[0]
         error = self.speed.std_error
-        return np.array([(speed - self.speed.value) / error]), -slopes[None] / (by_speed * error)
+        return np.array([(speed - self.speed.value) / error]), lambda: -slopes[None] / (by_speed * error)
 
 
 def measured_thresholds(rig: RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:

@@ -387,7 +387,7 @@ def _rows_by_place(
         threshold, by_parameter = test.residual(problem.model, values)
         # A slope by z is the slope by ln coefficients times b.
         place = field.basis(field.places[[first]])[0]
-        by_z = by_parameter[0, len(PARAMETERS) :].reshape(8, field.n_mode)
+        by_z = by_parameter()[0, len(PARAMETERS) :].reshape(8, field.n_mode)
         rows.append((threshold, (by_z @ place / (place @ place))[None]))
         first += 1
     return rows
