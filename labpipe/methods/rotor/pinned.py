@@ -47,14 +47,6 @@ class PinnedRotor:
         first = 4 * self.stations.index(node)
         return [first, first + 1]
 
-    def with_bearing(self, node: int, stiffness: FloatArray, damping: FloatArray) -> RotorMatrices:
-        """The matrices with a bearing's K [N/m] and C [N s/m], (2, 2), on a station."""
-        place = np.ix_(self.dofs(node), self.dofs(node))
-        k, c = self.matrices.stiffness.copy(), self.matrices.damping.copy()
-        k[place] += stiffness
-        c[place] += damping
-        return RotorMatrices(self.matrices.mass, c, self.matrices.gyroscopic, k)
-
 
 def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
     """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc
@@ -325,22 +317,6 @@ def threshold_speed(
     return float(scipy.optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
 
 
-def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: FloatArray) -> None:
-    """FitError naming the first of the speeds (n_speed,) [rad/s] at which the rotor is unstable and has no
-    steady amplitude.
-    """
-    speed = np.asarray(speed, np.float64)
-    growth = stability.growth(speed, *coefficients(speed))
-    if np.any(growth > GROWTH_TOLERANCE):
-        first = int(np.argmax(growth > GROWTH_TOLERANCE))
-        rpm = speed[first] * 30 / np.pi
-        raise FitError(
-            f"at {rpm:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no "
-            "steady amplitude",
-            hint="keep to speeds below the threshold of instability",
-        )
-
-
 def resonance_speed(
     stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]
 ) -> float | None:
@@ -364,12 +340,14 @@ def _crossing(
     stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int
 ) -> float:
     low, high = between
-    if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
-        return float(
-            scipy.optimize.brentq(
-                lambda value: _detuning(stability, coefficients, value), low, high, xtol=RESONANCE_TOLERANCE
-            )
-        )
+
+    def detuning(speed: float) -> float:
+        """Speed minus the imaginary part of the nearest mode [rad/s]."""
+        frequencies = _damped_frequencies(stability, coefficients, speed)
+        return float(speed - frequencies[np.argmin(np.abs(frequencies - speed))])
+
+    if detuning(low) < 0 < detuning(high):
+        return float(scipy.optimize.brentq(detuning, low, high, xtol=RESONANCE_TOLERANCE))
     # Another mode is nearer to an end than the one that is crossed: only their number tells.
     while high - low > RESONANCE_TOLERANCE:
         middle = (low + high) / 2
@@ -386,9 +364,3 @@ def _damped_frequencies(stability: Stability, coefficients: CoefficientsAtSpeed,
     roots, vectors = np.linalg.eig(stability.system(place, *coefficients(place))[0])
     lightly_damped = stability.moving(vectors) & (roots.imag > 0) & (-roots.real < 0.5 * np.abs(roots))
     return np.sort(roots[lightly_damped].imag)
-
-
-def _detuning(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> float:
-    """Speed minus the imaginary part of the nearest mode [rad/s]."""
-    frequencies = _damped_frequencies(stability, coefficients, speed)
-    return float(speed - frequencies[np.argmin(np.abs(frequencies - speed))])

@@ -45,11 +45,6 @@ class Modes:
         return self.eigenvalues.imag / (2 * np.pi)
 
     @property
-    def natural_frequency(self) -> FloatArray:
-        """Undamped natural frequency |lambda| / 2 pi [Hz], (n_mode,)."""
-        return np.abs(self.eigenvalues) / (2 * np.pi)
-
-    @property
     def damping_ratio(self) -> FloatArray:
         """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode.
 
@@ -91,14 +86,6 @@ def modes(rotor: Rotor, supports: Iterable[Support], speed: float) -> Modes:
     flat = shapes.reshape(oscillating.size, -1)
     largest = flat[np.arange(oscillating.size), np.argmax(np.abs(flat), axis=1)]
     return Modes(speed, roots[oscillating], shapes / largest[:, None, None])
-
-
-def campbell(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> list[Modes]:
-    """Modes at every spin speed [rad/s], for a Campbell diagram.
-
-    *supports* gives the bearings at each speed.
-    """
-    return [modes(rotor, supports(speed), speed) for speed in speeds]
 
 
 def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> float:

@@ -19,7 +19,6 @@ from labpipe.methods.rotor.response import forward_backward_motion, unbalance_re
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
-from labpipe.project.work import Work
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
@@ -454,14 +453,6 @@ def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
             yield ListedParameter(fit="unbalance", parameter=parameter, test=case.name, model="unbalance")
 
 
-def run_unbalance(
-    settings: UnbalanceSettings,
-    work: Work,  # noqa: ARG001 (one signature for all sections)
-) -> UnbalanceRuns:
-    """The response of every state of wear at every speed."""
-    return unbalance_runs(settings)
-
-
 def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule on one case; ConfigError at its place when there is no such case or value."""
     name, _, item = rule.item.rpartition(".")
@@ -478,7 +469,7 @@ UNBALANCE = PipelineSection(
     words="The model's response to unbalance over speed.",
     settings=UnbalanceSettings,
     standalone=True,
-    run=run_unbalance,
+    run=lambda settings, _work: unbalance_runs(settings),
     record=UnbalanceRuns,
     entry="unbalance",
     outcome=unbalance_outcome,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -24,6 +24,8 @@ from labpipe.methods.rotor.response import (
 )
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.shaft import Support
+from labpipe.report.chart import Axis, Panel, curve, stack, upright
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 # Difference of ln |lambda| between neighbouring speeds that makes two modes hardly one.
 FREQUENCY_STEP = 0.15
@@ -257,9 +259,6 @@ def _distinct(criticals: Sequence[Critical]) -> tuple[Critical, ...]:
     return tuple(sorted(kept, key=lambda critical: critical.speed))
 
 
-if TYPE_CHECKING:
-    from labpipe.report.document import Document
-
 # Logarithmic decrement that API 617 level I asks for at the operating speed.
 LEAST_DECREMENT = 0.1
 
@@ -305,7 +304,6 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
 
 def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
     """The result as `labpipe rotor --json` writes it: speeds in Hz, null where a mode is gone."""
-    import numpy as np
 
     def rows(matrix: Any) -> list[list[float | None]]:
         return [[None if np.isnan(value) else float(value) for value in row] for row in matrix]
@@ -344,9 +342,6 @@ def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
 
 def rotor_document(theory: RotorTheory) -> Document:
     """The result as a report: what was found, Campbell diagram, damping and unbalance response over speed."""
-    from labpipe.report.chart import Axis, Panel, curve, stack, upright
-    from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
-
     speed, operating = theory.speed, theory.rig.speed
     table = Table(
         ("critical speed", "damping", "whirl"), tuple(crossing_rows(theory)), "Where a mode meets the speed"
