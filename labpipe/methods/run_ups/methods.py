@@ -93,11 +93,11 @@ def predict(
     if isinstance(solution, str):
         return RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
-    own = solution.critical if plane in ("", rig.plane_names[-1]) else None
+    stated = solution.critical if plane in ("", rig.plane_names[-1]) else None
     critical = threshold = None
     try:
         if run.shaker is None:
-            critical = _amount(own() if own else rig.critical_speed(solution.at_speed, plane))
+            critical = _amount(stated() if stated else rig.critical_speed(solution.at_speed, plane))
     except FitError as error:
         notes.append(f"no critical speed: {error.what}")
     try:
@@ -156,11 +156,6 @@ class PointFit(SpeedwiseFit):
 
     std_error: FloatArray
     n_effective: float
-
-    @property
-    def chi2_per_datum(self) -> float:
-        """chi-square over degrees of freedom, at least one; near one when model and noise are right."""
-        return self.chi2 / max(self.n_datum - self.n_effective, 1.0)
 
 
 PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
@@ -332,10 +327,10 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
 
 def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     fits = fit_points(rig, trained, settings.bound, settings.ridge)
-    ridge_text = (
-        f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not"
+    remark = (
+        f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not; its "
+        "standard deviations include this."
     )
-    remark = f"{ridge_text}; its standard deviations include this."
     method = RunUpMethod(
         "points",
         "(b) complex, point by point",
@@ -349,9 +344,8 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
-    return Solved(
-        joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit
-    )
+    method = joint_method("joint", "(c) joint physical fit", fit)
+    return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
 
 
 def solve_process(
@@ -399,15 +393,10 @@ def _of_fit(fit: JointFit | ProcessFit) -> dict[str, Any]:
 
 def _parameter(fit: JointFit, name: str) -> Parameter:
     factor, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
-    if bound:
-        return Parameter(name, factor.value, "1", at_bound=True)
-    if fit.rejected:
-        return Parameter(name, factor.value, "1")
-    return with_sources_of(
-        fit,
-        Parameter(name, factor.value, "1", ci95=Amount(factor.value, factor.std_error).ci95),
-        factor.std_error,
-    )
+    if bound or fit.rejected:
+        return Parameter(name, factor.value, "1", at_bound=bound)
+    ci95 = Amount(factor.value, factor.std_error).ci95
+    return with_sources_of(fit, Parameter(name, factor.value, "1", ci95=ci95), factor.std_error)
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
@@ -476,11 +465,8 @@ def _points_at(fits: PointFits) -> Predictor:
 
 
 def _of_points(fits: PointFits) -> dict[str, Any]:
-    chi2, datum, effective = (
-        sum(f.chi2 for f in fits),
-        sum(f.n_datum for f in fits),
-        sum(f.n_effective for f in fits),
-    )
+    chi2, datum = sum(fit.chi2 for fit in fits), sum(fit.n_datum for fit in fits)
+    effective = sum(fit.n_effective for fit in fits)
     n_redundant = datum - effective
     shares = np.concatenate([np.asarray(fit.at_bound).ravel() for fit in fits])
     return {

@@ -126,9 +126,8 @@ class ProcessFamily:
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
-        return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(
-            values, load, speed
-        )
+        eight = self.family.coefficients(values[: len(PARAMETERS)], load, speed)
+        return eight * self.factors(values, load, speed)
 
     def coefficients_and_slopes(
         self, values: FloatArray, load: FloatArray, speed: FloatArray
@@ -149,9 +148,7 @@ class ProcessFamily:
 
 def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     """Places (n_point, 2) of loads [N] and speeds [rad/s]."""
-    return np.stack(
-        np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1
-    ).reshape(-1, 2)
+    return np.stack(np.broadcast_arrays(load, speed), axis=-1).reshape(-1, 2)
 
 
 PEAK_STEP = 5e-3
@@ -209,11 +206,8 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         )
         size = largest_displacement(response.reshape(3, -1, 2))[:, number]
         bend = (size[0] - 2 * size[1] + size[2]) / step**2
-        by_eight = (
-            displacement_slopes(response, slopes)[:, number]
-            * np.array([1.0, 0.0, -1.0])[:, None]
-            / (2 * step * bend)
-        )
+        sides = np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
+        by_eight = displacement_slopes(response, slopes)[:, number] * sides
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
@@ -378,10 +372,7 @@ def _rows_by_place(
         if isinstance(test, LoadRuns):
             group_eight = eight[first : first + test.speed.size]
             residual, slopes = test.residual_and_slopes(group_eight)
-            rows += [
-                (equations, slope * here)
-                for equations, slope, here in zip(residual, slopes, group_eight, strict=True)
-            ]
+            rows += list(zip(residual, slopes * group_eight[:, None], strict=True))
             first += test.speed.size
             continue
         threshold, by_parameter = test.residual(problem.model, values)

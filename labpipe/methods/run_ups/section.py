@@ -77,24 +77,22 @@ def run_as_measured(
 
 
 def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
-    run = _statement(
-        settings, read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None)
-    )
-    run = replace(run, uncertainties=probes.errors(run.planes))
+    table = read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None)
+    run = replace(_statement(settings, table), uncertainties=probes.errors(table.planes))
     if settings.subtracted is not None:
         run = difference(run, read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}))
     return ReadRun(settings, run)
 
 
 def _statement(settings: RunSettings, run: RunUp) -> RunUp:
-    threshold = settings.threshold
+    threshold = run.threshold
+    if settings.threshold is not None:
+        threshold = Uncertain(2 * np.pi * settings.threshold.value, 2 * np.pi * settings.threshold.std_error)
     return replace(
         run,
         load=run.load if settings.load is None else settings.load,
         unbalance=dict(settings.unbalance) or run.unbalance,
-        threshold=run.threshold
-        if threshold is None
-        else Uncertain(2 * np.pi * threshold.value, 2 * np.pi * threshold.std_error),
+        threshold=threshold,
     )
 
 
@@ -144,13 +142,9 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
         .reshape(spectra.amplitude.shape[0], -1, group, len(spectra.labels))
         .max(axis=2)
     )
+    places = column(spectra.speed), column(frequency)
     return tuple(
-        Cascade(
-            label,
-            column(spectra.speed),
-            column(frequency),
-            tuple(column(row) for row in thinned[:, :, number]),
-        )
+        Cascade(label, *places, tuple(column(row) for row in thinned[:, :, number]))
         for number, label in enumerate(spectra.labels)
     )
 
@@ -171,12 +165,8 @@ def identify_run_ups(
     rig = settings.rig
     assert rig is not None
     probes = settings.probes.uncertainties
-    return run_up_result(
-        settings,
-        rig,
-        [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs],
-        tell,
-    )
+    runs = [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs]
+    return run_up_result(settings, rig, runs, tell)
 
 
 MEASURED = "measured"
@@ -289,13 +279,9 @@ def _attribute(
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
-    names = [
-        "measured",
-        *(
-            f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name
-            for method in result.methods
-        ),
-    ]
+    names = ["measured"]
+    for method in result.methods:
+        names.append(f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name)
     yield f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names)
     for run in result.runs:
         columns = [run, *(method.prediction(run.name) for method in result.methods)]
