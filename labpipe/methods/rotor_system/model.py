@@ -452,9 +452,7 @@ class SystemModel:
         last = min(self.n_dof, START_MODES) - 1
         _, modes = linalg.eigh(stiffness, whole.mass, subset_by_index=[0, last])
         static = np.linalg.solve(stiffness, np.eye(self.n_dof)[:, carried])
-        shapes = np.column_stack([modes, static])
-        basis, size, _ = linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
-        return np.asarray(basis[:, size > 1e-6 * size[0]])
+        return orthonormal(np.column_stack([modes, static]), 1e-6)
 
     def _following(self, values: FloatArray, spin: float, most: int, slopes: bool) -> Roots:
         """Eigenvalues with the coefficients at their own frequencies, from those in bands of frequencies with
@@ -548,6 +546,14 @@ class SystemModel:
         all_roots = np.concatenate(roots)
         first = np.argsort(np.abs(all_roots))[: most or None]
         return all_roots[first], np.concatenate(shapes)[first]
+
+
+def orthonormal(shapes: FloatArray, least: float) -> FloatArray:
+    """Basis (n_dof, n_kept) [1] of *shapes* (n_dof, n_shape) [any unit], without what is below a *least*
+    singular value [1] of the shapes at length 1.
+    """
+    basis, size, _ = linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
+    return np.asarray(basis[:, size > least * size[0]])
 
 
 def between(left: ComplexArray, matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
