@@ -233,15 +233,10 @@ class BearingUncertainties:
         *changes* (n_source,) [unit of the amount].
         """
         whole = float(np.sum(changes**2))
-        parts = (
-            [
-                (source.source, float(change**2) / whole)
-                for source, change in zip(self.sources, changes, strict=True)
-            ]
-            if whole
-            else []
-        )
-        return sorted(parts, key=lambda pair: -pair[1])
+        if not whole:
+            return []
+        names = [source.source for source in self.sources]
+        return sorted(zip(names, (changes**2 / whole).tolist(), strict=True), key=lambda pair: -pair[1])
 
 
 def bearing_uncertainties(

@@ -394,15 +394,16 @@ EXPLAINED = (
 )
 
 
-def unbalance_sections(runs: UnbalanceRuns, _identification: Identification) -> tuple[Section, ...]:
-    return (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),)
-
-
 def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
     rows = []
     for case in runs.cases:
         wear = (f"{UM * case.depth:.4g}", f"{np.degrees(case.angle):.4g}") if case.depth else ("0", "")
-        peaks = (_with_uncertainty(case, name, *value) for name, value in runs.values(case).items())
+        peaks = []
+        for name, (value, unit) in runs.values(case).items():
+            factor, error = UM if unit == "m" else 1.0, case.error(name)
+            peaks.append(
+                f"{factor * value:.4g}" if error is None else with_error(factor * value, factor * error)
+            )
         ratio = max(case.backward) / max(case.forward)
         rows.append((case.name, *wear, *peaks, f"{ratio:.3f}"))
     caption = (
@@ -421,18 +422,12 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
     )
 
 
-def _with_uncertainty(case: UnbalanceCase, name: str, value: float, unit: str) -> str:
-    factor, error = UM if unit == "m" else 1.0, case.error(name)
-    return f"{factor * value:.4g}" if error is None else with_error(factor * value, factor * error)
-
-
 def unbalance_figure(runs: UnbalanceRuns) -> Figure:
     panels = []
     for name in ("forward", "backward"):
-        radii = [UM * np.array(getattr(case, name)) for case in runs.cases]
-        cases = enumerate(zip(runs.cases, radii, strict=True))
         series = [
-            curve(case.name, runs.speed, radius, *look(number), width=1.5) for number, (case, radius) in cases
+            curve(case.name, runs.speed, UM * np.array(getattr(case, name)), *look(number), width=1.5)
+            for number, case in enumerate(runs.cases)
         ]
         panels.append(Panel(Axis("speed", "Hz"), Axis(name, "um", logarithmic=True), tuple(series)))
     caption = (
@@ -474,5 +469,5 @@ UNBALANCE = PipelineSection(
     entry="unbalance",
     outcome=unbalance_outcome,
     parameters=listed_peaks,
-    report=unbalance_sections,
+    report=lambda runs, _: (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),),
 )

@@ -17,6 +17,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.methods.rotor.response import (
     Modes,
+    SupportsAtSpeed,
     forward_backward_motion,
     modes,
     onset_speed,
@@ -138,7 +139,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         frequency[number, there] = roots.imag / (2 * np.pi)
         decrement[number, there] = -2 * np.pi * roots.real / roots.imag
         whirl[number, there] = found.whirl[order[number, there]]
-    at = _SupportsBetween(speeds, supports)
+    at = _supports_between(speeds, supports)
     try:
         onset = onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)
     except FitError:
@@ -165,17 +166,12 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     return _with_response(theory, at) if rig.unbalances else theory
 
 
-class _SupportsBetween:
+def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> SupportsAtSpeed:
     """The bearings at any speed [Hz] of a grid, by cubic splines of their coefficients."""
-
-    def __init__(self, speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> None:
-        self._nodes = [support.node for support in supports[0]]
-        coefficients = np.array([[(s.stiffness, s.damping) for s in row] for row in supports])
-        self._spline = scipy.interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
-
-    def __call__(self, speed: float) -> list[Support]:
-        values = self._spline(speed)
-        return [Support(node, k, c) for node, (k, c) in zip(self._nodes, values, strict=True)]
+    nodes = [support.node for support in supports[0]]
+    coefficients = np.array([[(support.stiffness, support.damping) for support in row] for row in supports])
+    spline = scipy.interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
+    return lambda speed: [Support(node, k, c) for node, (k, c) in zip(nodes, spline(speed), strict=True)]
 
 
 def follow(each: Sequence[Modes]) -> FloatArray:
@@ -206,7 +202,7 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
     return np.asarray(alike * np.exp(-(near**2) / 2))
 
 
-def _with_response(theory: RotorTheory, at: _SupportsBetween) -> RotorTheory:
+def _with_response(theory: RotorTheory, at: SupportsAtSpeed) -> RotorTheory:
     """The response to the file's unbalances at bearings, discs and the node that is measured."""
     rig = theory.rig
     amounts = rig.amounts
