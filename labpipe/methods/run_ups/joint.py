@@ -279,16 +279,15 @@ class JointFit(RunUpFit[FilmFamily]):
         """
         if self.rig.threshold(self.at_load(load)) is None:
             return None
-        return self._predict(lambda values: self._threshold_or_error(values, load))
 
-    def _threshold_or_error(self, values: FloatArray, load: float) -> float:
-        speed = self.rig.threshold(self.model.at_load(values, load))
-        if speed is None:
-            hint = f"it is above {self.rig.search.highest / RPM:.0f} rpm"
-            raise FitError(
-                "the threshold speed leaves the range of the search within its own uncertainty", hint=hint
-            )
-        return speed
+        def speed_of(values: FloatArray) -> float:
+            speed = self.rig.threshold(self.model.at_load(values, load))
+            if speed is None:
+                what = "the threshold speed leaves the range of the search within its own uncertainty"
+                raise FitError(what, hint=f"it is above {self.rig.search.highest / RPM:.0f} rpm")
+            return speed
+
+        return self._predict(speed_of)
 
     def caution(self, load: float) -> str:
         """Warning on a prediction at a *load* [N]: family rejected, load extrapolated; empty otherwise."""
@@ -312,9 +311,8 @@ class JointFit(RunUpFit[FilmFamily]):
         for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
             if size > 0:
                 change = STEP * size * axis
-                variance += (
-                    (predict(self.values + change) - predict(self.values - change)) / (2 * STEP)
-                ) ** 2
+                moved = predict(self.values + change) - predict(self.values - change)
+                variance += (moved / (2 * STEP)) ** 2
         return Uncertain(predict(self.values), float(np.sqrt(variance)))
 
 

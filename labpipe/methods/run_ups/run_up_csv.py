@@ -60,7 +60,7 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
     if not path.exists():
         raise DataError("no such file", path)
     read = _Reader(path)
-    speed = read.in_si(read.speed_column, "Hz") * 2 * np.pi
+    speed = read.speed
     amplitude, phase = read.stack("amplitude"), read.stack("phase")
     amplitude_error = read.errors("amplitude error", amplitude, "1")
     phase_error = read.errors("phase error", np.ones_like(phase), "rad")
@@ -111,10 +111,11 @@ class _Reader:
         return names
 
     @property
-    def speed_column(self) -> str:
+    def speed(self) -> FloatArray:
+        """(n_speed,) [rad/s]."""
         for column in self.table.columns:
             if _SPEED.match(column):
-                return column
+                return 2 * np.pi * self.in_si(column, "Hz")
         raise self.fault("no column 'speed'", "for example 'speed [rpm]'")
 
     def in_si(self, column: str, si_unit: str) -> FloatArray:
@@ -214,17 +215,13 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
                 continue
             key, where = match["key"], f"{path}:{number}"
             if key not in PLAIN_KEYS[:-1] and not key.startswith("unbalance "):
-                _refuse_misspelt(key, where)
+                if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
+                    raise DataError(f"unknown entry '{key}'", where, nearest(key, PLAIN_KEYS))
                 continue
             if key in entries:
                 raise DataError(f"'{key}' appears twice", where)
             entries[key] = (match["text"], where)
     return entries
-
-
-def _refuse_misspelt(key: str, where: str) -> None:
-    if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
-        raise DataError(f"unknown entry '{key}'", where, nearest(key, PLAIN_KEYS))
 
 
 def _parse(text: str, where: str, key: str, unit: str) -> float:

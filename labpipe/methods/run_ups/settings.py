@@ -235,31 +235,18 @@ class RunUpSettings(Settings):
             raise ConfigError(
                 "'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %"
             )
-        if self.plane and self.rig is not None:
-            self._check_plane(self.rig)
-        self._check_metamodels()
-        self._check_runs()
+        if self.plane and self.rig is not None and self.plane not in self.rig.plane_names:
+            hint = nearest(self.plane, self.rig.plane_names)
+            raise SettingError("plane", f"no plane '{self.plane}' in {self.rig.name}", hint)
+        self._check_fits()
 
-    def _check_plane(self, rig: RunUpRotor) -> None:
-        try:
-            rig.node(self.plane)
-        except ConfigError as error:
-            error.field = "plane"
-            raise
-
-    def _check_metamodels(self) -> None:
-        needed = (
-            {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set())
-            if self.metamodels
-            else set()
-        )
+    def _check_fits(self) -> None:
+        needed = {self.metamodels_of} if self.metamodels else set()
+        if "physical" in self.metamodels:
+            needed.add("joint")
         for name in sorted(needed - set(self.methods)):
-            hint = f"add {name} to run_ups.methods"
-            raise SettingError(
-                "metamodels", f"metamodels need the method '{name}', which is not fitted", hint
-            )
-
-    def _check_runs(self) -> None:
+            what = f"metamodels need the method '{name}', which is not fitted"
+            raise SettingError("metamodels", what, f"add {name} to run_ups.methods")
         if not self.runs:
             raise SettingError("runs", "a list of runs is needed", "for example - {file: load-1.csv}")
         names = [run.name for run in self.runs]
