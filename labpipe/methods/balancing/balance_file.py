@@ -27,7 +27,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, parse_phasor, quantity, setting
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
@@ -130,10 +130,9 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
 
 def polar(text: str, unit: str) -> complex:
     """A vector `8.5 um at 60 deg` in the SI *unit*; UnitError where it is none."""
-    size, mark, angle = text.partition(" at ")
-    if not mark:
+    if " at " not in text:
         raise UnitError(f"'{text}' is no vector", f"write it as 12 {unit} at 30 deg")
-    return parse_value(size, unit) * complex(np.exp(1j * parse_value(angle, "rad")))
+    return parse_phasor(text, unit)
 
 
 def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
@@ -274,16 +273,11 @@ def balanced(file: BalanceFile) -> Balanced:
     if any(plane.at.size for plane in file.planes.values()):
         places = [_places(name, plane) for name, plane in file.planes.items()]
         chosen = placed_weights(known, places)
-        weights = np.array(
-            [
-                place.radius * (mass @ np.exp(1j * place.angles))
-                for mass, place in zip(chosen, places, strict=True)
-            ]
-        )
-        for name, mass, place in zip(file.planes, chosen, places, strict=True):
-            masses[name] = tuple(
-                (float(a), float(m)) for a, m in zip(place.angles, mass, strict=True) if m > 0
-            )
+        weights = np.zeros(len(places), np.complex128)
+        for number, (name, mass, place) in enumerate(zip(file.planes, chosen, places, strict=True)):
+            weights[number] = place.radius * (mass @ np.exp(1j * place.angles))
+            set_here = zip(place.angles.tolist(), mass.tolist(), strict=True)
+            masses[name] = tuple((angle, size) for angle, size in set_here if size > 0)
     trial = max([float(np.max(np.abs(run.weights))) for run in file.runs], default=0.0)
     trial = trial or float(np.max(np.abs(weights)))
     candidates = {

@@ -74,6 +74,10 @@ class InternalSettings(Settings):
         "uncertain", "damping that turns with the shaft, C = internal K: 30 us +- 70 %", unit="s"
     )
 
+    def __post_init__(self) -> None:
+        if self.internal.value < 0:
+            raise SettingError("internal", "internal must not be negative")
+
 
 def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     """The rotor of a file with what is known of it; ConfigErrors with every fault at its place."""
