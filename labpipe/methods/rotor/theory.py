@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.artefacts.json_file import without_nan
 from labpipe.errors import FitError
 from labpipe.methods.rotor.response import (
     Modes,
@@ -300,10 +301,6 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
 
 def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
     """The result as `labpipe rotor --json` writes it: speeds in Hz, null where a mode is gone."""
-
-    def rows(matrix: Any) -> list[list[float | None]]:
-        return [[None if np.isnan(value) else float(value) for value in row] for row in matrix]
-
     operating = theory.rig.speed
     return {
         "schema": "labpipe/rotor/1",
@@ -311,9 +308,9 @@ def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
         "speed_hz": operating,
         "campbell": {
             "speed_hz": theory.speed.tolist(),
-            "frequency_hz": rows(theory.frequency),
-            "log_decrement": rows(theory.log_decrement),
-            "whirl": rows(theory.whirl),
+            "frequency_hz": without_nan(theory.frequency.tolist()),
+            "log_decrement": without_nan(theory.log_decrement.tolist()),
+            "whirl": without_nan(theory.whirl.tolist()),
         },
         "crossings": [
             {"speed_hz": speed, "log_decrement": decrement, "whirl": whirl}

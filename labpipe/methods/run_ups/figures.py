@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     TWO_SIDED,
@@ -354,14 +354,14 @@ def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
         Panel(
             ITERATION,
             Axis("objective", "um²", logarithmic=True),
-            (_steps("objective", steps, 1e12 * np.array(search.objective)),),
+            (curve("objective", steps, 1e12 * np.array(search.objective), marker="."),),
         ),
         Panel(
             ITERATION,
             Axis("mesh size, part of the box", logarithmic=meshed),
-            (_steps("mesh", steps, search.mesh),) if meshed else (),
+            (curve("mesh", steps, search.mesh, marker="."),) if meshed else (),
         ),
-        Panel(ITERATION, Axis("evaluations"), (_steps("evaluations", steps, search.evaluations),)),
+        Panel(ITERATION, Axis("evaluations"), (curve("evaluations", steps, search.evaluations, marker="."),)),
         _factors((dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
     end = "ended by the limit on evaluations" if search.capped else "ended at the smallest mesh"
@@ -371,10 +371,6 @@ def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
     )
     chart = Chart(panels, 2, 2, (WIDTH, 5.2), legend="none")
     return Figure(chart, caption, f"Convergence of the search of {method.title} at {search.where}")
-
-
-def _steps(name: str, steps: IntArray, values: tuple[float, ...] | FloatArray) -> Series:
-    return curve(name, steps, values, marker=".")
 
 
 def _factors(series: tuple[Series, ...]) -> Panel:

@@ -36,7 +36,7 @@ from labpipe.methods.run_ups.metamodel_kinds import (
     fit_surface,
 )
 from labpipe.methods.run_ups.records import LeftOut
-from labpipe.methods.run_ups.rotor import coefficient_errors
+from labpipe.methods.run_ups.rotor import TabulatedCoefficients, coefficient_errors
 from labpipe.registry import nearest
 
 PLANE = 3.0
@@ -282,7 +282,7 @@ READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
 }
 
 
-class Metamodel(Protocol):
+class Metamodel(TabulatedCoefficients, Protocol):
     """Coefficients (n_point, 8) [N/m, N s/m] over load [N] and speed [rad/s]."""
 
     @property
@@ -290,13 +290,7 @@ class Metamodel(Protocol):
     @property
     def extent(self) -> Extent: ...
     @property
-    def speeds(self) -> tuple[float, float]: ...
-    @property
     def statement(self) -> str: ...
-    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
-        ...
-
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Their standard errors (n_point, 8) [N/m, N s/m]."""
         ...

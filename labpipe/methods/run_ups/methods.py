@@ -315,8 +315,6 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
     method = RunUpMethod(
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
-        _determination(fits),
-        predictions=(),
         **_of_points(fits),
         convergence=(Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),),
         spreads=_spreads(rig, unbalanced, settings),
@@ -331,14 +329,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
         f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not; its "
         "standard deviations include this."
     )
-    method = RunUpMethod(
-        "points",
-        "(b) complex, point by point",
-        _determination(fits),
-        predictions=(),
-        **_of_points(fits),
-        remarks=(remark,),
-    )
+    method = RunUpMethod("points", "(b) complex, point by point", **_of_points(fits), remarks=(remark,))
     return Solved(method, _points_at(fits), tuple(fits))
 
 
@@ -469,8 +460,11 @@ def _of_points(fits: PointFits) -> dict[str, Any]:
     effective = sum(fit.n_effective for fit in fits)
     n_redundant = datum - effective
     shares = np.concatenate([np.asarray(fit.at_bound).ravel() for fit in fits])
+    rank = int(min(fit.rank.min() for fit in fits))
     return {
-        "rank": int(min(fit.rank.min() for fit in fits)),
+        "verdict": "determined" if rank == 8 else "not determined",
+        "predictions": (),
+        "rank": rank,
         "condition": float(max(fit.condition.max() for fit in fits)),
         "share_at_bound": float(np.mean(shares)),
         "chi2_per_datum": chi2 / n_redundant if n_redundant > 0.5 else None,
@@ -480,18 +474,14 @@ def _of_points(fits: PointFits) -> dict[str, Any]:
     }
 
 
-def _determination(fits: PointFits) -> str:
-    return "determined" if min(int(fit.rank.min()) for fit in fits) == 8 else "not determined"
-
-
 def _cap(fits: Sequence[AmplitudeFit]) -> list[str]:
-    capped, most = sum(int(fit.capped.sum()) for fit in fits), max(int(fit.evaluations.max()) for fit in fits)
-    every = sum(fit.speed.size for fit in fits)
-    return (
-        [f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."]
-        if capped
-        else []
-    )
+    capped, every = sum(int(fit.capped.sum()) for fit in fits), sum(fit.speed.size for fit in fits)
+    if not capped:
+        return []
+    most = max(int(fit.evaluations.max()) for fit in fits)
+    return [
+        f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."
+    ]
 
 
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:

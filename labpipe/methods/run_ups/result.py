@@ -47,18 +47,12 @@ from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter
 
-# Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels.
+# Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels, title.
 KINDS = {
-    "response-surface": "surface",
-    "network": "network",
-    "gaussian-process": "process",
-    "physical": "physical",
-}
-TITLES = {
-    "response-surface": "second-order response surface",
-    "network": "feed-forward network",
-    "gaussian-process": "Gaussian process",
-    "physical": "physical fit (c)",
+    "response-surface": ("surface", "second-order response surface"),
+    "network": ("network", "feed-forward network"),
+    "gaussian-process": ("process", "Gaussian process"),
+    "physical": ("physical", "physical fit (c)"),
 }
 # Grid of the drawn surfaces.
 SURFACE_LOADS, SURFACE_SPEEDS = 11, 15
@@ -78,10 +72,11 @@ def metamodels(
     grid = _grid(by_name[settings.metamodels_of], trained)
     joint = by_name["joint"].anywhere if "joint" in by_name else None
     refitted = physical_without(rig, trained) if "physical" in settings.metamodels else None
-    kinds = [KINDS[name] for name in settings.metamodels if name != "physical"]
+    kinds = [KINDS[name][0] for name in settings.metamodels if name != "physical"]
     left_out = leave_one_load_out(grid, kinds, refitted, settings.seed)
     results = []
     for name in settings.metamodels:
+        kind, title = KINDS[name]
         model = _fit(name, grid, joint, settings.seed)
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
         rejected = source.verdict == REJECTED
@@ -94,13 +89,13 @@ def metamodels(
         results.append(
             MetamodelResult(
                 name,
-                TITLES[name],
+                title,
                 Surface(
                     column(load),
                     column(speed),
                     tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)),
                 ),
-                tuple(left_out[KINDS[name]]),
+                tuple(left_out[kind]),
                 predictions,
                 (f"{model.statement}.",),
                 model.to_entries(),
@@ -121,7 +116,7 @@ def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
         if name == "physical":
             assert isinstance(joint, JointFit)
             return PhysicalFit.of(joint, Extent.of(grid).speeds)
-        return fit_metamodel(KINDS[name], grid, seed)
+        return fit_metamodel(KINDS[name][0], grid, seed)
     except LabpipeError as error:
         error.where = error.where or f"run_ups, metamodel {name}"
         raise

@@ -27,7 +27,7 @@ from labpipe.methods.run_ups.records import (
     findings,
 )
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
-from labpipe.methods.run_ups.result import listed_speeds_and_parameters, run_up_result
+from labpipe.methods.run_ups.result import Tell, listed_speeds_and_parameters, run_up_result
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
 from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, RunUpSettings, turning
@@ -147,9 +147,6 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
         Cascade(label, *places, tuple(column(row) for row in thinned[:, :, number]))
         for number, label in enumerate(spectra.labels)
     )
-
-
-Tell = Callable[[str], None]
 
 
 def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
