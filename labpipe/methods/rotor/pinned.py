@@ -14,7 +14,7 @@ and not considered; the rotor is unstable if one of the other modes grows faster
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -96,12 +96,7 @@ class CondensedRotor:
 
     def at(self, chosen: IntArray | BoolArray) -> CondensedRotor:
         """The rotor at the speeds *chosen*, an index array (n,) or a mask (n_speed,)."""
-        return CondensedRotor(
-            *(
-                getattr(self, name)[chosen]
-                for name in ("speed", "at_bearing", "force", "fixed_journal", "per_journal")
-            )
-        )
+        return CondensedRotor(*(getattr(self, part.name)[chosen] for part in fields(self)))
 
     def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (...,
@@ -258,10 +253,6 @@ class Stability:
         eigen = np.linalg.eig(self.system(speed, stiffness, damping))
         moving = self.moving(np.asarray(eigen.eigenvectors, np.complex128))
         return np.max(np.where(moving, eigen.eigenvalues.real, -np.inf), axis=-1)
-
-    def eigenvalues(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
-        """All eigenvalues [1/s], (n_speed, 2 n_dof); arguments as in `system`."""
-        return np.asarray(np.linalg.eigvals(self.system(speed, stiffness, damping)), np.complex128)
 
     def least_stable(self, speed: float, stiffness: FloatArray, damping: FloatArray) -> LeastStable:
         """The least stable mode at one *speed* [rad/s], with the derivatives (2, 2) of its growth rate by the

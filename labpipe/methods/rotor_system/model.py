@@ -63,9 +63,6 @@ class Unknown:
     tests: frozenset[str] = frozenset()
     group: str = ""
 
-    def acts_in(self, test: str) -> bool:
-        return not self.tests or test in self.tests
-
 
 @dataclass(frozen=True)
 class Term:
@@ -164,7 +161,7 @@ class SystemModel:
 
     def acting(self, test: str) -> BoolArray:
         """Which unknowns act in a test, (n_unknown,)."""
-        return np.array([unknown.acts_in(test) for unknown in self.unknowns])
+        return np.array([not unknown.tests or test in unknown.tests for unknown in self.unknowns])
 
     @cached_property
     def _exponents(self) -> tuple[FloatArray, IntArray]:

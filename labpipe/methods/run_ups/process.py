@@ -115,10 +115,6 @@ class ProcessFamily:
     family: FilmFamily
     field: SmoothField
 
-    @property
-    def n_parameter(self) -> int:
-        return len(PARAMETERS) + 8 * self.field.n_mode
-
     def factors(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """exp(g), (n_point, 8) [-]."""
         basis = self.field.basis(places_of(load, speed))
@@ -185,10 +181,6 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         beyond = np.diagonal(self.model.field.unexplained(places_of(load, speed)))[:, None] * eight**2
         of_probes = np.sum((slopes @ self.systematic.T) ** 2, axis=2)
         return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
-
-    def factors(self, load: float, speed: FloatArray) -> FloatArray:
-        """The smooth factors (n_speed, 8) [-]."""
-        return self.model.factors(self.values, load, speed)
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
         """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
