@@ -321,14 +321,14 @@ MOST_REFITS = 12
 NEAR = 0.05
 
 
-def family_about(rig: RunUpRotor, groups: Iterable[LoadRuns]) -> FilmFamily:
-    """The family about the rotor file's bearing, its slopes about the middle of the loads and half the
+def family_about(
+    rig: RunUpRotor, loads: Iterable[float], what: str = "a joint fit of the film's parameters"
+) -> FilmFamily:
+    """The family about the rotor file's bearing, its slopes about the middle of the *loads* [N] and half the
     highest speed.
     """
-    film = rig.place.film("a joint fit of the film's parameters")
-    return FilmFamily(
-        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted({group.load for group in groups})))))
-    )
+    middle = float(np.exp(np.mean(np.log(sorted(set(loads))))))
+    return FilmFamily(rig.place.film(what), rig.search.high / 2, middle)
 
 
 def fit_jointly(
@@ -344,7 +344,8 @@ def fit_jointly(
     groups = tuple(runs_by_speeds(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     free = np.array([name not in known for name in PARAMETERS])
-    problem = run_up_problem(family_about(rig, groups), groups, thresholds, PRIOR, free)
+    family = family_about(rig, [group.load for group in groups])
+    problem = run_up_problem(family, groups, thresholds, PRIOR, free)
     for _ in range(MOST_REFITS):
         minimum = minimise(problem, problem.base[problem.free])
         if not minimum.converged:

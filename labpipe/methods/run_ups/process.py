@@ -264,7 +264,7 @@ def fit_with_process(
     )
     extent = np.ptp(places, axis=0)
     ranges = np.where(extent > 0, extent, places[0])
-    family = joint.model if joint is not None else family_about(rig, groups)
+    family = joint.model if joint is not None else family_about(rig, [group.load for group in groups])
 
     def problem_of(kernel: SquaredExponential) -> Problem[ProcessFamily]:
         field = SmoothField.of(kernel, places)

@@ -9,7 +9,7 @@ differs from the rotor file's in one of three ways (TRUTHS).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,8 +19,9 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
+from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
-from labpipe.methods.run_ups.rotor import BOUND, FilmFamily, RunUpRotor, as_eight, as_matrices
+from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
@@ -148,17 +149,8 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
     if virtual.truth == "factors":
         return _with_factors(virtual, load)
     if virtual.truth == "inside":
-        return family(virtual.nominal, virtual.loads).at_load(INSIDE, load)
+        return family_about(virtual.nominal, virtual.loads, "a virtual run-up").at_load(INSIDE, load)
     return _outside(virtual, load)
-
-
-def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
-    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the
-    speeds.
-    """
-    return FilmFamily(
-        rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads)))))
-    )
 
 
 def smooth_factors(
