@@ -62,8 +62,7 @@ class ControlLoop(Settings):
         written = [name for name in PID if name in self.written]
         if self.controller and written:
             what = f"{written[0]}: belongs to the PID, and there is a controller of blocks"
-            hint = "leave it out, or put {form: pid, ...} among the blocks"
-            raise SettingError(written[0], what, hint)
+            raise SettingError(written[0], what, "leave it out, or put {form: pid, ...} among the blocks")
         if not self.controller and self.cross is not None:
             what, hint = "cross: needs the element x by x as controller", "controller: [{form: ...}]"
             raise SettingError("cross", what, hint)

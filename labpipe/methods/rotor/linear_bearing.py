@@ -39,8 +39,7 @@ class LinearBearingSettings(Settings):
         if self.c is not None and (self.c_yy or self.c_zz):
             raise SettingError("c", "'c' is damping in both directions", "c, or c_yy and c_zz")
         if self.k_cross is not None and (self.k_yz or self.k_zy):
-            what = "'k_cross' is k_yz and -k_zy"
-            raise SettingError("k_cross", what, "k_cross, or k_yz and k_zy")
+            raise SettingError("k_cross", "'k_cross' is k_yz and -k_zy", "k_cross, or k_yz and k_zy")
 
     @property
     def stiffness(self) -> FloatArray:

@@ -21,8 +21,8 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, solve
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, first_onset, solve
 from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, free_rotor
 
 
@@ -290,22 +290,12 @@ def threshold_speed(
 
     FitError for a rotor unstable at the first speed.
     """
-    speed = np.asarray(list(speeds), np.float64)
-    unstable = stability.growth(speed, *coefficients(speed)) > GROWTH_TOLERANCE
-    if unstable[0]:
-        raise FitError(
-            f"the rotor is unstable already at {speed[0] * 30 / np.pi:.0f} rpm",
-            hint="start the search at a lower speed",
-        )
-    if not np.any(unstable):
-        return None
-    first = int(np.argmax(unstable))
+    places = np.asarray(list(speeds), np.float64)
 
-    def excess(speed: float) -> float:
-        place = np.array([speed])
-        return float(stability.growth(place, *coefficients(place))[0]) - GROWTH_TOLERANCE
+    def excess(speed: FloatArray) -> FloatArray:
+        return stability.growth(speed, *coefficients(speed)) - GROWTH_TOLERANCE
 
-    return float(scipy.optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
+    return first_onset(lambda speed: float(excess(np.array([speed]))[0]), places, excess(places), tolerance)
 
 
 def resonance_speed(

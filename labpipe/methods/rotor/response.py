@@ -106,14 +106,22 @@ def onset_speed(
     def excess(speed: float) -> float:
         return growth_rate(rotor, supports(speed), speed) - GROWTH_TOLERANCE
 
+    speeds = list(speeds)
+    return first_onset(excess, speeds, map(excess, speeds), tolerance)
+
+
+def first_onset(
+    excess: Callable[[float], float], speeds: Iterable[float], values: Iterable[float], tolerance: float
+) -> float | None:
+    """Where an *excess* of speed becomes positive [rad/s], between the first pair of *speeds* around it,
+    whose *values* of it are given; None where none is positive. FitError where the first one is.
+    """
     stable = None
-    for speed in speeds:
-        if excess(speed) > 0:
+    for speed, value in zip(speeds, values, strict=True):
+        if value > 0:
             if stable is None:
-                raise FitError(
-                    f"the rotor is unstable already at {speed:g} rad/s",
-                    hint="start the search at a lower speed",
-                )
+                what = f"the rotor is unstable already at {speed * 30 / np.pi:.0f} rpm"
+                raise FitError(what, hint="start the search at a lower speed")
             return float(scipy.optimize.brentq(excess, stable, speed, xtol=tolerance))
         stable = speed
     return None

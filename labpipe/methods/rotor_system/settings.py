@@ -218,8 +218,7 @@ class RotorSystemSettings(Settings):
                 raise SettingError("rotor", "a run-up needs an unknown unbalance", hint)
             for node, _, error in system.unbalances:
                 if not error:
-                    what = f"the unbalance at node {node} has no uncertainty"
-                    raise SettingError("rotor", what, hint)
+                    raise SettingError("rotor", f"the unbalance at node {node} has no uncertainty", hint)
         film = next((place.name for place in system.rig.bearings if place.is_film), "")
         for test in self.tests:
             resting = test.kind == RESPONSE and not test.free and not test.speed

@@ -167,8 +167,7 @@ class _Reader:
         text, where = self.head["threshold"]
         value, _, error = text.partition("+-")
         if not error.strip():
-            hint = "for example 2772 rpm +- 6 rpm"
-            raise DataError("threshold: its uncertainty is missing", where, hint)
+            raise DataError("threshold: its uncertainty is missing", where, "for example 2772 rpm +- 6 rpm")
         hertz = [_parse(part.strip(), where, "threshold", "Hz") for part in (value, error)]
         return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
 
