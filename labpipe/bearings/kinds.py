@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, frozen_array
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertainty
@@ -191,7 +191,7 @@ def frequency_hz(point: OperatingPoint) -> float:
 
 def not_on_rotor(entry: str) -> ConfigError:
     """The fault of an entry of a rotor's bearing that follows from the rotor."""
-    return ConfigError(f"{entry}: follows from the rotor", hint="leave it out", field=entry.partition(".")[0])
+    return SettingError(entry.partition(".")[0], f"{entry}: follows from the rotor", "leave it out")
 
 
 # What uncertainties of geometry, oil, loads and gains do to the coefficients of a bearing.
@@ -233,15 +233,10 @@ class BearingUncertainties:
         *changes* (n_source,) [unit of the amount].
         """
         whole = float(np.sum(changes**2))
-        parts = (
-            [
-                (source.source, float(change**2) / whole)
-                for source, change in zip(self.sources, changes, strict=True)
-            ]
-            if whole
-            else []
-        )
-        return sorted(parts, key=lambda pair: -pair[1])
+        if not whole:
+            return []
+        names = [source.source for source in self.sources]
+        return sorted(zip(names, (changes**2 / whole).tolist(), strict=True), key=lambda pair: -pair[1])
 
 
 def bearing_uncertainties(

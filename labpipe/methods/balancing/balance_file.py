@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import ConfigError, DataError, SettingError
 from labpipe.methods.balancing.influence import (
     Influence,
     Noise,
@@ -24,10 +24,10 @@ from labpipe.methods.balancing.influence import (
     placed_weights,
     residual_of,
 )
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, parse_phasor, quantity, setting
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
@@ -68,12 +68,12 @@ class PlaneSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.places and self.angles:
-            raise ConfigError("'places' and 'angles' exclude each other", hint="keep one", field="angles")
+            raise SettingError("angles", "'places' and 'angles' exclude each other", "keep one")
         if self.at.size and (self.at.size < 3 or self.radius is None):
             what = "'places' needs a radius, and three places at least"
-            raise ConfigError(what, hint="radius: 120 mm", field="angles" if self.angles else "places")
+            raise SettingError("angles" if self.angles else "places", what, "radius: 120 mm")
         if self.largest is not None and not self.at.size:
-            raise ConfigError("'largest' is of places", hint="places: 12", field="largest")
+            raise SettingError("largest", "'largest' is of places", "places: 12")
 
     @property
     def at(self) -> FloatArray:
@@ -111,13 +111,13 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
         widened = float(stored.get("widened", 1.0))
     except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
         hint = "a result of a pipeline whose rotor_system has balance_speeds"
-        raise ConfigError("holds no influence of a rotor's planes", where=str(path), hint=hint) from error
+        raise ConfigError("holds no influence of a rotor's planes", path, hint) from error
     lines = tuple(lines) or tuple(names["reading"])
     for what, asked in (("plane", planes), ("reading", lines)):
         for name in asked:
             if name not in names[what]:
                 there = nearest(name, names[what])
-                raise ConfigError(f"the model has no {what} '{name}'", where=str(path), hint=there)
+                raise ConfigError(f"the model has no {what} '{name}'", path, there)
     # Planes that are not named carry no weights.
     columns = [0, *(1 + names["plane"].index(name) for name in planes)]
     rows = [names["reading"].index(name) for name in lines]
@@ -130,17 +130,14 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
 
 def polar(text: str, unit: str) -> complex:
     """A vector `8.5 um at 60 deg` in the SI *unit*; UnitError where it is none."""
-    size, mark, angle = text.partition(" at ")
-    if not mark:
+    if " at " not in text:
         raise UnitError(f"'{text}' is no vector", f"write it as 12 {unit} at 30 deg")
-    return parse_value(size, unit) * complex(np.exp(1j * parse_value(angle, "rad")))
+    return parse_phasor(text, unit)
 
 
 def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     """The content of a balance file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     plain = {name: entry for name, entry in entries.items() if name not in LISTS}
@@ -161,12 +158,12 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     try:
         noise = Noise(parse_value(settings.noise, unit) if settings.noise else 0.0, settings.repeatability)
     except UnitError as error:
-        raise ConfigError(f"noise: {error.what}", where=str(path), hint=error.hint) from None
+        raise ConfigError(f"noise: {error.what}", path, error.hint) from None
     lines = tuple(dict.fromkeys(line for _, readings in named.values() for line in readings))
     prior = None
     if settings.model:
         if unit != "m":
-            raise ConfigError("a model needs readings of displacement", where=str(path), hint="in um")
+            raise ConfigError("a model needs readings of displacement", path, "in um")
         prior, lines = model(path.parent / settings.model, list(planes), lines)
     missing = complex(np.nan, np.nan)
     runs = tuple(
@@ -276,16 +273,11 @@ def balanced(file: BalanceFile) -> Balanced:
     if any(plane.at.size for plane in file.planes.values()):
         places = [_places(name, plane) for name, plane in file.planes.items()]
         chosen = placed_weights(known, places)
-        weights = np.array(
-            [
-                place.radius * (mass @ np.exp(1j * place.angles))
-                for mass, place in zip(chosen, places, strict=True)
-            ]
-        )
-        for name, mass, place in zip(file.planes, chosen, places, strict=True):
-            masses[name] = tuple(
-                (float(a), float(m)) for a, m in zip(place.angles, mass, strict=True) if m > 0
-            )
+        weights = np.zeros(len(places), np.complex128)
+        for number, (name, mass, place) in enumerate(zip(file.planes, chosen, places, strict=True)):
+            weights[number] = place.radius * (mass @ np.exp(1j * place.angles))
+            set_here = zip(place.angles.tolist(), mass.tolist(), strict=True)
+            masses[name] = tuple((angle, size) for angle, size in set_here if size > 0)
     trial = max([float(np.max(np.abs(run.weights))) for run in file.runs], default=0.0)
     trial = trial or float(np.max(np.abs(weights)))
     candidates = {

@@ -15,7 +15,7 @@ from math import factorial
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.methods.floating_bearing.stator import check_names, named_columns, shared_noise
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
@@ -116,13 +116,11 @@ def _choose(
     columns = named_columns(spectra, columns, names) if names else columns
     if not columns:
         hint = f"quantity: {quantity}, role: {roles[0]}, dof: x in the rig file"
-        raise ConfigError(f"there is no {quantity} channel", hint=hint, field=key)
+        raise SettingError(key, f"there is no {quantity} channel", hint)
     dofs = [spectra.channels[n].dof for n in columns]
     if len(set(dofs)) < len(dofs):
         dof = next(dof for dof in dofs if dofs.count(dof) > 1)
-        raise ConfigError(
-            f"two {quantity} channels have the dof {dof}", hint=f"name one of them in `{key}`", field=key
-        )
+        raise SettingError(key, f"two {quantity} channels have the dof {dof}", f"name one of them in `{key}`")
     return columns
 
 
@@ -134,10 +132,8 @@ def _pair(channels: Sequence[Channel], currents: Sequence[int], displacements: S
             f"displacements have {', '.join(sorted(of_dof))}; give current and displacement of an axis "
             "the same dof"
         )
-        raise ConfigError(
-            f"the current {missing[0].name} of dof {missing[0].dof} has no displacement",
-            hint=hint,
-            field="output",
+        raise SettingError(
+            "output", f"the current {missing[0].name} of dof {missing[0].dof} has no displacement", hint
         )
     return [of_dof[channels[n].dof] for n in currents]
 
@@ -154,9 +150,8 @@ def _at_magnets(
         if len(axes) == 1:
             continue
         if len(axes) > 2:
-            raise ConfigError(
-                f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}",
-                field="input",
+            raise SettingError(
+                "input", f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}"
             )
         magnets, probes = (_places([channels[k] for k in axes]) for channels in (currents, sensors))
         matrix[np.ix_(axes, axes)] = magnets @ np.linalg.inv(probes)
@@ -205,10 +200,10 @@ def mass_matrix(
     if not isinstance(mass, float):
         matrix = np.asarray(mass, float)
         if matrix.shape != (n, n):
-            raise ConfigError(
+            raise SettingError(
+                "mass",
                 f"the mass has {matrix.shape[0]} axes, the currents {n}",
-                hint="one number, or a row per axis",
-                field="mass",
+                "one number, or a row per axis",
             )
         return matrix
     matrix = np.zeros((n, n))
@@ -218,9 +213,7 @@ def mass_matrix(
             continue
         if settings.inertia is None:
             hint = "inertia: 0.02 kg.m^2 +- 1 %, about the centre of gravity"
-            raise ConfigError(
-                "a rotor on two bearings needs its moment of inertia", hint=hint, field="inertia"
-            )
+            raise SettingError("inertia", "a rotor on two bearings needs its moment of inertia", hint)
         back = np.linalg.inv(
             _places([currents[k] for k in axes]) @ np.array([[1.0, -settings.centre], [0.0, 1.0]])
         )

@@ -222,9 +222,7 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
         raise ConfigError(
-            f"is of the kind {file.kind_name}",
-            where=str(file.path),
-            hint=f"a loop is predicted for the kind {MAGNETIC}",
+            f"is of the kind {file.kind_name}", file.path, f"a loop is predicted for the kind {MAGNETIC}"
         )
 
     def at(condition: float | None, unit: str) -> MagneticFile:

@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.derived import reported_fit, without_intervals
 from labpipe.estimation.descent import Minimum, minimise, sum_of_squares
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
@@ -255,8 +255,8 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 def _check(settings: FitSettings) -> None:
     if settings.mass == ESTIMATE:
         hint = "mass: 4 kg +- 5 g, in the rig file or in the fit"
-        raise ConfigError(
-            "the mass of the rotor must be known: all else is in proportion to it", hint=hint, field="mass"
+        raise SettingError(
+            "mass", "the mass of the rotor must be known: all else is in proportion to it", hint
         )
 
 

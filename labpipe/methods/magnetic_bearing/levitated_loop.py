@@ -13,7 +13,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.sampled_loop import (
     ROUNDING,
     integrals,
@@ -50,7 +50,7 @@ class BendingMode(Settings):
         require_positive(self, "frequency")
         for name in ("at_bearings", "at_sensors"):
             if len(getattr(self, name)) != len(ENDS):
-                raise ConfigError(f"'{name}' needs a number for each of the two ends", field=name)
+                raise SettingError(name, f"'{name}' needs a number for each of the two ends")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class LongRotor(Settings):
         for name in ("bearings", "sensors"):
             places = getattr(self, name)
             if len(places) != len(ENDS) or places[0] == places[1]:
-                raise ConfigError(f"'{name}' needs two different places", field=name)
+                raise SettingError(name, f"'{name}' needs two different places")
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class SampledPid(Settings):
     def __post_init__(self) -> None:
         require_positive(self, "rate", "derivative_time")
         if self.delay < 0:
-            raise ConfigError("'delay' must not be negative", field="delay")
+            raise SettingError("delay", "'delay' must not be negative")
 
 
 @dataclass(frozen=True)
@@ -168,15 +168,11 @@ class LevitatedRig(Settings):
     def __post_init__(self) -> None:
         require_positive(self, "mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
         if self.speed < 0:
-            raise ConfigError(
-                "the shaft speed must not be negative", hint="it turns from x to y", field="speed"
-            )
+            raise SettingError("speed", "the shaft speed must not be negative", "it turns from x to y")
         if self.axes == "x" and (
             self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)
         ):
-            raise ConfigError(
-                "cross-coupling and gyroscopic moments need both axes", hint="axes: xy", field="axes"
-            )
+            raise SettingError("axes", "cross-coupling and gyroscopic moments need both axes", "axes: xy")
         _whole(
             self.control.rate / self.sample_rate,
             f"the recording's rate divides that of the controller, {self.control.rate:g} Hz",
@@ -186,15 +182,15 @@ class LevitatedRig(Settings):
             "a period of the injection holds no whole number of samples",
         )
         if not self.injection.band[1] < self.sample_rate / 2:
-            raise ConfigError(
-                f"the injection's band must lie below {self.sample_rate / 2:g} Hz", field="injection"
+            raise SettingError(
+                "injection", f"the injection's band must lie below {self.sample_rate / 2:g} Hz"
             )
         n = len(self.labels)
         if self.control.mixing is not None and np.shape(self.control.mixing) != (n, n):
-            raise ConfigError(
+            raise SettingError(
+                "control",
                 f"control.mixing is not a {n} x {n} matrix",
-                hint=f"its axes are {', '.join(self.labels)}",
-                field="control",
+                f"its axes are {', '.join(self.labels)}",
             )
 
     @property
@@ -225,7 +221,7 @@ class LevitatedRig(Settings):
 
 def _whole(number: float, what: str) -> None:
     if abs(number - round(number)) > 1e-9 * number or round(number) < 1:
-        raise ConfigError(what, field="sample_rate")
+        raise SettingError("sample_rate", what)
 
 
 # Times in an interval of the controller at which motion and current are known.
@@ -363,8 +359,8 @@ class LevitatedLoop:
         growth = float(np.max(self.poles.real))
         if growth > ROUNDING * self.rate:
             message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
-            raise ConfigError(
-                message, hint="raise proportional and derivative gain, or shorten the delay", field="control"
+            raise SettingError(
+                "control", message, "raise proportional and derivative gain, or shorten the delay"
             )
         outputs = linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)

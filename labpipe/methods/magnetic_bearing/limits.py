@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray
 from labpipe.distributions import normal_quantile, normal_tail
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports, matrix_errors, measured_part
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
@@ -64,13 +64,13 @@ class CertificateSettings(Settings):
 
     def __post_init__(self) -> None:
         if not 0.5 < self.confidence < 1:
-            raise ConfigError("'confidence' must lie between 50 and 100 %", field="confidence")
+            raise SettingError("confidence", "'confidence' must lie between 50 and 100 %")
         require_positive(self, "log_decrement", "rate")
         if self.before and len(self.before) != len(self.after):
-            raise ConfigError(
+            raise SettingError(
+                "before",
                 f"{len(self.before)} points ahead of a sum and {len(self.after)} behind",
-                hint="one per loop",
-                field="before",
+                "one per loop",
             )
 
     @property

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
 from labpipe.records.settings import Settings, quantity, setting
 
@@ -62,11 +62,10 @@ class ControlLoop(Settings):
         written = [name for name in PID if name in self.written]
         if self.controller and written:
             what = f"{written[0]}: belongs to the PID, and there is a controller of blocks"
-            hint = "leave it out, or put {form: pid, ...} among the blocks"
-            raise ConfigError(what, hint=hint, field=written[0])
+            raise SettingError(written[0], what, "leave it out, or put {form: pid, ...} among the blocks")
         if not self.controller and self.cross is not None:
             what, hint = "cross: needs the element x by x as controller", "controller: [{form: ...}]"
-            raise ConfigError(what, hint=hint, field="cross")
+            raise SettingError("cross", what, hint)
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
@@ -159,10 +158,10 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
     for an integrator. Equation (mag-static).
     """
     if not np.isfinite(loop.at_rest):
-        raise ConfigError(
+        raise SettingError(
+            "static_stiffness",
             "static_stiffness: the controller integrates, so the loop is rigid at rest",
-            hint="give negative_stiffness",
-            field="static_stiffness",
+            "give negative_stiffness",
         )
     return loop_stiffness(loop) * loop.at_rest - static
 

@@ -15,7 +15,7 @@ import scipy
 from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
 
@@ -133,8 +133,8 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
     `sampled_matrix`.
     """
     if plant.loop.cross is not None:
-        raise ConfigError(
-            "a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross"
+        raise SettingError(
+            "cross", "a cross-coupled controller has no loop of one direction", "leave cross out"
         )
     law = sampled_law(plant.loop, rate, plant.loop.blocks())
     motion, whole = sampled_plant(plant, rate)
@@ -203,14 +203,12 @@ def sampled_law(
         )
     continuous, discrete = in_series(blocks)
     if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
-        raise ConfigError(
-            f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz", field="controller"
+        raise SettingError(
+            "controller", f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz"
         )
     if len(continuous.zeros) > len(continuous.poles) or len(discrete.zeros) > len(discrete.poles):
         hint = "add a low-pass, or a derivative_time"
-        raise ConfigError(
-            "controller: more zeros than poles cannot be sampled", hint=hint, field="controller"
-        )
+        raise SettingError("controller", "controller: more zeros than poles cannot be sampled", hint)
     zeros, poles, gain = scipy.signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
     zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
     sections = scipy.signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)

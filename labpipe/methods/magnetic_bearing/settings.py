@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
@@ -57,14 +57,12 @@ class MagnetSettings(Settings):
 
     def __post_init__(self) -> None:
         if not 0 < self.band_confidence < 1:
-            raise ConfigError("'band_confidence' must lie between 0 and 100 %", field="band_confidence")
+            raise SettingError("band_confidence", "'band_confidence' must lie between 0 and 100 %")
         require_positive(self, "hold", "amplifier_bandwidth")
         if self.amplifier_bandwidth is not None and self.hold is None:
-            raise ConfigError(
-                "'amplifier_bandwidth' goes with hold", hint="hold: 20 kHz", field="amplifier_bandwidth"
-            )
+            raise SettingError("amplifier_bandwidth", "'amplifier_bandwidth' goes with hold", "hold: 20 kHz")
         if self.inertia is not None and not self.inertia.value > 0:
-            raise ConfigError("'inertia' must be above zero", field="inertia")
+            raise SettingError("inertia", "'inertia' must be above zero")
 
 
 @dataclass(frozen=True)

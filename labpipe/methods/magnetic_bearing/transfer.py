@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError
 from labpipe.records.settings import Settings, quantity, setting
 
@@ -63,10 +63,10 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
         np.trim_zeros(np.atleast_1d(np.asarray(power, float)), "f") for power in (numerator, denominator)
     )
     if not below.size:
-        raise ConfigError(
+        raise SettingError(
+            "denominator",
             "denominator: is zero",
-            hint="coefficients in descending powers, for example [1, 20, 100]",
-            field="denominator",
+            "coefficients in descending powers, for example [1, 20, 100]",
         )
     poles = np.roots(below)
     above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
@@ -247,7 +247,7 @@ def _checked_roots(
         for root in roots:
             if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300):
                 hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
-                raise ConfigError(f"{name}: {root:g} stands without its conjugate", hint=hint, field=name)
+                raise SettingError(name, f"{name}: {root:g} stands without its conjugate", hint)
     return Transfer(zeros, poles, gain, rate)
 
 
@@ -305,19 +305,17 @@ class ControllerBlock(Settings):
                 )
             if given and name not in (*form.needs, *form.takes, "form"):
                 hint = f"{self.form} takes {', '.join((*form.needs, *form.takes))}"
-                raise ConfigError(f"{name}: is not for the form {self.form}", hint=hint, field=name)
+                raise SettingError(name, f"{name}: is not for the form {self.form}", hint)
         for name in ("zero", "pole", "frequency", "rate", "width"):
             value = getattr(self, name)
             if value is not None and not value > 0:
-                raise ConfigError(f"{name}: must be above zero, not {value:g}", field=name)
+                raise SettingError(name, f"{name}: must be above zero, not {value:g}")
         for name in ("depth", "damping", "derivative_time"):
             if getattr(self, name) < 0:
-                raise ConfigError(f"{name}: must not be negative", field=name)
+                raise SettingError(name, f"{name}: must not be negative")
         if self.order not in (1, 2):
-            raise ConfigError(
-                f"order: a low-pass has order 1 or 2, not {self.order}",
-                hint="two blocks for more",
-                field="order",
+            raise SettingError(
+                "order", f"order: a low-pass has order 1 or 2, not {self.order}", "two blocks for more"
             )
         _ = self.transfer
 
@@ -384,9 +382,8 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
     """The sampling rate [Hz] of the discrete blocks, None without one; ConfigError for two rates."""
     rates = sorted({block.rate for block in blocks if block.rate is not None})
     if len(rates) > 1:
-        raise ConfigError(
-            f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop",
-            field="controller",
+        raise SettingError(
+            "controller", f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop"
         )
     return rates[0] if rates else None
 

@@ -8,7 +8,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
 from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate import linear
@@ -37,7 +37,7 @@ class Levitation(Settings):
 
     def __post_init__(self) -> None:
         if not self.bearings > 0:
-            raise ConfigError("the rotor hangs in one bearing or more", field="bearings")
+            raise SettingError("bearings", "the rotor hangs in one bearing or more")
         require_positive(self, "corner")
 
 

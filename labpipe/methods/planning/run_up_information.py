@@ -119,11 +119,11 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     """
     run = expected_run(expected, candidate)
     speeds = LoadRuns(run.load, run.speed, (ExcitedRun.of(expected.rig, run),))
-    _, rows = speeds.residual(expected.family, expected.values)
+    rows = speeds.residual(expected.family, expected.values)[1]()
     matrix = rows.T @ rows
     if run.threshold is not None:
         measured = MeasuredThreshold(expected.rig, run.load, run.threshold)
-        _, row = measured.residual(expected.family, expected.values)
+        row = measured.residual(expected.family, expected.values)[1]()
         matrix = matrix + row.T @ row
     elif candidate.to_threshold:
         raise FitError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, BearingKind
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.records.settings import Settings, setting
 
 
@@ -37,10 +37,9 @@ class LinearBearingSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.c is not None and (self.c_yy or self.c_zz):
-            raise ConfigError("'c' is damping in both directions", hint="c, or c_yy and c_zz", field="c")
+            raise SettingError("c", "'c' is damping in both directions", "c, or c_yy and c_zz")
         if self.k_cross is not None and (self.k_yz or self.k_zy):
-            what = "'k_cross' is k_yz and -k_zy"
-            raise ConfigError(what, hint="k_cross, or k_yz and k_zy", field="k_cross")
+            raise SettingError("k_cross", "'k_cross' is k_yz and -k_zy", "k_cross, or k_yz and k_zy")
 
     @property
     def stiffness(self) -> FloatArray:

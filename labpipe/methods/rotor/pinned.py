@@ -14,15 +14,15 @@ and not considered; the rotor is unstable if one of the other modes grows faster
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, solve
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, first_onset, solve
 from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, free_rotor
 
 
@@ -46,14 +46,6 @@ class PinnedRotor:
             raise ConfigError(f"node {node} is not between the pins", hint=f"stations: {stations}")
         first = 4 * self.stations.index(node)
         return [first, first + 1]
-
-    def with_bearing(self, node: int, stiffness: FloatArray, damping: FloatArray) -> RotorMatrices:
-        """The matrices with a bearing's K [N/m] and C [N s/m], (2, 2), on a station."""
-        place = np.ix_(self.dofs(node), self.dofs(node))
-        k, c = self.matrices.stiffness.copy(), self.matrices.damping.copy()
-        k[place] += stiffness
-        c[place] += damping
-        return RotorMatrices(self.matrices.mass, c, self.matrices.gyroscopic, k)
 
 
 def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
@@ -104,12 +96,7 @@ class CondensedRotor:
 
     def at(self, chosen: IntArray | BoolArray) -> CondensedRotor:
         """The rotor at the speeds *chosen*, an index array (n,) or a mask (n_speed,)."""
-        return CondensedRotor(
-            *(
-                getattr(self, name)[chosen]
-                for name in ("speed", "at_bearing", "force", "fixed_journal", "per_journal")
-            )
-        )
+        return CondensedRotor(*(getattr(self, part.name)[chosen] for part in fields(self)))
 
     def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (...,
@@ -267,10 +254,6 @@ class Stability:
         moving = self.moving(np.asarray(eigen.eigenvectors, np.complex128))
         return np.max(np.where(moving, eigen.eigenvalues.real, -np.inf), axis=-1)
 
-    def eigenvalues(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
-        """All eigenvalues [1/s], (n_speed, 2 n_dof); arguments as in `system`."""
-        return np.asarray(np.linalg.eigvals(self.system(speed, stiffness, damping)), np.complex128)
-
     def least_stable(self, speed: float, stiffness: FloatArray, damping: FloatArray) -> LeastStable:
         """The least stable mode at one *speed* [rad/s], with the derivatives (2, 2) of its growth rate by the
         bearing's coefficients.
@@ -307,38 +290,12 @@ def threshold_speed(
 
     FitError for a rotor unstable at the first speed.
     """
-    speed = np.asarray(list(speeds), np.float64)
-    unstable = stability.growth(speed, *coefficients(speed)) > GROWTH_TOLERANCE
-    if unstable[0]:
-        raise FitError(
-            f"the rotor is unstable already at {speed[0] * 30 / np.pi:.0f} rpm",
-            hint="start the search at a lower speed",
-        )
-    if not np.any(unstable):
-        return None
-    first = int(np.argmax(unstable))
+    places = np.asarray(list(speeds), np.float64)
 
-    def excess(speed: float) -> float:
-        place = np.array([speed])
-        return float(stability.growth(place, *coefficients(place))[0]) - GROWTH_TOLERANCE
+    def excess(speed: FloatArray) -> FloatArray:
+        return stability.growth(speed, *coefficients(speed)) - GROWTH_TOLERANCE
 
-    return float(scipy.optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
-
-
-def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: FloatArray) -> None:
-    """FitError naming the first of the speeds (n_speed,) [rad/s] at which the rotor is unstable and has no
-    steady amplitude.
-    """
-    speed = np.asarray(speed, np.float64)
-    growth = stability.growth(speed, *coefficients(speed))
-    if np.any(growth > GROWTH_TOLERANCE):
-        first = int(np.argmax(growth > GROWTH_TOLERANCE))
-        rpm = speed[first] * 30 / np.pi
-        raise FitError(
-            f"at {rpm:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no "
-            "steady amplitude",
-            hint="keep to speeds below the threshold of instability",
-        )
+    return first_onset(lambda speed: float(excess(np.array([speed]))[0]), places, excess(places), tolerance)
 
 
 def resonance_speed(
@@ -364,12 +321,14 @@ def _crossing(
     stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int
 ) -> float:
     low, high = between
-    if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
-        return float(
-            scipy.optimize.brentq(
-                lambda value: _detuning(stability, coefficients, value), low, high, xtol=RESONANCE_TOLERANCE
-            )
-        )
+
+    def detuning(speed: float) -> float:
+        """Speed minus the imaginary part of the nearest mode [rad/s]."""
+        frequencies = _damped_frequencies(stability, coefficients, speed)
+        return float(speed - frequencies[np.argmin(np.abs(frequencies - speed))])
+
+    if detuning(low) < 0 < detuning(high):
+        return float(scipy.optimize.brentq(detuning, low, high, xtol=RESONANCE_TOLERANCE))
     # Another mode is nearer to an end than the one that is crossed: only their number tells.
     while high - low > RESONANCE_TOLERANCE:
         middle = (low + high) / 2
@@ -386,9 +345,3 @@ def _damped_frequencies(stability: Stability, coefficients: CoefficientsAtSpeed,
     roots, vectors = np.linalg.eig(stability.system(place, *coefficients(place))[0])
     lightly_damped = stability.moving(vectors) & (roots.imag > 0) & (-roots.real < 0.5 * np.abs(roots))
     return np.sort(roots[lightly_damped].imag)
-
-
-def _detuning(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> float:
-    """Speed minus the imaginary part of the nearest mode [rad/s]."""
-    frequencies = _damped_frequencies(stability, coefficients, speed)
-    return float(speed - frequencies[np.argmin(np.abs(frequencies - speed))])

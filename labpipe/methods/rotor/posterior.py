@@ -7,8 +7,9 @@ every test is an evidence: a weighted residual of that model with its derivative
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -18,7 +19,8 @@ from labpipe.estimation.descent import sum_of_squares
 
 Model = TypeVar("Model")
 Predicted = TypeVar("Predicted", contravariant=True)
-Residual = tuple[FloatArray, FloatArray]
+# A residual, and what computes its Jacobian, which only the steps of a descent that are kept need.
+Residual = tuple[FloatArray, Callable[[], FloatArray]]
 # Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
 RANK_TOLERANCE = 1e-7
 
@@ -27,8 +29,8 @@ class Evidence(Protocol[Predicted]):
     """What was measured, as the weighted residual (n,) [1] of a model with its Jacobian (n, n_unknown)."""
 
     def residual(self, model: Predicted, values: FloatArray) -> Residual:
-        """Residual (n,) [1] at *values* (n_unknown,), and its Jacobian (n, n_unknown) [1 over the unknown's
-        unit].
+        """Residual (n,) [1] at *values* (n_unknown,), and what computes its Jacobian (n, n_unknown) [1 over
+        the unknown's unit].
         """
         ...
 
@@ -62,12 +64,14 @@ class Problem(Generic[Model]):
         return {}
 
     def parts(self, values: FloatArray) -> list[Residual]:
-        """Residual (n,) [1] and Jacobian (n, n_unknown) of every test at *values* (n_unknown,)."""
+        """Residual (n,) [1] and what gives the Jacobian (n, n_unknown) of every test at *values*
+        (n_unknown,).
+        """
         key = values.tobytes()
         if key not in self._last:
-            parts = [test.residual(self.model, values) for test in self.tests]
+            parts = (test.residual(self.model, values) for test in self.tests)
             self._last.clear()
-            self._last[key] = parts
+            self._last[key] = [(residual, cache(jacobian)) for residual, jacobian in parts]
         return self._last[key]
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -80,7 +84,7 @@ class Problem(Generic[Model]):
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """Derivatives (n_equation, n_free) [1 over the unknown's unit] of the residual."""
-        slopes = [part for _, part in self.parts(self.whole(parameters))]
+        slopes = [part() for _, part in self.parts(self.whole(parameters))]
         return np.concatenate([*slopes, np.diag(1 / self.errors)])[:, self.free]
 
     def chi2(self, parameters: FloatArray) -> float:
@@ -105,12 +109,12 @@ class Posterior(Generic[Model]):
         return self.problem.errors
 
     @cached_property
-    def by_test(self) -> list[Residual]:
+    def by_test(self) -> list[tuple[FloatArray, FloatArray]]:
         """Residual (n,) [1] and slopes (n, n_free) by the free unknowns [1 over the unknown's unit] of every
         test.
         """
         free = self.problem.free
-        return [(residual, slopes[:, free]) for residual, slopes in self.problem.parts(self.values)]
+        return [(residual, slopes()[:, free]) for residual, slopes in self.problem.parts(self.values)]
 
     @property
     def residual(self) -> FloatArray:

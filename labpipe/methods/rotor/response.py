@@ -45,11 +45,6 @@ class Modes:
         return self.eigenvalues.imag / (2 * np.pi)
 
     @property
-    def natural_frequency(self) -> FloatArray:
-        """Undamped natural frequency |lambda| / 2 pi [Hz], (n_mode,)."""
-        return np.abs(self.eigenvalues) / (2 * np.pi)
-
-    @property
     def damping_ratio(self) -> FloatArray:
         """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode.
 
@@ -93,14 +88,6 @@ def modes(rotor: Rotor, supports: Iterable[Support], speed: float) -> Modes:
     return Modes(speed, roots[oscillating], shapes / largest[:, None, None])
 
 
-def campbell(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> list[Modes]:
-    """Modes at every spin speed [rad/s], for a Campbell diagram.
-
-    *supports* gives the bearings at each speed.
-    """
-    return [modes(rotor, supports(speed), speed) for speed in speeds]
-
-
 def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> float:
     """Largest real part of the eigenvalues [1/s]; positive means unstable. Equation (rotor-onset)."""
     roots, _ = eigenvalues(supported_rotor(rotor, supports), speed)
@@ -119,14 +106,22 @@ def onset_speed(
     def excess(speed: float) -> float:
         return growth_rate(rotor, supports(speed), speed) - GROWTH_TOLERANCE
 
+    speeds = list(speeds)
+    return first_onset(excess, speeds, map(excess, speeds), tolerance)
+
+
+def first_onset(
+    excess: Callable[[float], float], speeds: Iterable[float], values: Iterable[float], tolerance: float
+) -> float | None:
+    """Where an *excess* of speed becomes positive [rad/s], between the first pair of *speeds* around it,
+    whose *values* of it are given; None where none is positive. FitError where the first one is.
+    """
     stable = None
-    for speed in speeds:
-        if excess(speed) > 0:
+    for speed, value in zip(speeds, values, strict=True):
+        if value > 0:
             if stable is None:
-                raise FitError(
-                    f"the rotor is unstable already at {speed:g} rad/s",
-                    hint="start the search at a lower speed",
-                )
+                what = f"the rotor is unstable already at {speed * 30 / np.pi:.0f} rpm"
+                raise FitError(what, hint="start the search at a lower speed")
             return float(scipy.optimize.brentq(excess, stable, speed, xtol=tolerance))
         stable = speed
     return None

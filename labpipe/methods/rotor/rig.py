@@ -11,12 +11,7 @@ import numpy as np
 
 from labpipe.bearings.kinds import Bearing, OperatingPoint
 from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import (
-    DEFAULT_MESH,
-    JournalBearing,
-    JournalEquilibrium,
-    journal_equilibrium,
-)
+from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.shaft import Rotor, Support, bearing_loads
@@ -193,34 +188,21 @@ class RotorRig:
             for place, (y, z) in zip(carrying, reactions, strict=True)
         }
 
-    def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:
-        """Equilibrium of the journal of every oil film at the rig's speed, by bearing."""
-        return self._equilibria(self.static_loads(), mesh)
-
-    def _equilibria(
-        self, loads: dict[str, tuple[float, float]], mesh: FilmMesh
-    ) -> dict[str, JournalEquilibrium]:
-        return {
-            place.name: journal_equilibrium(place.film("an equilibrium"), loads[place.name], self.omega, mesh)
-            for place in self.bearings
-            if place.is_film
-        }
-
     def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[Support]:
         """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of
         oil films.
         """
-        loads = self.static_loads()
-        films = self._equilibria(loads, mesh)
-        coefficients = {
-            place.name: films.get(place.name)
-            or place.bearing.at(OperatingPoint(loads[place.name], self.omega, self.omega))
-            for place in self.bearings
-        }
-        return [
-            Support(place.node, coefficients[place.name].stiffness, coefficients[place.name].damping)
-            for place in self.bearings
-        ]
+        loads, supports = self.static_loads(), []
+        for place in self.bearings:
+            load, bearing = loads[place.name], place.bearing
+            if isinstance(bearing, JournalBearing):
+                film = journal_equilibrium(bearing, load, self.omega, mesh)
+                coefficients = film.stiffness, film.damping
+            else:
+                at = bearing.at(OperatingPoint(load, self.omega, self.omega))
+                coefficients = at.stiffness, at.damping
+            supports.append(Support(place.node, *coefficients))
+        return supports
 
     def at_speed(self, speed: float) -> RotorRig:
         """The same rig at another speed [Hz]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -149,14 +149,21 @@ LISTS: dict[str, type] = {
     "unbalances": UnbalanceSettings,
 }
 NODE = Setting("integer", "node it sits on")
-SECTIONS = (*LISTS, "bearings", "materials", "damping")
+# Keys of a rotor file of other commands: what they are of, and what is right instead.
+REFUSED = {
+    "pins": ("this rotor runs between pins, for run-ups", "here one in journal bearings is needed"),
+    **dict.fromkeys(
+        ("pedestals", "estimate"),
+        ("is of the tests of one rotor together", "name the file under rotor_system"),
+    ),
+}
+# Keys that a rotor on its bearings needs, with hints.
+NEEDED = dict.fromkeys(("elements", "bearings"), "a list; each entry begins with '- '")
 
 
 def load_rotor(path: Path, overrides: Iterable[str] = ()) -> RotorRig:
     """The rotor of a rotor file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     rig = read_rotor(tree, path.stem, faults)
     faults.raise_any()
@@ -166,36 +173,12 @@ def load_rotor(path: Path, overrides: Iterable[str] = ()) -> RotorRig:
 
 def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     """The rotor of a marked tree; None and faults where it cannot be read."""
-    before = len(faults)
     entries = faults.mapping(tree, "")
-    if "pins" in entries:
-        faults.add(
-            entries["pins"],
-            "pins",
-            "this rotor runs between pins, for run-ups",
-            "here one in journal bearings is needed",
-        )
-        return None
-    for key in ("pedestals", "estimate"):
+    for key, fault in REFUSED.items():
         if key in entries:
-            faults.add(
-                entries[key], key, "is of the tests of one rotor together", "name the file under rotor_system"
-            )
+            faults.add(entries[key], key, *fault)
             return None
-    plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
-    settings = read_settings(RotorSettings, plain, "", faults)
-    materials = read_materials(entries.get("materials"), faults)
-    lists = {key: read_entries(owner, entries.get(key), key, faults) for key, owner in LISTS.items()}
-    bearings = read_bearings(entries.get("bearings"), faults)
-    for key in ("elements", "bearings"):
-        if key not in entries:
-            faults.add(tree, key, "is missing", "a list; each entry begins with '- '")
-    damping = (
-        read_settings(DampingSettings, entries["damping"], "damping", faults)
-        if "damping" in entries
-        else DampingSettings()
-    )
-    rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
+    settings, rotor, bearings, lists = read_parts(tree, entries, RotorSettings, tuple(LISTS), NEEDED, faults)
     if rotor is None or settings is None:
         return None
     places = tuple(place for _, place in bearings)
@@ -214,6 +197,38 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
         response=settings.response,
     )
     return tried(make_rig, tree, "", faults)
+
+
+def read_parts(
+    tree: Marked,
+    entries: Mapping[str, Marked],
+    owner: type[Owner],
+    listed: tuple[str, ...],
+    needed: Mapping[str, str],
+    faults: Faults,
+) -> tuple[
+    Owner | None, Rotor | None, list[tuple[Marked, BearingPlace]], dict[str, list[tuple[Marked, Any]]]
+]:
+    """The plain entries of a rotor file as an *owner*, its rotor, bearings, and the entries of its *listed*
+    keys; faults for what cannot be read, and for *needed* keys (with their hints) that are missing.
+    """
+    before = len(faults)
+    sections = (*listed, *needed, "bearings", "materials", "damping")
+    plain = Marked({key: entry for key, entry in entries.items() if key not in sections}, tree.where)
+    settings = read_settings(owner, plain, "", faults)
+    materials = read_materials(entries.get("materials"), faults)
+    lists = {key: read_entries(LISTS[key], entries.get(key), key, faults) for key in listed}
+    bearings = read_bearings(entries.get("bearings"), faults)
+    for key, hint in needed.items():
+        if key not in entries:
+            faults.add(tree, key, "is missing", hint)
+    damping: DampingSettings | None = DampingSettings()
+    if "damping" in entries:
+        damping = read_settings(DampingSettings, entries["damping"], "damping", faults)
+    rotor = None
+    if damping is not None and len(faults) == before:
+        rotor = build_rotor(lists, materials, damping, tree, faults)
+    return settings, rotor, bearings, lists
 
 
 def _listing(node: Marked | None, key: str, faults: Faults) -> list[Marked]:
@@ -251,7 +266,7 @@ def read_materials(node: Marked | None, faults: Faults) -> dict[str, Material]:
 def build_rotor(
     lists: dict[str, list[tuple[Marked, Any]]],
     materials: dict[str, Material],
-    damping: DampingSettings | None,
+    damping: DampingSettings,
     tree: Marked,
     faults: Faults,
 ) -> Rotor | None:
@@ -259,12 +274,8 @@ def build_rotor(
 
     def material(entry: Marked, part: Any) -> Material:
         if part.material not in materials:
-            faults.add(
-                entry.content["material"],
-                "material",
-                f"unknown material '{part.material}'",
-                nearest(part.material, materials),
-            )
+            hint = nearest(part.material, materials)
+            faults.add_at(entry.content, "", "material", f"unknown material '{part.material}'", hint)
         return materials.get(part.material, STEEL)
 
     shaft: list[ShaftElement] = []
@@ -281,7 +292,7 @@ def build_rotor(
         Sleeve(part.element, part.outer_diameter, material(entry, part), part.stiffening)
         for entry, part in lists["sleeves"]
     ]
-    if len(faults) > before or damping is None:
+    if len(faults) > before:
         return None
     parts = tuple(disc for disc in discs if disc is not None)
     return tried(
@@ -292,12 +303,8 @@ def build_rotor(
 def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, faults: Faults) -> None:
     for key in ("bearings", "loads", "unbalances"):
         for entry, part in lists[key]:
-            tried(
-                partial(rotor.check_node, part.node, f"this entry of {key}"),
-                entry.content["node"],
-                key,
-                faults,
-            )
+            check = partial(rotor.check_node, part.node, f"this entry of {key}")
+            tried(check, entry.content["node"], key, faults)
 
 
 def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
@@ -330,7 +337,7 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
     )
     for name in kind.operating:
         if name in entries:
-            faults.add(entries[name], join(key, name), "follows from the rotor", "leave it out")
+            faults.add_at(entries, key, name, "follows from the rotor", "leave it out")
     # Load and speed come with every question to the bearing; until then they are any number above zero.
     owner = kind.on_rotor or kind.settings
     uncertainties = taken_uncertainties(plain, kind, "", owner, faults)
@@ -349,14 +356,14 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
     places = []
     for entry_name, uncertain in uncertainties.items():
         unit = setting_at(owner, entry_name).unit
-        ends = [
+        above, below, _ = (
             _at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mounted)
             for sign in (1.0, -1.0, 0.0)
-        ]
-        if ends[0] is None or ends[1] is None:
+        )
+        if above is None or below is None:
             return None
         source = uncertainty_of(uncertain, f"{name}: {entry_name}", unit)
-        places.append(UncertainBearing(source, ends[0], ends[1], uncertain.value))
+        places.append(UncertainBearing(source, above, below, uncertain.value))
     return BearingPlace(name, node, bearing, entries["kind"].text, tuple(places))
 
 

@@ -13,13 +13,12 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import with_error
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import forward_backward_motion, unbalance_response
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
-from labpipe.project.work import Work
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
@@ -126,9 +125,7 @@ class UnbalanceSettings(Settings):
 
     def __post_init__(self) -> None:
         if not self.cases:
-            raise ConfigError(
-                "cases: are missing", hint="for example cases: {healthy: {depth: 0 um}}", field="cases"
-            )
+            raise SettingError("cases", "cases: are missing", "for example cases: {healthy: {depth: 0 um}}")
         if not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError("'speeds' must rise from above zero", hint="for example speeds: 40-65 Hz")
         if not 0 < self.step <= self.speeds[1] - self.speeds[0]:
@@ -138,9 +135,7 @@ class UnbalanceSettings(Settings):
         if self.rig is None:
             return
         if not self.rig.unbalances:
-            raise ConfigError(
-                "the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor"
-            )
+            raise SettingError("rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
         for _, case in self.cases:
             self.rig.with_bearings(
                 (self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle
@@ -399,15 +394,16 @@ EXPLAINED = (
 )
 
 
-def unbalance_sections(runs: UnbalanceRuns, _identification: Identification) -> tuple[Section, ...]:
-    return (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),)
-
-
 def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
     rows = []
     for case in runs.cases:
         wear = (f"{UM * case.depth:.4g}", f"{np.degrees(case.angle):.4g}") if case.depth else ("0", "")
-        peaks = (_with_uncertainty(case, name, *value) for name, value in runs.values(case).items())
+        peaks = []
+        for name, (value, unit) in runs.values(case).items():
+            factor, error = UM if unit == "m" else 1.0, case.error(name)
+            peaks.append(
+                f"{factor * value:.4g}" if error is None else with_error(factor * value, factor * error)
+            )
         ratio = max(case.backward) / max(case.forward)
         rows.append((case.name, *wear, *peaks, f"{ratio:.3f}"))
     caption = (
@@ -426,18 +422,12 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
     )
 
 
-def _with_uncertainty(case: UnbalanceCase, name: str, value: float, unit: str) -> str:
-    factor, error = UM if unit == "m" else 1.0, case.error(name)
-    return f"{factor * value:.4g}" if error is None else with_error(factor * value, factor * error)
-
-
 def unbalance_figure(runs: UnbalanceRuns) -> Figure:
     panels = []
     for name in ("forward", "backward"):
-        radii = [UM * np.array(getattr(case, name)) for case in runs.cases]
-        cases = enumerate(zip(runs.cases, radii, strict=True))
         series = [
-            curve(case.name, runs.speed, radius, *look(number), width=1.5) for number, (case, radius) in cases
+            curve(case.name, runs.speed, UM * np.array(getattr(case, name)), *look(number), width=1.5)
+            for number, case in enumerate(runs.cases)
         ]
         panels.append(Panel(Axis("speed", "Hz"), Axis(name, "um", logarithmic=True), tuple(series)))
     caption = (
@@ -458,29 +448,15 @@ def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
             yield ListedParameter(fit="unbalance", parameter=parameter, test=case.name, model="unbalance")
 
 
-def run_unbalance(
-    settings: UnbalanceSettings,
-    work: Work,  # noqa: ARG001 (one signature for all sections)
-) -> UnbalanceRuns:
-    """The response of every state of wear at every speed."""
-    return unbalance_runs(settings)
-
-
 def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule on one case; ConfigError at its place when there is no such case or value."""
     name, _, item = rule.item.rpartition(".")
     cases = {case.name: case for case in runs.cases}
     if name not in cases:
-        hint = nearest(name, list(cases))
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: no such case of unbalance", where=rule.place, hint=hint
-        )
+        raise rule.fault("no such case of unbalance", nearest(name, cases))
     values = runs.values(cases[name])
     if item not in values:
-        hint = nearest(item, list(values))
-        raise ConfigError(
-            f"{rule.section}.{rule.address}: a case of unbalance has no '{item}'", where=rule.place, hint=hint
-        )
+        raise rule.fault(f"a case of unbalance has no '{item}'", nearest(item, values))
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, *values[item]))
 
 
@@ -488,10 +464,10 @@ UNBALANCE = PipelineSection(
     words="The model's response to unbalance over speed.",
     settings=UnbalanceSettings,
     standalone=True,
-    run=run_unbalance,
+    run=lambda settings, _work: unbalance_runs(settings),
     record=UnbalanceRuns,
     entry="unbalance",
     outcome=unbalance_outcome,
     parameters=listed_peaks,
-    report=unbalance_sections,
+    report=lambda runs, _: (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),),
 )

@@ -272,11 +272,7 @@ def inertia_matrices(
     per length. Equation (rotor-gyroscopic).
     """
     translation, rotary = plane_inertia(element, ring)
-    coupling = 2 * rotary * SIGNS_Z
-    gyroscopic = np.zeros((8, 8))
-    gyroscopic[np.ix_(PLANE_Y, PLANE_Z)] = coupling
-    gyroscopic[np.ix_(PLANE_Z, PLANE_Y)] = -coupling.T
-    return in_both_planes(translation + rotary), gyroscopic
+    return in_both_planes(translation + rotary), across_planes(2 * rotary)
 
 
 def in_both_planes(plane: FloatArray) -> FloatArray:
@@ -285,6 +281,16 @@ def in_both_planes(plane: FloatArray) -> FloatArray:
     both[np.ix_(PLANE_Y, PLANE_Y)] = plane
     both[np.ix_(PLANE_Z, PLANE_Z)] = plane * np.outer(SIGNS_Z, SIGNS_Z)
     return both
+
+
+def across_planes(plane: FloatArray) -> FloatArray:
+    """A matrix of one plane (4, 4) by which z acts on y, and minus its transpose y on z, (8, 8) [same
+    unit].
+    """
+    across = np.zeros((8, 8))
+    across[np.ix_(PLANE_Y, PLANE_Z)] = plane * SIGNS_Z
+    across[np.ix_(PLANE_Z, PLANE_Y)] = -(plane * SIGNS_Z).T
+    return across
 
 
 STANDARD_GRAVITY = 9.80665

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.artefacts.json_file import without_nan
 from labpipe.errors import FitError
 from labpipe.methods.rotor.response import (
     Modes,
+    SupportsAtSpeed,
     forward_backward_motion,
     modes,
     onset_speed,
@@ -24,6 +26,8 @@ from labpipe.methods.rotor.response import (
 )
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.shaft import Support
+from labpipe.report.chart import Axis, Panel, curve, stack, upright
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 # Difference of ln |lambda| between neighbouring speeds that makes two modes hardly one.
 FREQUENCY_STEP = 0.15
@@ -136,7 +140,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         frequency[number, there] = roots.imag / (2 * np.pi)
         decrement[number, there] = -2 * np.pi * roots.real / roots.imag
         whirl[number, there] = found.whirl[order[number, there]]
-    at = _SupportsBetween(speeds, supports)
+    at = _supports_between(speeds, supports)
     try:
         onset = onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)
     except FitError:
@@ -163,17 +167,12 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     return _with_response(theory, at) if rig.unbalances else theory
 
 
-class _SupportsBetween:
+def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> SupportsAtSpeed:
     """The bearings at any speed [Hz] of a grid, by cubic splines of their coefficients."""
-
-    def __init__(self, speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> None:
-        self._nodes = [support.node for support in supports[0]]
-        coefficients = np.array([[(s.stiffness, s.damping) for s in row] for row in supports])
-        self._spline = scipy.interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
-
-    def __call__(self, speed: float) -> list[Support]:
-        values = self._spline(speed)
-        return [Support(node, k, c) for node, (k, c) in zip(self._nodes, values, strict=True)]
+    nodes = [support.node for support in supports[0]]
+    coefficients = np.array([[(support.stiffness, support.damping) for support in row] for row in supports])
+    spline = scipy.interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
+    return lambda speed: [Support(node, k, c) for node, (k, c) in zip(nodes, spline(speed), strict=True)]
 
 
 def follow(each: Sequence[Modes]) -> FloatArray:
@@ -204,20 +203,16 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
     return np.asarray(alike * np.exp(-(near**2) / 2))
 
 
-def _with_response(theory: RotorTheory, at: _SupportsBetween) -> RotorTheory:
+def _with_response(theory: RotorTheory, at: SupportsAtSpeed) -> RotorTheory:
     """The response to the file's unbalances at bearings, discs and the node that is measured."""
     rig = theory.rig
-    amounts: dict[int, complex] = {}
-    for part in rig.unbalances:
-        amounts[part.node] = amounts.get(part.node, 0j) + part.size * np.exp(1j * part.phase)
+    amounts = rig.amounts
     nodes = sorted({rig.response, *amounts, *(place.node for place in rig.bearings)})
     outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
     fine = np.linspace(theory.speed[0], theory.speed[-1], FINE)
     motion = np.array(
         [
-            unbalance_response(rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs)[
-                0
-            ]
+            unbalance_response(rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs)
             for speed in fine
         ]
     ).reshape(fine.size, len(nodes), 2)
@@ -260,9 +255,6 @@ def _distinct(criticals: Sequence[Critical]) -> tuple[Critical, ...]:
             kept.append(critical)
     return tuple(sorted(kept, key=lambda critical: critical.speed))
 
-
-if TYPE_CHECKING:
-    from labpipe.report.document import Document
 
 # Logarithmic decrement that API 617 level I asks for at the operating speed.
 LEAST_DECREMENT = 0.1
@@ -309,11 +301,6 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
 
 def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
     """The result as `labpipe rotor --json` writes it: speeds in Hz, null where a mode is gone."""
-    import numpy as np
-
-    def rows(matrix: Any) -> list[list[float | None]]:
-        return [[None if np.isnan(value) else float(value) for value in row] for row in matrix]
-
     operating = theory.rig.speed
     return {
         "schema": "labpipe/rotor/1",
@@ -321,9 +308,9 @@ def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
         "speed_hz": operating,
         "campbell": {
             "speed_hz": theory.speed.tolist(),
-            "frequency_hz": rows(theory.frequency),
-            "log_decrement": rows(theory.log_decrement),
-            "whirl": rows(theory.whirl),
+            "frequency_hz": without_nan(theory.frequency.tolist()),
+            "log_decrement": without_nan(theory.log_decrement.tolist()),
+            "whirl": without_nan(theory.whirl.tolist()),
         },
         "crossings": [
             {"speed_hz": speed, "log_decrement": decrement, "whirl": whirl}
@@ -348,9 +335,6 @@ def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
 
 def rotor_document(theory: RotorTheory) -> Document:
     """The result as a report: what was found, Campbell diagram, damping and unbalance response over speed."""
-    from labpipe.report.chart import Axis, Panel, curve, stack, upright
-    from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
-
     speed, operating = theory.speed, theory.rig.speed
     table = Table(
         ("critical speed", "damping", "whirl"), tuple(crossing_rows(theory)), "Where a mode meets the speed"

@@ -17,10 +17,8 @@ from labpipe.errors import FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.shaft import (
-    PLANE_Y,
-    PLANE_Z,
-    SIGNS_Z,
     Material,
+    across_planes,
     free_rotor,
     in_both_planes,
     inertia_matrices,
@@ -260,9 +258,8 @@ def build(
 ) -> Built:
     """The model of a system for tests with *sensors*, or a named *alternative* to it."""
     if alternative == PEDESTALS:
-        system = replace(
-            system, pedestals=tuple(map(partial(_unknown_pedestal, system), system.rig.bearings))
-        )
+        pedestals = tuple(_unknown_pedestal(system, place) for place in system.rig.bearings)
+        system = replace(system, pedestals=pedestals)
     turning = frozenset([name for name, channels in sensors.items() if channels.turning] + [RUNNING])
     if alternative == TOGETHER:
         small = replace(small, together=ALTOGETHER)
@@ -273,15 +270,13 @@ def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
     """A pedestal of which nothing is known but its order of magnitude."""
     linear = system.linear.get(place.name)
     if linear is not None:
-        bearing = float(np.mean(np.abs(np.diag(linear.stiffness))))
+        bearing = linear.stiffness
     else:
         certain, speed = replace(place, uncertainties=()), np.array(system.rig.omega)
         theory = Theory(certain, system.rig.static_loads()[place.name])
-        at = theory.block("stiffness", np.ones((2, 2)), speed, speed, np.zeros(0))
-        bearing = float(np.mean(np.abs(np.diag(at))))
-    translation = free_rotor(system.rig.rotor).mass[0::4, 0::4]
-    mass = HEAVY * float(translation.sum())
-    stiffness = STIFFER * bearing
+        bearing = theory.block("stiffness", np.ones((2, 2)), speed, speed, np.zeros(0))
+    mass = HEAVY * float(free_rotor(system.rig.rotor).mass[0::4, 0::4].sum())
+    stiffness = STIFFER * float(np.mean(np.abs(np.diag(bearing))))
     damping = 0.04 * float(np.sqrt(stiffness * mass))
     return Pedestal(place.name, mass, stiffness, damping, PEDESTAL_STIFFNESS, PEDESTAL_MASS)
 
@@ -343,9 +338,10 @@ class _Builder:
     def _of_sensors(
         self, what: str, test: str, sensors: Sensors, error: float, **entries: Any
     ) -> tuple[int, ...]:
-        names = [f"{what} {test} {label}" for label in sensors.labels]
         return tuple(
-            n for name in names for n in self.unknown(name, error, tests=frozenset([test]), **entries)
+            number
+            for label in sensors.labels
+            for number in self.unknown(f"{what} {test} {label}", error, tests=frozenset([test]), **entries)
         )
 
     def _shaft(self) -> None:
@@ -383,11 +379,8 @@ class _Builder:
                 self.add("damping", dofs, rotor.alpha * mass)
                 self.add("damping", dofs, rotor.beta * in_both_planes(plane), acting)
             if beta:
-                turning = np.zeros((8, 8))
-                turning[np.ix_(PLANE_Y, PLANE_Z)] = plane * SIGNS_Z
-                turning[np.ix_(PLANE_Z, PLANE_Y)] = -(plane * SIGNS_Z).T
                 self.add("damping", dofs, beta * in_both_planes(plane), (*acting, *internal))
-                self.add("circulatory", dofs, beta * turning, (*acting, *internal))
+                self.add("circulatory", dofs, beta * across_planes(plane), (*acting, *internal))
         for ring in rotor.sleeves:
             element = rotor.elements[ring.element - 1]
             mass, gyroscopic = inertia_matrices(element, ring.tube(element))
@@ -417,18 +410,24 @@ class _Builder:
         rig = self.system.rig
         node = rig.rotor.dofs(place.node)
         linear = self.system.linear.get(place.name)
+        dofs, spread = tuple(node), np.ones((2, 2))
         pedestals = [pedestal for pedestal in self.system.pedestals if pedestal.bearing == place.name]
         if pedestals:
             first = 4 * rig.rotor.n_node + 2 * self.system.pedestals.index(pedestals[0])
-            dofs, spread = (*node, first, first + 1), np.kron(np.array([[1, -1], [-1, 1]]), np.ones((2, 2)))
-        else:
-            dofs, spread = tuple(node), np.ones((2, 2))
+            dofs, spread = (*node, first, first + 1), np.kron(np.array([[1, -1], [-1, 1]]), spread)
         if linear is not None:
             self._coefficients(place.name, linear, dofs, spread)
         else:
             self._theory(place, dofs, spread)
         for pedestal in pedestals:
-            self._pedestal(pedestal, dofs[2:])
+            for matrix, letter, size, error, unit in (
+                ("stiffness", "k", pedestal.stiffness, pedestal.error, "N/m"),
+                ("mass", "m", pedestal.mass, pedestal.mass_error, "kg"),
+                ("damping", "c", pedestal.damping, 0.0, "N.s/m"),
+            ):
+                name = f"pedestal {place.name} {letter}"
+                factor = self.unknown(name, error, nominal=size, nominal_unit=unit)
+                self.add(matrix, dofs[2:], size * np.eye(2), factor, support=True)
         for direction, dof in zip(DIRECTIONS, node, strict=True):
             name = f"apparent mass {place.name} {direction}"
             apparent = self.unknown(name, self.small.apparent_mass, unit="1", group="apparent_mass")
@@ -479,11 +478,17 @@ class _Builder:
             numbers = self.unknown(name, error, value, unit=unit)
         else:
             numbers = self.unknown(name, error, nominal=value, nominal_unit=unit)
-        running = self.unknown(f"{name} running", self.small.bearings, tests=self.running, group="bearings")
-        factors = (*running, *self.together.get(name.rpartition(" ")[2][0], ()))
+        factors = self._running(name)
         if linear and numbers:
             return factors, {"amount": numbers[0]}
         return (*numbers, *factors), {}
+
+    def _running(self, name: str) -> tuple[int, ...]:
+        """Of a coefficient "left k_yy" or "left k": what changes it between rest and speed, by itself and
+        with those of all bearings.
+        """
+        running = self.unknown(f"{name} running", self.small.bearings, tests=self.running, group="bearings")
+        return (*running, *self.together[name.rpartition(" ")[2][0]])
 
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
         """The coefficients of a bearing model over speed and frequency with its uncertain inputs."""
@@ -499,29 +504,15 @@ class _Builder:
             scales.append((unknown.mean, unknown.error))
         theory = Theory(place, self.system.rig.static_loads()[place.name], np.array(scales).reshape(-1, 2))
         for matrix, letter in (("stiffness", "k"), ("damping", "c")):
-            running = self.unknown(
-                f"{place.name} {letter} running", self.small.bearings, tests=self.running, group="bearings"
-            )
             self.add(
                 matrix,
                 dofs,
                 partial(theory.block, matrix, spread),
-                (*running, *self.together.get(letter, ())),
+                self._running(f"{place.name} {letter}"),
                 support=True,
                 inputs=tuple(inputs),
                 follows=theory.follows,
             )
-
-    def _pedestal(self, pedestal: Pedestal, dofs: tuple[int, ...]) -> None:
-        stiffness = self.unknown(
-            f"pedestal {pedestal.bearing} k", pedestal.error, nominal=pedestal.stiffness, nominal_unit="N/m"
-        )
-        mass = self.unknown(
-            f"pedestal {pedestal.bearing} m", pedestal.mass_error, nominal=pedestal.mass, nominal_unit="kg"
-        )
-        self.add("stiffness", dofs, pedestal.stiffness * np.eye(2), stiffness, support=True)
-        self.add("mass", dofs, pedestal.mass * np.eye(2), mass, support=True)
-        self.add("damping", dofs, pedestal.damping * np.eye(2), support=True)
 
 
 def _turning(block: FloatArray, spin: FloatArray, _omega: FloatArray, _inputs: FloatArray) -> FloatArray:

@@ -156,25 +156,24 @@ def most_probable(
     """The fit of the rotor as it is declared, "", or of the most probable alternative to it where a test
     misfits or small errors are large; fitted to moved data where it is not normal.
     """
-    best: tuple[Built, SystemPosterior] | None = None
-    reason: FitError | None = None
-    try:
-        best = fitted("")
-    except FitError as error:
-        # A rotor that misses what there is may fit nowhere.
-        reason = error
-    doubtful = best is None or best[1].misfits or best[1].enlarged
-    for alternative in alternatives if doubtful else ():
-        with suppress(FitError):
-            candidate = fitted(alternative)
-            best = candidate if best is None or candidate[1].ln_evidence > best[1].ln_evidence else best
-    if best is None:
-        assert reason is not None
-        raise reason
+    fits: list[tuple[Built, SystemPosterior]] = []
+    faults: list[FitError] = []
+    for alternative in ("", *alternatives):
+        try:
+            fits.append(fitted(alternative))
+        except FitError as error:
+            # A rotor that misses what there is may fit nowhere.
+            faults.append(error)
+        doubtful = faults or fits[0][1].misfits or fits[0][1].enlarged
+        if not doubtful:
+            break
+    if not fits:
+        raise faults[0]
+    built, posterior = max(fits, key=lambda fit: fit[1].ln_evidence)
     if doubtful:
-        best = best[0], replace(best[1], widened=WIDENED)
-    excess, bearable = normality(best[1])
-    return best[0], replace(refit(best[1]), normal=False) if excess > bearable else best[1]
+        posterior = replace(posterior, widened=WIDENED)
+    excess, bearable = normality(posterior)
+    return built, replace(refit(posterior), normal=False) if excess > bearable else posterior
 
 
 def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
@@ -455,7 +454,9 @@ def _unknowns(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[Un
             unknown.group,
             bool(shares[number] < 0.7),
             *max(
-                [(pull.test, float(pull.wider[number])) for pull in pulled] or [("", 1.0)], key=itemgetter(1)
+                ((pull.test, float(pull.wider[number])) for pull in pulled),
+                key=itemgetter(1),
+                default=("", 1.0),
             ),
         )
 
@@ -551,7 +552,6 @@ def _next_tests(
     """Standard error of a prediction with this *gradient* (n_unknown,), as it is and with one more test of
     each kind: u' = sqrt(g^T (F + F_c)^-1 g).
     """
-    information = np.linalg.inv(posterior.covariance)
     candidates: dict[str, SystemEvidence] = {f"{test.name} once more": test for test in posterior.tests}
     for test in posterior.tests:
         if not isinstance(test, RunUpVectors):
@@ -563,7 +563,5 @@ def _next_tests(
             candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = nearer
     errors = {"as it is": float(posterior.gradient_error(gradient))}
     for name, test in candidates.items():
-        _, jacobian = test.residual(posterior.model, posterior.values)
-        covariance = np.linalg.inv(information + jacobian.T @ jacobian)
-        errors[name] = float(np.sqrt(gradient @ covariance @ gradient))
+        errors[name] = float(np.sqrt(gradient @ posterior.covariance_with(test) @ gradient))
     return errors

@@ -13,7 +13,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.methods.rotor.posterior import Evidence, Residual
-from labpipe.methods.rotor_system.model import SystemModel
+from labpipe.methods.rotor_system.model import Derivatives, SystemModel
 
 # Lines of a response that the first steps look at, about.
 FEW_LINES = 48
@@ -69,8 +69,8 @@ class FreeModes:
         ln, slopes = self.predicted(model, values)
         measured = np.log(np.concatenate([self.frequency, self.damping]))
         error = np.concatenate([self.frequency_error, self.damping_error])
-        measured_there = np.isfinite(measured)
-        return ((measured - ln) / error)[measured_there], (-slopes / error[:, None])[measured_there]
+        there = np.isfinite(measured)
+        return ((measured - ln) / error)[there], lambda: (-slopes / error[:, None])[there]
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> FreeModes:  # noqa: ARG002
         """At *values* (n_unknown,) [SI units], see Evidence."""
@@ -130,7 +130,7 @@ class Responses:
     supported: bool = True
     gains: tuple[int, ...] = ()
 
-    def predicted(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def predicted(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, Derivatives]:
         """H (n_line, n_output, n_input) [unit of the FRF] and its derivatives (n_unknown, ...)."""
         forces = np.eye(model.n_dof)[:, list(self.inputs)]
         spin = np.full(self.omega.size, self.spin)
@@ -138,19 +138,23 @@ class Responses:
         motion, slopes, _ = model.response(acting, spin, self.omega, forces, self.outputs, self.supported)
         gains = np.exp([acting[number] for number in self.gains] or [0.0] * len(self.outputs))
         factor = (1j * self.omega[:, None, None]) ** self.derivative * gains[:, None]
-        modelled, slopes = motion * factor, slopes * factor
-        for output, number in enumerate(self.gains):
-            slopes[number, :, output] += modelled[:, output]
-        return modelled, slopes
+        modelled = motion * factor
+
+        def derivatives() -> ComplexArray:
+            moved = slopes() * factor
+            for output, number in enumerate(self.gains):
+                moved[number, :, output] += modelled[:, output]
+            return moved
+
+        return modelled, derivatives
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         modelled, slopes = self.predicted(model, values)
-        measured_there = np.isfinite(self.error)
-        weight = 1 / self.error[measured_there]
-        residual = as_real((self.measured - modelled)[measured_there] * weight)
-        jacobian = as_real((-slopes[:, measured_there] * weight).T)
-        return residual, jacobian * model.acting(self.name)
+        there = np.isfinite(self.error)
+        weight = 1 / self.error[there]
+        residual = as_real((self.measured - modelled)[there] * weight)
+        return residual, lambda: as_real((-slopes()[:, there] * weight).T) * model.acting(self.name)
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Responses:
         """At *values* (n_unknown,) [SI units], see Evidence."""
@@ -185,7 +189,7 @@ class RunUpVectors:
 
     def readings(
         self, model: SystemModel, values: FloatArray
-    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    ) -> tuple[ComplexArray, Derivatives, ComplexArray]:
         """Vectors (n_speed, n_probe) [m], derivatives (n_unknown, n_speed, n_probe), and influence
         (n_speed, n_probe, n_plane) [m/(kg m)].
 
@@ -209,22 +213,30 @@ class RunUpVectors:
         )
         influence = (left @ forces) * probes[:, None]
         vectors = motion[:, :, 0] * probes
-        derivatives = slopes[..., 0] * probes
-        for plane, (_, real, imaginary) in enumerate(self.planes):
-            derivatives[real] += influence[:, :, plane]
-            derivatives[imaginary] += 1j * influence[:, :, plane]
-        for numbers, turn in ((self.gains, 1.0), (self.phases, 1j)):
-            for probe, number in enumerate(numbers):
-                derivatives[number, :, probe] += turn * vectors[:, probe]
-        return vectors, derivatives * model.acting(self.name)[:, None, None], influence
+
+        def derivatives() -> ComplexArray:
+            moved = slopes()[..., 0] * probes
+            for plane, (_, real, imaginary) in enumerate(self.planes):
+                moved[real] += influence[:, :, plane]
+                moved[imaginary] += 1j * influence[:, :, plane]
+            for numbers, turn in ((self.gains, 1.0), (self.phases, 1j)):
+                for probe, number in enumerate(numbers):
+                    moved[number, :, probe] += turn * vectors[:, probe]
+            return moved * model.acting(self.name)[:, None, None]
+
+        return vectors, derivatives, influence
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         vectors, slopes, _ = self.readings(model, values)
         misfit = self.measured - vectors
         white = np.einsum("pij,jp->ip", self.whitener, misfit).ravel()
-        moved = np.einsum("pij,ujp->uip", self.whitener, -slopes).reshape(len(slopes), -1)
-        return as_real(white), as_real(moved.T)
+
+        def jacobian() -> FloatArray:
+            moved = np.einsum("pij,ujp->uip", self.whitener, -slopes())
+            return as_real(moved.reshape(len(moved), -1).T)
+
+        return as_real(white), jacobian
 
     def planned(
         self, speed: FloatArray, noise: FloatArray | float, added: tuple[tuple[int, complex], ...] = ()
@@ -276,14 +288,14 @@ class Deflections:
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         acting = np.where(model.acting(self.name), values, 0.0)
-        parts: list[Residual] = []
+        parts: list[tuple[FloatArray, FloatArray]] = []
         if self.measured.size:
             forces = np.eye(model.n_dof)[:, list(self.inputs)]
             motion, slopes, _ = model.response(acting, np.zeros(1), np.zeros(1), forces, self.outputs)
-            measured_there = np.isfinite(self.measured)
-            error = self.error[measured_there]
-            misfit = (self.measured - motion[0].real)[measured_there] / error
-            parts.append((misfit, -(slopes[:, 0].real[:, measured_there] / error).T))
+            there = np.isfinite(self.measured)
+            error = self.error[there]
+            misfit = (self.measured - motion[0].real)[there] / error
+            parts.append((misfit, -(slopes()[:, 0].real[:, there] / error).T))
         if np.isfinite(self.mass):
             rigid = np.zeros((1, model.n_dof))
             rigid[0, 0 : model.n_shaft : 4] = 1
@@ -293,7 +305,7 @@ class Deflections:
             misfit = np.array([(self.mass - np.log(mass)) / self.mass_error])
             parts.append((misfit, -moved[None] / self.mass_error))
         residual, jacobian = (np.concatenate(both) for both in zip(*parts, strict=True))
-        return residual, jacobian * model.acting(self.name)
+        return residual, lambda: jacobian * model.acting(self.name)
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Deflections:  # noqa: ARG002
         """At *values* (n_unknown,) [SI units], see Evidence."""

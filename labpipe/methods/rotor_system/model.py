@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -29,6 +29,8 @@ Curve = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 # What follows the frequency, at frequencies of the motion (n_mode,) [rad/s]: power of the eigenvalue that the
 # blocks are multiplied by, dofs, blocks (n_mode, k, k).
 _Added = Callable[[FloatArray], Iterator[tuple[int, IntArray, FloatArray]]]
+# What computes derivatives (n_unknown, ...) where they are asked for.
+Derivatives = Callable[[], ComplexArray]
 # Half-width of the difference that gives the slope of a block by an input, in its standard uncertainties, and
 # by the frequency, as a part of it.
 INPUT_STEP, FREQUENCY_STEP = 1e-3, 1e-4
@@ -60,9 +62,6 @@ class Unknown:
     nominal_unit: str = "1"
     tests: frozenset[str] = frozenset()
     group: str = ""
-
-    def acts_in(self, test: str) -> bool:
-        return not self.tests or test in self.tests
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ class SystemModel:
 
     def acting(self, test: str) -> BoolArray:
         """Which unknowns act in a test, (n_unknown,)."""
-        return np.array([unknown.acts_in(test) for unknown in self.unknowns])
+        return np.array([not unknown.tests or test in unknown.tests for unknown in self.unknowns])
 
     @cached_property
     def _exponents(self) -> tuple[FloatArray, IntArray]:
@@ -367,7 +366,7 @@ class SystemModel:
         forces: ComplexArray | FloatArray,
         outputs: Sequence[int],
         supported: bool = True,
-    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    ) -> tuple[ComplexArray, Derivatives, ComplexArray]:
         """y = S D^-1 F (n_line, n_output, n_force) [m], its derivatives (n_unknown, n_line, n_output,
         n_force), and S D^-1 (n_line, n_output, n_dof) [m/N].
 
@@ -390,8 +389,8 @@ class SystemModel:
                 right[:, part] = solve(block, loads[:, :, :n_force])
                 turned = solve(block.swapaxes(1, 2), loads[:, :, n_force:])
             left[:, :, part] = turned.swapaxes(1, 2)
-        slopes = -self.slopes(values, spin, left, right, 1j * np.asarray(omega), supported)
-        return right[:, list(outputs)], slopes, left
+        slopes = partial(self.slopes, values, spin, left, right, 1j * np.asarray(omega), supported)
+        return right[:, list(outputs)], lambda: -slopes(), left
 
     def roots(
         self,
@@ -450,9 +449,7 @@ class SystemModel:
         last = min(self.n_dof, START_MODES) - 1
         _, modes = linalg.eigh(stiffness, whole.mass, subset_by_index=[0, last])
         static = np.linalg.solve(stiffness, np.eye(self.n_dof)[:, carried])
-        shapes = np.column_stack([modes, static])
-        basis, size, _ = linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
-        return np.asarray(basis[:, size > 1e-6 * size[0]])
+        return orthonormal(np.column_stack([modes, static]), 1e-6)
 
     def _following(self, values: FloatArray, spin: float, most: int, slopes: bool) -> Roots:
         """Eigenvalues with the coefficients at their own frequencies, from those in bands of frequencies with
@@ -546,6 +543,14 @@ class SystemModel:
         all_roots = np.concatenate(roots)
         first = np.argsort(np.abs(all_roots))[: most or None]
         return all_roots[first], np.concatenate(shapes)[first]
+
+
+def orthonormal(shapes: FloatArray, least: float) -> FloatArray:
+    """Basis (n_dof, n_kept) [1] of *shapes* (n_dof, n_shape) [any unit], without what is below a *least*
+    singular value [1] of the shapes at length 1.
+    """
+    basis, size, _ = linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
+    return np.asarray(basis[:, size > least * size[0]])
 
 
 def between(left: ComplexArray, matrices: ComplexArray, right: ComplexArray) -> ComplexArray:

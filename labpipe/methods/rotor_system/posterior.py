@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 import scipy
@@ -138,6 +139,11 @@ class SystemPosterior(Posterior[SystemModel]):
         variance = np.einsum("...i,ij,...j->...", gradient, self.spread, gradient)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
+    def covariance_with(self, test: SystemEvidence) -> FloatArray:
+        """The covariance with one more *test*, (F + J^T J)^-1, (n_unknown, n_unknown) [unit of each]."""
+        slopes = test.residual(self.model, self.values)[1]()
+        return np.linalg.inv(np.linalg.inv(self.covariance) + slopes.T @ slopes)
+
     def draws(self, n_draw: int, seed: int = 0) -> FloatArray:
         """Draws (n_draw, n_unknown) [unit of each], of the refits where there are such."""
         if self.refits is not None:
@@ -192,26 +198,23 @@ def _begin(problem: SystemProblem) -> FloatArray:
     fits, from draws about it as well; the least of them.
     """
     rng = np.random.default_rng(RESTART_SEED)
-    best: tuple[float, FloatArray] | None = None
-    reason: FitError | None = None
+    ends: list[tuple[float, FloatArray]] = []
     for attempt in range(RESTARTS + 1):
         moved = DRAWN * problem.errors * rng.standard_normal(problem.errors.size) if attempt else 0.0
         try:
             # A prior that is far off needs longer to come near under enlarged noise.
             values = _descend(problem, _start(problem, problem.means + moved, STEPS * (1 + 2 * attempt)))
-        except FitError as error:
-            reason = error
+        except FitError:
+            if attempt == RESTARTS and not ends:
+                raise
             continue
         residuals = [residual for residual, _ in problem.parts(values)]
         n, chi2 = sum(r.size for r in residuals), sum(float(r @ r) for r in residuals)
         cost = chi2 + float(np.sum(((values - problem.means) / problem.errors) ** 2))
-        best = (cost, values) if best is None or cost < best[0] else best
+        ends.append((cost, values))
         if chi2 < n + 4 * np.sqrt(2 * n):
             break
-    if best is None:
-        assert reason is not None
-        raise reason
-    return best[1]
+    return min(ends, key=itemgetter(0))[1]
 
 
 def _start(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray:

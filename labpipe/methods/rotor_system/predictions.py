@@ -12,13 +12,13 @@ import scipy
 from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.distributions import normal_quantile
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import RUNNING, Built
-from labpipe.methods.rotor_system.model import Curve, SystemModel
+from labpipe.methods.rotor_system.model import Curve, SystemModel, orthonormal
 from labpipe.methods.rotor_system.posterior import SystemPosterior
 from labpipe.methods.rotor_system.records import Campbell, CriticalResult
+from labpipe.records.finding import NORMAL
 
 # Modes that are followed over the speed.
 MOST_MODES = 8
@@ -31,7 +31,6 @@ AROUND, STEP, SCATTERED, WIDE = 0.15, 0.0033, 0.4, 0.7
 GROWTH, MOST_STEPS = 1.25, 30
 # Draws from which percentiles are steadier than the spread of logarithms, since peaks may split.
 ENOUGH = 100
-NORMAL = normal_quantile(0.975)
 
 
 def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
@@ -132,18 +131,13 @@ class _Reduced:
         first = max(0, n - BASIS)
         _, vectors = linalg.eigh(whole.mass, stiffness, subset_by_index=[first, n - 1])
         static = np.linalg.solve(whole.stiffness, np.eye(model.n_dof)[:, carried])
-        basis, size, _ = linalg.svd(
-            np.column_stack([vectors, static]) / np.linalg.norm(np.column_stack([vectors, static]), axis=0),
-            full_matrices=False,
-        )
-        self.basis = basis[:, size > 1e-8 * size[0]]
+        self.basis = orthonormal(np.column_stack([vectors, static]), 1e-8)
+        n_shape = self.basis.shape[1]
         terms = tuple(
-            replace(
-                term, dofs=tuple(range(self.basis.shape[1])), block=self._project(term.block, list(term.dofs))
-            )
+            replace(term, dofs=tuple(range(n_shape)), block=self._project(term.block, list(term.dofs)))
             for term in model.terms
         )
-        self.model = SystemModel(model.unknowns, terms, self.basis.shape[1], 0)
+        self.model = SystemModel(model.unknowns, terms, n_shape, 0)
 
     def _project(self, block: FloatArray | Curve, dofs: list[int]) -> FloatArray | Curve:
         rows = self.basis[dofs]
@@ -189,9 +183,8 @@ def critical_speeds(
     forced = [dof for first, _, _ in built.planes.values() for dof in (first, first + 1)]
     reduced = _Reduced(model, values, forced, 2 * np.pi * float(np.sqrt(band[0] * band[1])))
     coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
-    amplitude = reduced.amplitudes(
-        values, 2 * np.pi * coarse, unbalance_forces(built, posterior.values), outputs
-    )
+    forces = unbalance_forces(built, posterior.values)
+    amplitude = reduced.amplitudes(values, 2 * np.pi * coarse, forces, outputs)
     all_peaks = [
         (peak, dof) for column, dof in enumerate(outputs) for peak in peaks(coarse, amplitude[:, column])
     ]

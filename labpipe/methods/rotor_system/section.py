@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from labpipe.display import amount_text, number, plain_text, with_error
-from labpipe.errors import ConfigError
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
-from labpipe.methods.rotor_system.records import (
-    CriticalResult,
-    RotorSystemResult,
-    UnknownResult,
-    VibrationResult,
-)
+from labpipe.methods.rotor_system.records import CriticalResult, RotorSystemResult, VibrationResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
+from labpipe.methods.run_ups.section import warnings_outcome
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.records.finding import NORMAL, WARNING, Finding, Parameter, of_level
@@ -71,23 +66,24 @@ def _error(interval: tuple[float, float]) -> float:
     return (interval[1] - interval[0]) / (2 * NORMAL)
 
 
+def _ends(interval: Iterable[float], factor: float = 1.0, form: str = ".3g") -> str:
+    return " to ".join(f"{factor * end:{form}}" for end in interval)
+
+
 def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule such as "rotor_system.least_decrement >= 0.1"; ConfigError at its place for what
     the result does not have.
     """
     if rule.item == "warnings":
-        codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
-        wanted = rule.bound.removeprefix("not ").strip()
-        passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
-        return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+        return warnings_outcome(rule, result.findings)
     decisions = _decisions(result)
     if rule.item in decisions:
         word = decisions[rule.item]
         return RuleOutcome(rule.section, rule.text, word, word == rule.bound)
     amounts = _amounts(result)
     if rule.item not in amounts:
-        what = f"{rule.section}.{rule.address}: the rotor has no '{rule.item}'"
-        raise ConfigError(what, where=rule.place, hint=nearest(rule.item, [*amounts, *decisions, "warnings"]))
+        hint = nearest(rule.item, [*amounts, *decisions, "warnings"])
+        raise rule.fault(f"the rotor has no '{rule.item}'", hint)
     value, error, unit = amounts[rule.item]
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, unit, error))
 
@@ -135,26 +131,24 @@ def sentences(result: RotorSystemResult) -> Iterator[str]:
 
 
 def _weights(result: RotorSystemResult) -> Iterator[str]:
-    if result.balance is not None:
-        balance = result.balance
-        for weight in balance.weights:
-            yield (
-                f"weight at node {weight.node}: {UM * weight.size:.4g} g mm at "
-                f"{np.degrees(weight.angle):.1f} deg"
-            )
-        low, high = (UM * end for end in balance.interval)
-        yield (
-            f"vibration (rms of the probes): {UM * balance.before:.3g} um as it is, {UM * balance.after:.3g} "
-            f"um expected with the weights (95 %: {low:.3g} to {high:.3g} um)"
-        )
-        best = min(balance.next_runs, key=lambda name: balance.next_runs[name])
-        yield f"one more run with {best} first: {UM * balance.next_runs[best]:.3g} um expected"
+    balance = result.balance
+    if balance is None:
+        return
+    for weight in balance.weights:
+        size, angle = UM * weight.size, np.degrees(weight.angle)
+        yield f"weight at node {weight.node}: {size:.4g} g mm at {angle:.1f} deg"
+    yield (
+        f"vibration (rms of the probes): {UM * balance.before:.3g} um as it is, {UM * balance.after:.3g} "
+        f"um expected with the weights (95 %: {_ends(balance.interval, UM)} um)"
+    )
+    best = min(balance.next_runs, key=balance.next_runs.__getitem__)
+    yield f"one more run with {best} first: {UM * balance.next_runs[best]:.3g} um expected"
 
 
 def _next(result: RotorSystemResult) -> Iterator[str]:
     others = {name: error for name, error in result.next_tests.items() if name != "as it is"}
     if others:
-        best = min(others, key=lambda name: others[name])
+        best = min(others, key=others.__getitem__)
         yield (
             f"next: {best}; the standard error of the least decrement falls from "
             f"{100 * result.next_tests['as it is']:.2g} to {100 * others[best]:.2g} %"
@@ -162,13 +156,11 @@ def _next(result: RotorSystemResult) -> Iterator[str]:
 
 
 def _critical_sentence(critical: CriticalResult, operating: float) -> str:
-    low, high = (RPM * end for end in critical.speed_interval)
-    text = (
-        f"critical speed {RPM * critical.speed:.0f} rpm (95 %: {low:.0f} to {high:.0f}) at {critical.place}"
-    )
+    ends = _ends(critical.speed_interval, RPM, ".0f")
+    text = f"critical speed {RPM * critical.speed:.0f} rpm (95 %: {ends}) at {critical.place}"
     if critical.amplification is None or critical.amplification_interval is None:
         return f"{text}; no amplification factor within the speeds"
-    ends = "{:.3g} to {:.3g}".format(*critical.amplification_interval)
+    ends = _ends(critical.amplification_interval)
     text += f", amplification {critical.amplification:.3g} (95 %: {ends})"
     if critical.missing > 0.05:
         text += f"; in {100 * critical.missing:.0f} % of the draws there is none"
@@ -205,33 +197,28 @@ def prediction_table(result: RotorSystemResult) -> Table:
     """Critical speeds and stability with their 95 % intervals, and what is asked of them."""
     rows: list[tuple[str, str, str, str]] = []
     for critical in result.criticals:
-        low, high = (RPM * end for end in critical.speed_interval)
+        margin, ends = "", _ends(critical.speed_interval, RPM, ".0f")
+        if critical.margin is not None and critical.met is not None:
+            there, asked = critical.margin
+            sure = f"probability {100 * critical.met:.0f} %, {decision(critical.met)}"
+            margin = f"margin {there:.1f} %, {asked:.1f} % asked for: {sure}"
         place = f"critical speed, at {critical.place} [rpm]"
-        rows.append((place, f"{RPM * critical.speed:.0f}", f"{low:.0f} to {high:.0f}", _margin(critical)))
+        rows.append((place, f"{RPM * critical.speed:.0f}", ends, margin))
         if critical.amplification is not None and critical.amplification_interval is not None:
-            ends = "{:.3g} to {:.3g}".format(*critical.amplification_interval)
+            ends = _ends(critical.amplification_interval)
             rows.append(("amplification factor there", f"{critical.amplification:.3g}", ends, ""))
-        ends = "{:.3g} to {:.3g}".format(*(UM * end for end in critical.amplitude_interval))
+        ends = _ends(critical.amplitude_interval, UM)
         rows.append(("amplitude there [um]", f"{UM * critical.amplitude:.3g}", ends, ""))
     least, error, probability = result.decrement
-    ends = f"{least - NORMAL * error:.3g} to {least + NORMAL * error:.3g}"
-    asked = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %, {decision(probability)}"
-    rows.append((f"least log decrement at {RPM * result.operating:.0f} rpm", f"{least:.3g}", ends, asked))
+    ends = _ends((least - NORMAL * error, least + NORMAL * error))
+    limit = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %, {decision(probability)}"
+    rows.append((f"least log decrement at {RPM * result.operating:.0f} rpm", f"{least:.3g}", ends, limit))
     if result.onset is not None:
         speed, spread = RPM * result.onset[0], NORMAL * result.onset[1]
-        ends = f"{speed * np.exp(-spread):.0f} to {speed * np.exp(spread):.0f}"
+        ends = _ends((speed * np.exp(-spread), speed * np.exp(spread)), form=".0f")
         rows.append(("onset of instability [rpm]", f"{speed:.0f}", ends, ""))
-    return Table(
-        ("prediction", "value", "95 %", "asked for"), tuple(rows), "What follows for the rotor", (1,)
-    )
-
-
-def _margin(critical: CriticalResult) -> str:
-    if critical.margin is None or critical.met is None:
-        return ""
-    there, asked = critical.margin
-    sure = f"probability {100 * critical.met:.0f} %, {decision(critical.met)}"
-    return f"margin {there:.1f} %, {asked:.1f} % asked for: {sure}"
+    header = ("prediction", "value", "95 %", "asked for")
+    return Table(header, tuple(rows), "What follows for the rotor", (1,))
 
 
 def _text(value: float, error: float, unit: str) -> str:
@@ -356,7 +343,12 @@ def unknown_figure(result: RotorSystemResult) -> Figure:
     """How far each unknown has moved from what was declared, in units of that uncertainty."""
     own = [unknown for unknown in result.unknowns if not unknown.group]
     place = np.arange(len(own), dtype=float)
-    moved, error = np.array([_move(unknown) for unknown in own]).T
+    moved, error = np.array(
+        [
+            ((unknown.value - unknown.prior) / unknown.prior_error, unknown.error / unknown.prior_error)
+            for unknown in own
+        ]
+    ).T
     bars = (moved - NORMAL * error, moved + NORMAL * error)
     series = (curve("all tests", place, moved, 0, "", marker="o", bars=bars), level(0.0))
     ticks = tuple((float(n), unknown.name) for n, unknown in enumerate(own))
@@ -365,10 +357,6 @@ def unknown_figure(result: RotorSystemResult) -> Figure:
     )
     caption = "How far the tests move the unknowns, in declared standard uncertainties; bars: 95 %."
     return Figure(stack([panel], 3.4), caption, "Unknowns relative to their declared values")
-
-
-def _move(unknown: UnknownResult) -> tuple[float, float]:
-    return (unknown.value - unknown.prior) / unknown.prior_error, unknown.error / unknown.prior_error
 
 
 def cover(result: RotorSystemResult) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import check_unknown
 from labpipe.methods.run_ups.settings import RunSettings
@@ -97,7 +97,7 @@ class SystemTest(Settings):
         for name in self.written:
             if name not in ("name", "kind", *KEYS[self.kind]):
                 kinds = " or ".join(kind for kind, keys in KEYS.items() if name in keys)
-                raise ConfigError(f"'{name}' is of kind {kinds}", hint=f"kind: {kinds}", field=name)
+                raise SettingError(name, f"'{name}' is of kind {kinds}", f"kind: {kinds}")
         needed = {
             MODES: bool(self.fit) != bool(self.frequencies),
             RESPONSE: bool(self.test),
@@ -106,11 +106,9 @@ class SystemTest(Settings):
         }
         if not needed[self.kind]:
             words = {MODES: "one of fit and frequencies", STATIC: "deflections or mass"}
-            raise ConfigError(
-                f"{words.get(self.kind, KEYS[self.kind][0])}: is missing", field=KEYS[self.kind][0]
-            )
+            raise SettingError(KEYS[self.kind][0], f"{words.get(self.kind, KEYS[self.kind][0])}: is missing")
         if self.mass is not None and not 0 < self.mass.std_error < self.mass.value:
-            raise ConfigError("'mass' needs its uncertainty", hint="mass: 33 kg +- 0.1 kg", field="mass")
+            raise SettingError("mass", "'mass' needs its uncertainty", "mass: 33 kg +- 0.1 kg")
         self._check_texts()
 
     def _check_texts(self) -> None:
@@ -119,9 +117,9 @@ class SystemTest(Settings):
             try:
                 getattr(self, f"read_{field}")
             except UnitError as error:
-                raise ConfigError(error.what, hint=error.hint, field=field) from None
+                raise SettingError(field, error.what, error.hint) from None
         if self.damping and len(self.damping) != len(self.frequencies):
-            raise ConfigError("'damping' has as many values as 'frequencies'", field="damping")
+            raise SettingError("damping", "'damping' has as many values as 'frequencies'")
 
     @property
     def read_places(self) -> dict[str, tuple[int, str]]:
@@ -194,15 +192,13 @@ class RotorSystemSettings(Settings):
 
     def __post_init__(self) -> None:
         if not self.tests:
-            raise ConfigError(
-                "a list of tests is needed", hint="- {name: hammer, kind: modes, ...}", field="tests"
-            )
+            raise SettingError("tests", "a list of tests is needed", "- {name: hammer, kind: modes, ...}")
         names = [test.name for test in self.tests]
         for name in names:
             if names.count(name) > 1:
-                raise ConfigError(f"a second test named '{name}'", hint="names must differ", field="tests")
+                raise SettingError("tests", f"a second test named '{name}'", "names must differ")
         if self.draws < 20:
-            raise ConfigError("at least 20 draws are needed", field="draws")
+            raise SettingError("draws", "at least 20 draws are needed")
         if self.system is not None:
             check_unknown(self.system)
             self._check_places(self.system)
@@ -215,21 +211,20 @@ class RotorSystemSettings(Settings):
             for node in nodes:
                 if not 1 <= node <= n_node:
                     what = f"test '{test.name}': node {node}, the rotor has nodes 1 to {n_node}"
-                    raise ConfigError(what, field="tests")
+                    raise SettingError("tests", what)
         if self.balance_speeds or any(test.kind == RUN_UP for test in self.tests):
             hint = "write unbalances: [{node: 5, size: 0 g.mm +- 200 g.mm}] in the rotor file"
             if not system.unbalances:
-                raise ConfigError("a run-up needs an unknown unbalance", hint=hint, field="rotor")
+                raise SettingError("rotor", "a run-up needs an unknown unbalance", hint)
             for node, _, error in system.unbalances:
                 if not error:
-                    what = f"the unbalance at node {node} has no uncertainty"
-                    raise ConfigError(what, hint=hint, field="rotor")
+                    raise SettingError("rotor", f"the unbalance at node {node} has no uncertainty", hint)
         film = next((place.name for place in system.rig.bearings if place.is_film), "")
         for test in self.tests:
             resting = test.kind == RESPONSE and not test.free and not test.speed
             if film and (resting or test.deflections):
                 what = f"test '{test.name}' is at rest, where bearing '{film}' has no oil film"
-                raise ConfigError(what, hint="free: true, or speed: as it turned", field="tests")
+                raise SettingError("tests", what, "free: true, or speed: as it turned")
 
     @property
     def band(self) -> tuple[float, float]:
@@ -239,5 +234,5 @@ class RotorSystemSettings(Settings):
             return self.speeds
         speed = self.system.rig.speed
         if speed <= 0:
-            raise ConfigError("'speeds' is needed, since the file's speed is zero", field="speeds")
+            raise SettingError("speeds", "'speeds' is needed, since the file's speed is zero")
         return 0.05 * speed, 1.5 * speed

@@ -5,21 +5,21 @@ pedestals, damping that turns with the shaft, and what else is to be estimated.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
-from labpipe.methods.rotor.rotor_file import read_rotor
+from labpipe.methods.rotor.rotor_file import read_entries, read_rotor
 from labpipe.methods.rotor_system.build import COEFFICIENTS, LinearBearing, Pedestal, RotorSystem
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import FileKind, Settings, setting
+from labpipe.records.settings import FileKind, Settings, require_positive, setting
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
 
@@ -58,6 +58,13 @@ class PedestalSettings(Settings):
     stiffness: Uncertain = setting("uncertain", "to ground, in y and z", unit="N/m")
     damping: float = setting("value", "to ground", unit="N.s/m", default=0.0)
 
+    def __post_init__(self) -> None:
+        require_positive(self, "mass")
+        if self.stiffness.value <= 0:
+            raise SettingError("stiffness", "stiffness must be positive")
+        if self.damping < 0:
+            raise SettingError("damping", "damping must not be negative")
+
 
 @dataclass(frozen=True)
 class InternalSettings(Settings):
@@ -67,16 +74,18 @@ class InternalSettings(Settings):
         "uncertain", "damping that turns with the shaft, C = internal K: 30 us +- 70 %", unit="s"
     )
 
+    def __post_init__(self) -> None:
+        if self.internal.value < 0:
+            raise SettingError("internal", "internal must not be negative")
+
 
 def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     """The rotor of a file with what is known of it; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     taken = {key: _take(entries.get(key), key, name, unit, faults) for key, name, unit in UNCERTAIN}
-    pedestals = _pedestals(entries.get("pedestals"), faults)
+    pedestals = read_entries(PedestalSettings, entries.get("pedestals"), "pedestals", faults)
     internal = _internal(entries.get("damping"), faults)
     estimated = _estimates(entries.get("estimate"), faults)
     _free_films(entries.get("bearings"), estimated)
@@ -86,13 +95,17 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
         plain["damping"] = Marked(rest, plain["damping"].where, plain["damping"].key_where)
     rig = read_rotor(Marked(plain, tree.where), path.stem, faults)
     if rig is not None:
-        for pedestal, node in zip(pedestals, _listing(entries.get("pedestals")), strict=False):
-            if pedestal.bearing not in [place.name for place in rig.bearings]:
-                hint = nearest(pedestal.bearing, [place.name for place in rig.bearings])
-                faults.add(node, "pedestals", f"no bearing '{pedestal.bearing}'", hint)
+        bearings, carried = [place.name for place in rig.bearings], set[str]()
+        for node, pedestal in pedestals:
+            name = pedestal.bearing
+            if name not in bearings:
+                faults.add(node, "pedestals", f"no bearing '{name}'", nearest(name, bearings))
+            if name in carried:
+                faults.add(node, "pedestals", f"a second one of bearing '{name}'", "one carries a bearing")
+            carried.add(name)
     faults.raise_any()
     assert rig is not None
-    return _system(rig, entries, taken, pedestals, internal, estimated)
+    return _system(rig, entries, taken, [pedestal for _, pedestal in pedestals], internal, estimated)
 
 
 def _listing(node: Marked | None) -> list[Marked]:
@@ -125,22 +138,6 @@ def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -
     return taken
 
 
-def _pedestals(node: Marked | None, faults: Faults) -> list[Pedestal]:
-    if node is not None and not isinstance(node.content, list):
-        faults.add(node, "pedestals", "a list is needed", "each entry begins with '- '")
-    pedestals = []
-    for number, entry in enumerate(_listing(node), 1):
-        settings = read_settings(PedestalSettings, entry, f"pedestals.{number}", faults)
-        if settings is not None:
-            stiffness = settings.stiffness
-            pedestals.append(
-                Pedestal(
-                    settings.bearing, settings.mass, stiffness.value, settings.damping, _relative(stiffness)
-                )
-            )
-    return pedestals
-
-
 def _internal(node: Marked | None, faults: Faults) -> tuple[float, float]:
     if node is None or not isinstance(node.content, dict) or "internal" not in node.content:
         return 0.0, 0.0
@@ -169,42 +166,48 @@ def _free_films(node: Marked | None, estimated: tuple[str, ...]) -> None:
                 entry.content[name] = Marked(text, number.where, number.key_where, text)
 
 
-def _relative(number: Uncertain) -> float:
-    return number.std_error / abs(number.value) if number.value else 0.0
+def _relative(number: Uncertain | None) -> float:
+    return number.std_error / abs(number.value) if number is not None and number.value else 0.0
 
 
 def _system(
     rig: RotorRig,
     entries: Mapping[str, Marked],
     taken: Mapping[str, Mapping[str, Uncertain]],
-    pedestals: list[Pedestal],
+    pedestals: list[PedestalSettings],
     internal: tuple[float, float],
     estimated: tuple[str, ...],
 ) -> RotorSystem:
     def free(name: str, error: float) -> float:
         return error or (ESTIMATED[name] if name in estimated else 0.0)
 
-    materials = {element.material for element in rig.rotor.elements}
+    usual = [free(name, 0.0) for name in ("stiffness", "damping", "cross-coupling")]
+    moduli = taken["materials"].values()
     young = {
         material: free(
             "young",
-            next(
-                (_relative(u) for u in taken["materials"].values() if u.value == material.elastic_modulus),
-                0.0,
-            ),
+            _relative(next((number for number in moduli if number.value == material.elastic_modulus), None)),
         )
-        for material in materials
+        for material in {element.material for element in rig.rotor.elements}
     }
     masses = tuple(
-        free("masses", _relative(taken["discs"][str(n)]) if str(n) in taken["discs"] else 0.0)
-        for n in range(1, len(rig.rotor.discs) + 1)
+        free("masses", _relative(taken["discs"].get(str(n)))) for n in range(1, len(rig.rotor.discs) + 1)
     )
     return RotorSystem(
         rig,
         young,
         masses,
         _sleeves(rig, entries.get("sleeves"), taken["sleeves"], free("sleeves", 0.0)),
-        tuple(replace(pedestal, error=free("pedestals", pedestal.error)) for pedestal in pedestals),
+        tuple(
+            Pedestal(
+                pedestal.bearing,
+                pedestal.mass,
+                pedestal.stiffness.value,
+                pedestal.damping,
+                free("pedestals", _relative(pedestal.stiffness)),
+            )
+            for pedestal in pedestals
+        ),
         (internal[0], free("internal", internal[1])),
         tuple(
             (
@@ -218,11 +221,9 @@ def _system(
             for n, part in enumerate(rig.unbalances, 1)
         ),
         {
-            place.name: _linear(
-                place, *(free(name, 0.0) for name in ("stiffness", "damping", "cross-coupling"))
-            )
+            place.name: _linear(place, settings, *usual)
             for place in rig.bearings
-            if isinstance(_settings_of(place), LinearBearingSettings)
+            if isinstance(settings := getattr(place.bearing, "settings", None), LinearBearingSettings)
         },
     )
 
@@ -234,22 +235,20 @@ def _sleeves(
     sleeves: dict[str, tuple[tuple[int, ...], float, float]] = {}
     for number, (entry, ring) in enumerate(zip(_listing(node), rig.rotor.sleeves, strict=True), 1):
         name = entry.content["name"].text if "name" in entry.content else str(number)
-        error = _relative(taken[str(number)]) if str(number) in taken else default
+        error = _relative(taken.get(str(number))) or default
         elements, _, before = sleeves.get(name, ((), 0.0, 0.0))
         sleeves[name] = ((*elements, ring.element), float(np.log(ring.stiffening)), max(error, before))
     return sleeves
 
 
-def _settings_of(place: BearingPlace) -> object:
-    return getattr(place.bearing, "settings", None)
-
-
 def _linear(
-    place: BearingPlace, stiffness_error: float, damping_error: float, cross_error: float
+    place: BearingPlace,
+    settings: LinearBearingSettings,
+    stiffness_error: float,
+    damping_error: float,
+    cross_error: float,
 ) -> LinearBearing:
     """The bearing with the uncertainties of its coefficients, those of `estimate` where it has none."""
-    settings = _settings_of(place)
-    assert isinstance(settings, LinearBearingSettings)
     stated = {
         entry.uncertainty.source.rpartition(": ")[2]: entry.uncertainty.std_error
         for entry in place.uncertainties
@@ -285,10 +284,10 @@ def _linear(
 def check_unknown(system: RotorSystem) -> None:
     """ConfigError where nothing of a rotor is unknown."""
     if not system.is_uncertain:
-        raise ConfigError(
+        raise SettingError(
+            "rotor",
             "nothing of the rotor is unknown",
-            hint=f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]",
-            field="rotor",
+            f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]",
         )
 
 

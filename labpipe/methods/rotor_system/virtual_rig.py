@@ -11,8 +11,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 import numpy as np
 import scipy
 
-from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.arrays import FloatArray
+from labpipe.errors import SettingError
 from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
@@ -58,9 +58,9 @@ class RotorTestRig(Settings):
     def __post_init__(self) -> None:
         require_positive(self, "amplitude", "spacing", "duration", "sample_rate")
         if self.periods < 2:
-            raise ConfigError("at least two periods are needed", field="periods")
+            raise SettingError("periods", "at least two periods are needed")
         if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
-            raise ConfigError("the sampling rate is too low for band and speeds", field="sample_rate")
+            raise SettingError("sample_rate", "the sampling rate is too low for band and speeds")
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,8 @@ def world_of(rig: RotorTestRig) -> World:
 def true_values(rig: RotorTestRig) -> dict[str, float]:
     """The unknowns by name: logarithms of factors, and amounts in their units."""
     world = world_of(rig)
-    return {
-        unknown.name: float(value)
-        for unknown, value in zip(world.built.model.unknowns, world.values, strict=True)
-    }
+    names = [unknown.name for unknown in world.built.model.unknowns]
+    return dict(zip(names, world.values.tolist(), strict=True))
 
 
 def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
@@ -131,32 +129,27 @@ def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     return Recording(tuple(channels), samples, rig.sample_rate, name)
 
 
-def _vectors(world: World, speed: FloatArray) -> ComplexArray:
-    """1x vectors (n_speed, n_probe) [m] at *speed* [rad/s]."""
-    outputs = world.nodes(world.rig.probes)
-    test = RunUpVectors(
-        RUN_UP,
-        speed,
-        tuple(outputs),
-        np.zeros((speed.size, len(outputs)), complex),
-        run_up_whitener(np.ones((len(outputs), 1)), 0.0),
-        planes=tuple(world.built.planes.values()),
-        gains=world.built.gains[RUN_UP],
-        phases=world.built.phases[RUN_UP],
-    )
-    return test.readings(world.built.model, world.values)[0]
-
-
 def _run_up(world: World, rng: np.random.Generator) -> Recording:
     """y(t) = Re(z(Omega(t)) exp(j phi(t))), a pulse of the tacho at every whole turn."""
-    rig = world.rig
+    rig, built, outputs = world.rig, world.built, world.nodes(world.rig.probes)
     low, high = (2 * np.pi * end for end in rig.speeds)
     time = np.arange(round(rig.duration * rig.sample_rate)) / rig.sample_rate
     rate = (high - low) / rig.duration
     turned = low * time + rate * time**2 / 2
     speed = low + rate * time
     grid = np.linspace(low, high, 200)
-    course = scipy.interpolate.CubicSpline(grid, _vectors(world, grid))(speed)
+    test = RunUpVectors(
+        RUN_UP,
+        grid,
+        tuple(outputs),
+        np.zeros((grid.size, len(outputs)), complex),
+        run_up_whitener(np.ones((len(outputs), 1)), 0.0),
+        planes=tuple(built.planes.values()),
+        gains=built.gains[RUN_UP],
+        phases=built.phases[RUN_UP],
+    )
+    vectors, _, _ = test.readings(built.model, world.values)
+    course = scipy.interpolate.CubicSpline(grid, vectors)(speed)
     motion = (course * np.exp(1j * turned)[:, None]).real
     motion = motion + rig.probe_noise * rng.standard_normal(motion.shape)
     share = (turned / (2 * np.pi) + 0.5) % 1 - 0.5

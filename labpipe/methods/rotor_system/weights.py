@@ -119,7 +119,6 @@ def _next_weights(
     """What one more run first, with a weight in one plane or the weights themselves, is expected to leave:
     the posterior narrows, its middle stays.
     """
-    information = np.linalg.inv(posterior.covariance)
     trial = float(np.max(np.abs(weights)))
     sets = {f"a weight at node {node}": {node: trial + 0j} for node in built.planes}
     sets["the weights themselves"] = dict(zip(built.planes, weights, strict=True))
@@ -128,8 +127,7 @@ def _next_weights(
     for name, weights_of_run in sets.items():
         added = tuple((built.planes[node][0], amount) for node, amount in weights_of_run.items())
         run = test.planned(test.speed, noise, added)
-        _, jacobian = run.residual(built.model, posterior.values)
-        covariance = np.linalg.inv(information + jacobian.T @ jacobian)
+        covariance = posterior.covariance_with(run)
         drawn = drawn_influence(built, test, normal_draws(posterior.values, covariance, LOOKED))
         left = rms_left(drawn, best_weights(square_of(drawn)))
         by_run[name] = float(np.sqrt(np.mean(left**2)))

@@ -74,13 +74,16 @@ class SearchHistory:
     objective: FloatArray
     mesh: FloatArray
 
+    def at(self, rows: BoolArray | slice, problems: IntArray | slice) -> SearchHistory:
+        """Some rows (n_row,) of some problems (n_problem,) [units as before]."""
+        return SearchHistory(
+            self.evaluations[rows, problems], self.objective[rows, problems], self.mesh[rows, problems]
+        )
+
     def of(self, problem: int) -> SearchHistory:
         """Rows of one problem (n_iteration, 1), without those after its end."""
-        column = self.evaluations[:, problem]
-        rows = np.concatenate([[True], np.diff(column) > 0])
-        return SearchHistory(
-            *(getattr(self, name)[rows][:, [problem]] for name in ("evaluations", "objective", "mesh"))
-        )
+        rows = np.diff(self.evaluations[:, problem], prepend=0) > 0
+        return self.at(rows, slice(problem, problem + 1))
 
 
 @dataclass(frozen=True)
@@ -250,10 +253,6 @@ class SpeedwiseFit:
     chi2: float
     n_datum: int
 
-    @property
-    def share_at_bound(self) -> float:
-        return float(np.mean(self.at_bound))
-
     def at_speed(self) -> CoefficientsAtSpeed:
         """K and C as a function of speed, linear between the points. Beyond them K and Omega C stay
         constant.
@@ -282,20 +281,9 @@ class AmplitudeFit(SpeedwiseFit):
     objectives: FloatArray
 
     @property
-    def std_error(self) -> FloatArray:
-        """(n_speed, 8) [N/m, N s/m], NaN: the method gives no standard errors."""
-        return np.full(self.coefficients.shape, np.nan)
-
-    @property
     def n_effective(self) -> float:
         """Number of combinations that the amplitudes determine."""
         return float(np.sum(self.rank))
-
-    @property
-    def chi2_per_datum(self) -> float:
-        """chi-square over redundant data; NaN where no datum is redundant."""
-        n_redundant = self.n_datum - self.n_effective
-        return self.chi2 / n_redundant if n_redundant > 0 else float("nan")
 
     @property
     def misfit(self) -> FloatArray:
@@ -346,10 +334,8 @@ def _fit_load(
     objectives = search.objective.reshape(starts, n)
     best = np.argmin(objectives, axis=0) * n + np.arange(n)
     eight = start * search.values[best]
+    misfit = amplitudes.computed(eight, np.arange(n)) - amplitudes.measured
     rank, condition = rank_of(amplitudes.slopes(eight) * scales(start)[:, None, :])
-    history = SearchHistory(
-        *(getattr(search.history, name)[:, best] for name in ("evaluations", "objective", "mesh"))
-    )
     return AmplitudeFit(
         load=group.load,
         speed=group.speed,
@@ -360,14 +346,12 @@ def _fit_load(
         condition=condition,
         objective=search.objective[best],
         measured=np.sum(amplitudes.measured**2, axis=-1),
-        chi2=float(
-            np.sum(((amplitudes.computed(eight, np.arange(n)) - amplitudes.measured) / amplitudes.error) ** 2)
-        ),
+        chi2=float(np.sum((misfit / amplitudes.error) ** 2)),
         n_datum=amplitudes.measured.size,
         evaluations=search.evaluations[best],
         mesh=search.mesh[best],
         capped=search.capped[best],
-        history=history,
+        history=search.history.at(slice(None), best),
         factors=search.values.reshape(starts, n, 8),
         objectives=objectives,
     )
@@ -396,21 +380,19 @@ class Amplitudes:
         """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
         s/m] at the *chosen* speeds.
         """
-        return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
-
-    @staticmethod
-    def _of_run(run: ExcitedRun, eight: FloatArray, chosen: IntArray) -> FloatArray:
-        response = run.condensed.at(chosen).response(*as_matrices(eight))
-        return largest_displacement(response.reshape(*response.shape[:-1], -1, 2))
+        matrices, sizes = as_matrices(eight), []
+        for run in self.runs:
+            response = run.condensed.at(chosen).response(*matrices)
+            sizes.append(largest_displacement(response.reshape(*response.shape[:-1], -1, 2)))
+        return np.concatenate(sizes, axis=-1)
 
     def objective(self, start: FloatArray) -> Objective:
         """F [m^2] of factors on *start* (n_speed, 8); problem number n belongs to speed n modulo n_speed."""
 
         def squares(factors: FloatArray, chosen: IntArray) -> FloatArray:
             place = chosen % start.shape[0]
-            return np.asarray(
-                np.sum((self.computed(start[place] * factors, place) - self.measured[place]) ** 2, axis=-1)
-            )
+            misfit = self.computed(start[place] * factors, place) - self.measured[place]
+            return np.asarray(np.sum(misfit**2, axis=-1))
 
         return squares
 
@@ -427,12 +409,8 @@ def _error(run: RunUp) -> FloatArray:
     """Standard error of the largest displacement (n_speed, n_plane) [m], to first order."""
     x, y = run.response[..., 0], run.response[..., 1]
     forward, backward = ((x + turn * y).conj() / np.abs(x + turn * y) for turn in (1j, -1j))
-    by = (
-        np.stack([forward + backward, 1j * (forward - backward)], axis=-1)
-        / 2
-        * run.response
-        / np.abs(run.response)
-    )
+    unit = run.response / np.abs(run.response)
+    by = np.stack([forward + backward, 1j * (forward - backward)], axis=-1) / 2 * unit
     along, across = by.real * run.amplitude_error, by.imag * np.abs(run.response) * run.phase_error
     return np.sqrt(np.sum(along**2 + across**2, axis=-1))
 
@@ -441,7 +419,7 @@ def perfect_but_wrong(fits: Sequence[AmplitudeFit]) -> str:
     misfit = float(np.sqrt(np.mean(np.concatenate([fit.misfit for fit in fits]) ** 2)))
     share = float(np.mean(np.concatenate([fit.at_bound.ravel() for fit in fits])))
     ranks = sorted({int(rank) for fit in fits for rank in fit.rank})
-    rank_text = " or ".join(str(rank) for rank in ranks)
+    rank_text = " or ".join(map(str, ranks))
     return (
         f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they determine only {rank_text} "
         f"combinations of the eight coefficients; {100 * share:.0f} % of the factors are at a bound, the "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.run_ups.records import (
     HELD_OUT,
     TWO_SIDED,
@@ -116,15 +116,12 @@ def _bode_series(
 def _measured_bode(run: MeasuredRun, motion: Motion) -> tuple[Series, Series]:
     speed, value = RPM * np.array(run.speed), phasor(motion)
     size, turned = UM * np.abs(value), np.degrees(np.unwrap(np.angle(value)))
-    wide = (
-        UM * TWO_SIDED * np.array(motion.amplitude_error),
-        np.degrees(TWO_SIDED * np.array(motion.phase_error)),
+    wide = UM * TWO_SIDED * np.array(motion.amplitude_error)
+    apart = np.degrees(TWO_SIDED * np.array(motion.phase_error))
+    return (
+        dots("measured", speed, size, INK, size=1.5, bars=(size - wide, size + wide)),
+        dots("measured", speed, turned, INK, size=1.5, bars=(turned - apart, turned + apart)),
     )
-    amplitude, phase = (
-        dots("measured", speed, values, INK, size=1.5, bars=(values - reach, values + reach))
-        for values, reach in zip((size, turned), wide, strict=True)
-    )
-    return amplitude, phase
 
 
 def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Series, Series] | None:
@@ -146,13 +143,10 @@ def best_method(result: RunUpResult) -> RunUpMethod | None:
     (c), (b), (a).
     """
     joint = result.method("joint")
-    order = (
-        ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
-    )
-    return next(
-        (method for name in [*order, "points", "amplitudes"] if (method := result.method(name)) is not None),
-        None,
-    )
+    order = ["joint", "process", "points", "amplitudes"]
+    if joint is not None and joint.verdict == "rejected":
+        order[:2] = ["process", "joint"]
+    return next((method for name in order if (method := result.method(name)) is not None), None)
 
 
 def _motions(method: RunUpMethod | None, run: MeasuredRun) -> RunPrediction | None:
@@ -204,12 +198,7 @@ def orbit_places(run: MeasuredRun) -> list[int]:
     n, speed = len(run.speed), np.array(run.speed)
     if run.critical_speed is None:
         return [int(place) for place in np.linspace(0, n - 1, ORBITS).round()]
-    speeds = [
-        0.75 * run.critical_speed.value,
-        run.critical_speed.value,
-        1.2 * run.critical_speed.value,
-        speed[-1],
-    ]
+    speeds = [*(part * run.critical_speed.value for part in (0.75, 1.0, 1.2)), speed[-1]]
     return [int(np.argmin(np.abs(speed - target))) for target in speeds]
 
 
@@ -238,10 +227,8 @@ def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[
     path = curve(name, across, along, colour, line)
     if line != "-":
         return [path]
-    return [
-        path,
-        dots(f"{name.removesuffix(' measured')} keyphasor", across[:1], along[:1], colour, marker="o"),
-    ]
+    pulse = f"{name.removesuffix(' measured')} keyphasor"
+    return [path, dots(pulse, across[:1], along[:1], colour, marker="o")]
 
 
 def speeds_figure(result: RunUpResult) -> Figure:
@@ -270,10 +257,7 @@ def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
     series = [*measured]
     for method in result.methods:
         predictions = [(run.load, method.prediction(run.name)) for run in result.runs]
-        amounts = [
-            (load, None if prediction is None else getattr(prediction, item))
-            for load, prediction in predictions
-        ]
+        amounts = [(load, getattr(prediction, item, None)) for load, prediction in predictions]
         series += _speeds(amounts, short(method), *look(method), marker=".", size=2.5)
     return tuple(series)
 
@@ -326,7 +310,7 @@ class CoefficientSurfaces:
     titles: tuple[str, ...]
 
 
-def _scale(name: str) -> tuple[float, str]:
+def scale(name: str) -> tuple[float, str]:
     return (1e-3, "kN/m") if name.startswith("k") else (1.0, "N s/m")
 
 
@@ -334,7 +318,7 @@ def coefficient_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
     # Stiffness stands in the left column, damping in the right one.
     order = [row + 4 * column for row in range(4) for column in range(2)]
     panels = [
-        Panel(SPEED, Axis(COEFFICIENTS[n], _scale(COEFFICIENTS[n])[1]), _coefficient(result, run, n))
+        Panel(SPEED, Axis(COEFFICIENTS[n], scale(COEFFICIENTS[n])[1]), _coefficient(result, run, n))
         for n in order
     ]
     chart = Chart(tuple(panels), 4, 2, (WIDTH, 7.8), "x", "above")
@@ -348,18 +332,16 @@ def coefficient_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
 
 
 def _coefficient(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[Series, ...]:
-    scale, series = _scale(COEFFICIENTS[number])[0], []
+    factor, series = scale(COEFFICIENTS[number])[0], []
     for method in result.methods:
         prediction = method.prediction(run.name)
         if prediction is None or not prediction.coefficients:
             continue
-        speed, values = (
-            RPM * np.array(prediction.coefficient_speed),
-            scale * np.array(prediction.coefficients)[:, number],
-        )
+        speed = RPM * np.array(prediction.coefficient_speed)
+        values = factor * np.array(prediction.coefficients)[:, number]
         band = None
         if prediction.std_errors:
-            wide = TWO_SIDED * scale * np.array(prediction.std_errors)[:, number]
+            wide = TWO_SIDED * factor * np.array(prediction.std_errors)[:, number]
             band = values - wide, values + wide
         series.append(curve(short(method), speed, values, *look(method), width=1.1, band=band, opacity=0.18))
     return tuple(series)
@@ -372,14 +354,14 @@ def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
         Panel(
             ITERATION,
             Axis("objective", "um²", logarithmic=True),
-            (_steps("objective", steps, 1e12 * np.array(search.objective)),),
+            (curve("objective", steps, 1e12 * np.array(search.objective), marker="."),),
         ),
         Panel(
             ITERATION,
             Axis("mesh size, part of the box", logarithmic=meshed),
-            (_steps("mesh", steps, search.mesh),) if meshed else (),
+            (curve("mesh", steps, search.mesh, marker="."),) if meshed else (),
         ),
-        Panel(ITERATION, Axis("evaluations"), (_steps("evaluations", steps, search.evaluations),)),
+        Panel(ITERATION, Axis("evaluations"), (curve("evaluations", steps, search.evaluations, marker="."),)),
         _factors((dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
     end = "ended by the limit on evaluations" if search.capped else "ended at the smallest mesh"
@@ -389,10 +371,6 @@ def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
     )
     chart = Chart(panels, 2, 2, (WIDTH, 5.2), legend="none")
     return Figure(chart, caption, f"Convergence of the search of {method.title} at {search.where}")
-
-
-def _steps(name: str, steps: IntArray, values: tuple[float, ...] | FloatArray) -> Series:
-    return curve(name, steps, values, marker=".")
 
 
 def _factors(series: tuple[Series, ...]) -> Panel:
@@ -433,13 +411,10 @@ def surface_figures(model: MetamodelResult) -> list[Figure]:
 
 
 def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
-    names = COEFFICIENTS[first : first + 4]
-    scales = [_scale(name) for name in names]
-    values = np.array(
-        [scale * np.array(model.surface.values[first + n]) for n, (scale, _) in enumerate(scales)]
-    )
-    load = np.array(model.surface.load)
-    titles = tuple(f"{name} [{unit}]" for name, (_, unit) in zip(names, scales, strict=True))
+    names, load = COEFFICIENTS[first : first + 4], np.array(model.surface.load)
+    factor, unit = scale(names[0])
+    values = factor * np.array(model.surface.values[first : first + 4])
+    titles = tuple(f"{name} [{unit}]" for name in names)
     surfaces = CoefficientSurfaces(RPM * np.array(model.surface.speed), load, values, titles)
     fitted = [validation.load for validation in model.left_out]
     beyond = (

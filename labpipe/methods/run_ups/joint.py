@@ -85,7 +85,7 @@ class MeasuredThreshold:
         mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
         slopes = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) @ by_parameter[0]
         error = self.speed.std_error
-        return np.array([(speed - self.speed.value) / error]), -slopes[None] / (by_speed * error)
+        return np.array([(speed - self.speed.value) / error]), lambda: -slopes[None] / (by_speed * error)
 
 
 def measured_thresholds(rig: RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
@@ -279,16 +279,15 @@ class JointFit(RunUpFit[FilmFamily]):
         """
         if self.rig.threshold(self.at_load(load)) is None:
             return None
-        return self._predict(lambda values: self._threshold_or_error(values, load))
 
-    def _threshold_or_error(self, values: FloatArray, load: float) -> float:
-        speed = self.rig.threshold(self.model.at_load(values, load))
-        if speed is None:
-            hint = f"it is above {self.rig.search.highest / RPM:.0f} rpm"
-            raise FitError(
-                "the threshold speed leaves the range of the search within its own uncertainty", hint=hint
-            )
-        return speed
+        def speed_of(values: FloatArray) -> float:
+            speed = self.rig.threshold(self.model.at_load(values, load))
+            if speed is None:
+                what = "the threshold speed leaves the range of the search within its own uncertainty"
+                raise FitError(what, hint=f"it is above {self.rig.search.highest / RPM:.0f} rpm")
+            return speed
+
+        return self._predict(speed_of)
 
     def caution(self, load: float) -> str:
         """Warning on a prediction at a *load* [N]: family rejected, load extrapolated; empty otherwise."""
@@ -312,9 +311,8 @@ class JointFit(RunUpFit[FilmFamily]):
         for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
             if size > 0:
                 change = STEP * size * axis
-                variance += (
-                    (predict(self.values + change) - predict(self.values - change)) / (2 * STEP)
-                ) ** 2
+                moved = predict(self.values + change) - predict(self.values - change)
+                variance += (moved / (2 * STEP)) ** 2
         return Uncertain(predict(self.values), float(np.sqrt(variance)))
 
 
@@ -323,14 +321,14 @@ MOST_REFITS = 12
 NEAR = 0.05
 
 
-def family_about(rig: RunUpRotor, groups: Iterable[LoadRuns]) -> FilmFamily:
-    """The family about the rotor file's bearing, its slopes about the middle of the loads and half the
+def family_about(
+    rig: RunUpRotor, loads: Iterable[float], what: str = "a joint fit of the film's parameters"
+) -> FilmFamily:
+    """The family about the rotor file's bearing, its slopes about the middle of the *loads* [N] and half the
     highest speed.
     """
-    film = rig.place.film("a joint fit of the film's parameters")
-    return FilmFamily(
-        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted({group.load for group in groups})))))
-    )
+    middle = float(np.exp(np.mean(np.log(sorted(set(loads))))))
+    return FilmFamily(rig.place.film(what), rig.search.high / 2, middle)
 
 
 def fit_jointly(
@@ -346,7 +344,8 @@ def fit_jointly(
     groups = tuple(runs_by_speeds(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     free = np.array([name not in known for name in PARAMETERS])
-    problem = run_up_problem(family_about(rig, groups), groups, thresholds, PRIOR, free)
+    family = family_about(rig, [group.load for group in groups])
+    problem = run_up_problem(family, groups, thresholds, PRIOR, free)
     for _ in range(MOST_REFITS):
         minimum = minimise(problem, problem.base[problem.free])
         if not minimum.converged:

@@ -415,10 +415,8 @@ def _sensitivities(
         smooth = _Smooth(*_by_speed(baseline))
         others = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
         common = (fine >= smooth.fine[0]) & (fine <= smooth.fine[-1])
-        fine, curves = fine[common], curves[:, common]
-        place = np.searchsorted(smooth.fine, fine).clip(1, FINE - 1)
-        share = ((fine - smooth.fine[place - 1]) / (smooth.fine[place] - smooth.fine[place - 1]))[:, None]
-        curves = curves - ((1 - share) * others[:, place - 1] + share * others[:, place])
+        fine = fine[common]
+        curves = curves[:, common] - scipy.interpolate.interp1d(smooth.fine, others, axis=1)(fine)
     inside = np.ones(fine.size, bool)
     if speed_range is not None:
         inside = (fine >= speed_range[0]) & (fine <= speed_range[1])

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -54,16 +55,15 @@ def measured_critical_speed(run: RunUp, plane: str = "") -> Uncertain:
         raise DataError(f"no plane '{plane}' in run '{run.name}'", hint=nearest(plane, run.planes))
     number = run.planes.index(plane) if plane else len(run.planes) - 1
     top = _top(run, number)
-    wide, narrow = (_peak(run, number, _about(run, top, size), run.response) for size in (POINTS, POINTS - 2))
-    rng = np.random.default_rng(SEED)
-    chosen = _about(run, top, POINTS)
+    chosen, rng = _about(run, top, POINTS), np.random.default_rng(SEED)
+    wide = _peak(run, number, chosen, run.response)
+    narrow = _peak(run, number, _about(run, top, POINTS - 2), run.response)
     again = [_peak(run, number, chosen, _noisy(run, rng)) for _ in range(REFITS)]
     of_probes = [
-        (_peak(run, number, chosen, run.response + change) - wide) for change in run.changes().values()
+        _peak(run, number, chosen, run.response + change) - wide for change in run.changes().values()
     ]
-    return Uncertain(
-        wide, float(np.sqrt(np.std(again) ** 2 + (wide - narrow) ** 2 + np.sum(np.square(of_probes))))
-    )
+    variance = np.std(again) ** 2 + (wide - narrow) ** 2 + np.sum(np.square(of_probes))
+    return Uncertain(wide, float(np.sqrt(variance)))
 
 
 def _top(run: RunUp, number: int) -> int:
@@ -310,15 +310,15 @@ def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
     if inside.size == 0:
         raise DataError(f"run '{run.name}' does not reach the speeds of the run that it is subtracted from")
 
-    def between(values: FloatArray) -> FloatArray:
-        flat = values.reshape(run.n_speed, -1)
-        return np.stack([np.interp(inside, run.speed, column) for column in flat.T], axis=-1).reshape(
-            -1, *values.shape[1:]
-        )
-
-    response = between(run.response.real) + 1j * between(run.response.imag)
-    errors = between(run.amplitude_error), between(run.phase_error)
-    return replace(run, speed=inside, response=response, amplitude_error=errors[0], phase_error=errors[1])
+    parts: list[Any] = []
+    for values in (run.response, run.amplitude_error, run.phase_error):
+        columns = values.reshape(run.n_speed, -1).T
+        between = np.stack([np.interp(inside, run.speed, column) for column in columns], axis=-1)
+        parts.append(between.reshape(-1, *values.shape[1:]))
+    response, amplitude_error, phase_error = parts
+    return replace(
+        run, speed=inside, response=response, amplitude_error=amplitude_error, phase_error=phase_error
+    )
 
 
 def _vector_difference(run: RunUp, residual: RunUp, common: IntArray, partner: IntArray) -> RunUp:
@@ -328,10 +328,8 @@ def _vector_difference(run: RunUp, residual: RunUp, common: IntArray, partner: I
         raise DataError(f"runs '{run.name}' and '{residual.name}' do not differ", hint="subtract another run")
     along, across = np.zeros(net.shape), np.zeros(net.shape)
     for phasor, source, chosen in ((first, run, common), (second, residual, partner)):
-        radial, tangential = (
-            source.amplitude_error[chosen] ** 2,
-            (np.abs(phasor) * source.phase_error[chosen]) ** 2,
-        )
+        radial = source.amplitude_error[chosen] ** 2
+        tangential = (np.abs(phasor) * source.phase_error[chosen]) ** 2
         turn = np.angle(phasor) - np.angle(net)
         along += radial * np.cos(turn) ** 2 + tangential * np.sin(turn) ** 2
         across += radial * np.sin(turn) ** 2 + tangential * np.cos(turn) ** 2

@@ -29,6 +29,7 @@ from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor
 # Relative difference below which two loads are the same.
 SAME_LOAD = 1e-6
 TERMS = ("1", "load", "speed", "load x speed", "load^2", "speed^2")
+SURFACE_ARRAYS = ("beta", "inverse", "spread", "r2", "press", "total")
 
 
 class Queried(Protocol):
@@ -55,11 +56,8 @@ class Grid:
         n = np.size(self.load)
         if np.shape(self.load) != np.shape(self.speed) or np.shape(self.eight) != (n, 8) or n == 0:
             raise DataError("a metamodel needs one load, one speed and eight coefficients per point")
-        if not (
-            np.all(np.isfinite(self.eight))
-            and np.all(np.asarray(self.load) > 0)
-            and np.all(np.asarray(self.speed) > 0)
-        ):
+        places = np.stack([self.load, self.speed])
+        if not (np.all(np.isfinite(self.eight)) and np.all(places > 0)):
             raise DataError("loads and speeds of a metamodel are positive and its coefficients finite")
 
     @classmethod
@@ -68,12 +66,8 @@ class Grid:
         all_fits = list(fits)
         if not all_fits:
             raise DataError("there is no fit to make a metamodel of")
-        load = np.concatenate([np.full(fit.speed.size, fit.load) for fit in all_fits])
-        return cls(
-            load,
-            np.concatenate([fit.speed for fit in all_fits]),
-            np.concatenate([fit.coefficients for fit in all_fits]),
-        )
+        parts = [(np.full(fit.speed.size, fit.load), fit.speed, fit.coefficients) for fit in all_fits]
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
@@ -94,15 +88,13 @@ class Grid:
                 distinct.append(load)
         return tuple(distinct)
 
-    def _at(self, load: float) -> BoolArray:
-        return np.abs(self.load / load - 1) <= SAME_LOAD
-
     def only(self, load: float) -> Grid:
-        chosen = self._at(load)
-        return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
+        return self._where(np.abs(self.load / load - 1) <= SAME_LOAD)
 
     def without(self, load: float) -> Grid:
-        chosen = ~self._at(load)
+        return self._where(np.abs(self.load / load - 1) > SAME_LOAD)
+
+    def _where(self, chosen: BoolArray) -> Grid:
         return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
 
 
@@ -195,24 +187,17 @@ class ResponseSurface(WithinExtent):
         return np.asarray(np.sqrt(1 + leverage)[:, None] * self.spread)
 
     def to_entries(self) -> dict[str, Any]:
-        arrays = {
-            name: getattr(self, name).tolist()
-            for name in ("beta", "inverse", "spread", "r2", "press", "total")
-        }
         return {
             "kind": self.kind,
             **self.extent.to_entries(),
             "terms": list(TERMS),
             "n_point": self.n_point,
-            **arrays,
+            **{name: getattr(self, name).tolist() for name in SURFACE_ARRAYS},
         }
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> ResponseSurface:
-        arrays = {
-            name: np.array(entries[name], np.float64)
-            for name in ("beta", "inverse", "spread", "r2", "press", "total")
-        }
+        arrays = {name: np.array(entries[name], np.float64) for name in SURFACE_ARRAYS}
         return cls(extent=Extent.from_entries(entries), n_point=int(entries["n_point"]), **arrays)
 
 

@@ -36,7 +36,7 @@ from labpipe.methods.run_ups.metamodel_kinds import (
     fit_surface,
 )
 from labpipe.methods.run_ups.records import LeftOut
-from labpipe.methods.run_ups.rotor import coefficient_errors
+from labpipe.methods.run_ups.rotor import TabulatedCoefficients, coefficient_errors
 from labpipe.registry import nearest
 
 PLANE = 3.0
@@ -52,7 +52,7 @@ WEIGHT_DECAY = 1e-3
 MOST_ITERATIONS = 4000
 
 # Weights and offsets of the hidden and of the output layer: (2, h), (h,), (h, 8), (8,).
-Layers = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Layers = tuple[FloatArray, ...]
 
 
 def scikit_learn(name: str, what: str) -> Any:
@@ -104,15 +104,12 @@ class GaussianProcess(WithinExtent):
     @property
     def statement(self) -> str:
         (first, last), (low, high) = self.extent.loads, self.extent.speeds
-        load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [
-            (last - first) / 2,
-            (high - low) / 2,
-            1.0,
-        ]
+        ranges = (last - first) / 2, (high - low) / 2, 1.0
+        load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * ranges
         return (
             f"a plane and a smooth field, correlated over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, "
-            "with a noise of "
-            f"{100 * noise:.2g} % of the standard deviation (medians over the eight coefficients)"
+            f"with a noise of {100 * noise:.2g} % of the standard deviation (medians over the eight "
+            "coefficients)"
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -130,16 +127,13 @@ class GaussianProcess(WithinExtent):
         )
 
     def to_entries(self) -> dict[str, Any]:
-        arrays = {
-            "load": self.grid.load,
-            "speed": self.grid.speed,
-            "eight": self.grid.eight,
-            "hyper": self.hyper,
-        }
         return {
             "kind": self.kind,
             **self.extent.to_entries(),
-            **{name: array.tolist() for name, array in arrays.items()},
+            "load": self.grid.load.tolist(),
+            "speed": self.grid.speed.tolist(),
+            "eight": self.grid.eight.tolist(),
+            "hyper": self.hyper.tolist(),
         }
 
     @classmethod
@@ -160,10 +154,8 @@ def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 o
 def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
     """(parameters, cost): ln a^2, l_w, l_s, n^2 (4,) of the largest likelihood times priors."""
     powers = np.array([2.0, 1.0, 1.0, 2.0])
-    middle, spread = (
-        powers * np.log([median for median, _ in HYPER]),
-        powers * [deviation for _, deviation in HYPER],
-    )
+    medians, deviations = np.array(HYPER).T
+    middle, spread = powers * np.log(medians), powers * deviations
 
     def with_priors(theta: FloatArray) -> tuple[float, FloatArray]:
         value, slope = cost(theta, eval_gradient=True)
@@ -219,11 +211,9 @@ class Network(WithinExtent):
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Standard deviation of the repeats (n_point, 8) [N/m, N s/m]; NaN of a single repeat."""
         repeats = self.repeat_predictions(load, speed)
-        return (
-            np.full(repeats.shape[1:], np.nan)
-            if len(self.repeats) < 2
-            else np.asarray(repeats.std(axis=0, ddof=1))
-        )
+        if len(self.repeats) < 2:
+            return np.full(repeats.shape[1:], np.nan)
+        return np.asarray(repeats.std(axis=0, ddof=1))
 
     def to_entries(self) -> dict[str, Any]:
         return {
@@ -239,7 +229,7 @@ class Network(WithinExtent):
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> Network:
         repeats = tuple(
-            _layers(*(np.array(layer, np.float64) for layer in layers)) for layers in entries["repeats"]
+            tuple(np.array(layer, np.float64) for layer in layers) for layers in entries["repeats"]
         )
         middle, deviation = (np.array(entries[name], np.float64) for name in ("middle", "deviation"))
         return cls(
@@ -250,10 +240,6 @@ class Network(WithinExtent):
             int(entries["seed"]),
             int(entries["n_converged"]),
         )
-
-
-def _layers(first: FloatArray, offset: FloatArray, second: FloatArray, last: FloatArray) -> Layers:
-    return first, offset, second, last
 
 
 def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int = HIDDEN) -> Network:
@@ -279,9 +265,8 @@ def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int =
             warnings.simplefilter("ignore", exceptions.ConvergenceWarning)
             network.fit(inputs, outputs)
         converged += int(network.n_iter_ < MOST_ITERATIONS)
-        trained.append(
-            _layers(network.coefs_[0], network.intercepts_[0], network.coefs_[1], network.intercepts_[1])
-        )
+        (first, second), (offset, last) = network.coefs_, network.intercepts_
+        trained.append((first, offset, second, last))
     return Network(extent, tuple(trained), middle, deviation, seed, converged)
 
 
@@ -297,7 +282,7 @@ READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
 }
 
 
-class Metamodel(Protocol):
+class Metamodel(TabulatedCoefficients, Protocol):
     """Coefficients (n_point, 8) [N/m, N s/m] over load [N] and speed [rad/s]."""
 
     @property
@@ -305,13 +290,7 @@ class Metamodel(Protocol):
     @property
     def extent(self) -> Extent: ...
     @property
-    def speeds(self) -> tuple[float, float]: ...
-    @property
     def statement(self) -> str: ...
-    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
-        ...
-
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Their standard errors (n_point, 8) [N/m, N s/m]."""
         ...
@@ -382,16 +361,12 @@ def leave_one_load_out(
         fits = {kind: partial(fit_metamodel, kind, training, seed) for kind in kinds}
         if physical is not None:
             fits[PhysicalFit.kind] = partial(physical, load)
+        outside, points = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
         for kind, fitted in fits.items():
-            rows[kind].append(_validate(grid, load, fitted))
+            errors, failed = np.full(8, np.nan), ""
+            try:
+                errors = coefficient_errors(fitted().predict(points.load, points.speed), points.eight)
+            except FitError as error:
+                failed = error.what
+            rows[kind].append(LeftOut(load, column(errors), outside, failed))
     return rows
-
-
-def _validate(grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
-    outside, points, failed = load in (grid.loads[0], grid.loads[-1]), grid.only(load), ""
-    errors = np.full(8, np.nan)
-    try:
-        errors = coefficient_errors(fitted().predict(points.load, points.speed), points.eight)
-    except FitError as error:
-        failed = error.what
-    return LeftOut(load, column(errors), outside, failed)

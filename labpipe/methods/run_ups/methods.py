@@ -93,11 +93,11 @@ def predict(
     if isinstance(solution, str):
         return RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
-    own = solution.critical if plane in ("", rig.plane_names[-1]) else None
+    stated = solution.critical if plane in ("", rig.plane_names[-1]) else None
     critical = threshold = None
     try:
         if run.shaker is None:
-            critical = _amount(own() if own else rig.critical_speed(solution.at_speed, plane))
+            critical = _amount(stated() if stated else rig.critical_speed(solution.at_speed, plane))
     except FitError as error:
         notes.append(f"no critical speed: {error.what}")
     try:
@@ -156,11 +156,6 @@ class PointFit(SpeedwiseFit):
 
     std_error: FloatArray
     n_effective: float
-
-    @property
-    def chi2_per_datum(self) -> float:
-        """chi-square over degrees of freedom, at least one; near one when model and noise are right."""
-        return self.chi2 / max(self.n_datum - self.n_effective, 1.0)
 
 
 PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
@@ -320,8 +315,6 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
     method = RunUpMethod(
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
-        _determination(fits),
-        predictions=(),
         **_of_points(fits),
         convergence=(Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),),
         spreads=_spreads(rig, unbalanced, settings),
@@ -332,26 +325,18 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
 
 def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     fits = fit_points(rig, trained, settings.bound, settings.ridge)
-    ridge_text = (
-        f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not"
+    remark = (
+        f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not; its "
+        "standard deviations include this."
     )
-    remark = f"{ridge_text}; its standard deviations include this."
-    method = RunUpMethod(
-        "points",
-        "(b) complex, point by point",
-        _determination(fits),
-        predictions=(),
-        **_of_points(fits),
-        remarks=(remark,),
-    )
+    method = RunUpMethod("points", "(b) complex, point by point", **_of_points(fits), remarks=(remark,))
     return Solved(method, _points_at(fits), tuple(fits))
 
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
-    return Solved(
-        joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit
-    )
+    method = joint_method("joint", "(c) joint physical fit", fit)
+    return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
 
 
 def solve_process(
@@ -399,15 +384,10 @@ def _of_fit(fit: JointFit | ProcessFit) -> dict[str, Any]:
 
 def _parameter(fit: JointFit, name: str) -> Parameter:
     factor, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
-    if bound:
-        return Parameter(name, factor.value, "1", at_bound=True)
-    if fit.rejected:
-        return Parameter(name, factor.value, "1")
-    return with_sources_of(
-        fit,
-        Parameter(name, factor.value, "1", ci95=Amount(factor.value, factor.std_error).ci95),
-        factor.std_error,
-    )
+    if bound or fit.rejected:
+        return Parameter(name, factor.value, "1", at_bound=bound)
+    ci95 = Amount(factor.value, factor.std_error).ci95
+    return with_sources_of(fit, Parameter(name, factor.value, "1", ci95=ci95), factor.std_error)
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
@@ -476,15 +456,15 @@ def _points_at(fits: PointFits) -> Predictor:
 
 
 def _of_points(fits: PointFits) -> dict[str, Any]:
-    chi2, datum, effective = (
-        sum(f.chi2 for f in fits),
-        sum(f.n_datum for f in fits),
-        sum(f.n_effective for f in fits),
-    )
+    chi2, datum = sum(fit.chi2 for fit in fits), sum(fit.n_datum for fit in fits)
+    effective = sum(fit.n_effective for fit in fits)
     n_redundant = datum - effective
     shares = np.concatenate([np.asarray(fit.at_bound).ravel() for fit in fits])
+    rank = int(min(fit.rank.min() for fit in fits))
     return {
-        "rank": int(min(fit.rank.min() for fit in fits)),
+        "verdict": "determined" if rank == 8 else "not determined",
+        "predictions": (),
+        "rank": rank,
         "condition": float(max(fit.condition.max() for fit in fits)),
         "share_at_bound": float(np.mean(shares)),
         "chi2_per_datum": chi2 / n_redundant if n_redundant > 0.5 else None,
@@ -494,18 +474,14 @@ def _of_points(fits: PointFits) -> dict[str, Any]:
     }
 
 
-def _determination(fits: PointFits) -> str:
-    return "determined" if min(int(fit.rank.min()) for fit in fits) == 8 else "not determined"
-
-
 def _cap(fits: Sequence[AmplitudeFit]) -> list[str]:
-    capped, most = sum(int(fit.capped.sum()) for fit in fits), max(int(fit.evaluations.max()) for fit in fits)
-    every = sum(fit.speed.size for fit in fits)
-    return (
-        [f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."]
-        if capped
-        else []
-    )
+    capped, every = sum(int(fit.capped.sum()) for fit in fits), sum(fit.speed.size for fit in fits)
+    if not capped:
+        return []
+    most = max(int(fit.evaluations.max()) for fit in fits)
+    return [
+        f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."
+    ]
 
 
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:

@@ -98,7 +98,7 @@ class LoadRuns:
         load = np.full(self.speed.size, self.load)
         eight, by_parameter = model.coefficients_and_slopes(values, load, self.speed)
         residual, slopes = self.residual_and_slopes(eight)
-        return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
+        return residual.ravel(), lambda: (slopes @ by_parameter).reshape(-1, values.size)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
         """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -63,18 +63,12 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
         dots(port.label, across, phase_degrees(track.amplitude[:, n]), n % PALETTE_SIZE, size=1.5)
         for n, port in enumerate(track.ports)
     ]
-    whole = [
-        curve(
-            f"{port.label}, whole motion",
-            across,
-            factor * track.overall[:, n],
-            n % PALETTE_SIZE,
-            "--",
-            width=0.8,
+    amplitudes = _amplitudes(track, across, factor)
+    for n, port in enumerate(track.ports):
+        whole = factor * track.overall[:, n]
+        amplitudes.append(
+            curve(f"{port.label}, whole motion", across, whole, n % PALETTE_SIZE, "--", width=0.8)
         )
-        for n, port in enumerate(track.ports)
-    ]
-    amplitudes = [*_amplitudes(track, across, factor), *whole]
     panels = [
         Panel(along, _amplitude_axis("amplitude", unit, amplitudes), tuple(amplitudes)),
         Panel(along, PHASE, tuple(phases)),
@@ -94,12 +88,8 @@ def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Se
     for number, port in enumerate(track.ports):
         size = factor * np.abs(track.amplitude[:, number])
         spread = 2 * factor * np.sqrt(track.variance[:, number] / 2)
-        band = np.maximum(size - spread, 0), size + spread
-        series.append(
-            curve(
-                port.label, across, size, number % PALETTE_SIZE, marker=".", size=1.5, band=band, opacity=0.2
-            )
-        )
+        band, colour = (np.maximum(size - spread, 0), size + spread), number % PALETTE_SIZE
+        series.append(curve(port.label, across, size, colour, marker=".", size=1.5, band=band, opacity=0.2))
     return series
 
 
@@ -126,9 +116,8 @@ def gap_figure(
         (plane,) = circle.planes
         label, colour = plane.name or "orbit", number % PALETTE_SIZE
         half_axis = np.abs(circle.amplitude).sum(axis=1)
-        series.append(
-            curve(f"{label}, whole motion", across, 100 * circle.orbit[:, 0] / gap, colour, width=1.2)
-        )
+        share = 100 * circle.orbit[:, 0] / gap
+        series.append(curve(f"{label}, whole motion", across, share, colour, width=1.2))
         series.append(curve(f"{label}, order {track.order:g}", across, 100 * half_axis / gap, colour, "--"))
     bound = level(100 * limit, name=f"{100 * limit:g} % of the gap")
     panel = Panel(
@@ -180,12 +169,10 @@ def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
         series.append(curve(label, 60 * verdict.fine, size, colour, band=(low, high), opacity=0.2))
     axis = _amplitude_axis("amplitude", unit, series)
     for peak in verdict.peaks:
-        colour = verdict.probes.index(peak.probe) % PALETTE_SIZE
-        sizes = [factor * end for end in (peak.amplitude.low, peak.amplitude.high)]
+        colour, top = verdict.probes.index(peak.probe) % PALETTE_SIZE, factor * peak.amplitude.value
         ends = 60 * np.array([peak.speed.low, peak.speed.high])
-        top = factor * peak.amplitude.value
+        bars = [factor * peak.amplitude.low], [factor * peak.amplitude.high]
         series.append(curve("", ends, [top, top], colour, width=2.0))
-        bars = tuple([size] for size in sizes)
         series.append(dots("", [60 * peak.speed.value], [top], colour, marker="o", bars=bars))
     shade = ""
     if verdict.speed_range is not None:
@@ -242,7 +229,7 @@ def track_run(
     plane moves in it.
     """
     if rig is None and not is_recording(source):
-        raise ConfigError("a raw file needs its rig file", where=str(source), hint="add -r RIG")
+        raise ConfigError("a raw file needs its rig file", source, "add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
     recording = ingest(source, rig or Rig("", ()), output, source.stem, Path.cwd())
     track = track_order(recording, lines, order=order, revolutions=revolutions)
@@ -251,7 +238,7 @@ def track_run(
     quantity = quantities.pop() if len(quantities) == 1 else ""
     if clearance is not None and (quantity != "displacement" or not circles):
         hint = "two displacements in known directions (dof: x and y, or front.x and front.y) are needed"
-        raise ConfigError("--gap: no orbit to hold against the gap", where=str(source), hint=hint)
+        raise ConfigError("--gap: no orbit to hold against the gap", source, hint)
     return TrackedRun(recording.name, track, circles, quantity, clearance)
 
 
@@ -260,13 +247,11 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
     for circles in run.circles:
         (plane,) = circles.planes
-        figures[f"orbits{f'-{plane.name}' if plane.name else ''}.svg"] = orbit_series_figure(
-            run.name, circles, run.quantity
-        )
+        place = f"-{plane.name}" if plane.name else ""
+        figures[f"orbits{place}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
     if run.clearance is not None:
-        figures["gap.svg"] = gap_figure(
-            run.name, run.track, run.circles, run.clearance.gap, run.clearance.limit
-        )
+        gap, limit = run.clearance.gap, run.clearance.limit
+        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, gap, limit)
     for name, figure in figures.items():
         output.write_path(name).write_text(svg_file(figure), encoding="utf-8")
     return ["orders.csv", *figures]
@@ -284,47 +269,39 @@ def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[st
     return table.n_speed
 
 
-def order_lines(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
-    rows = []
+def order_lines(run: TrackedRun) -> Iterator[str]:
+    """The largest amplitudes, and orbits against the gap."""
+    unit, factor = _unit(run.quantity)
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):
-            size = np.abs(track.amplitude[:, number])
+            size = factor * np.abs(track.amplitude[:, number])
             peak = int(np.argmax(size))
-            whole = (
-                ""
-                if track is not run.track
-                else f"; whole motion {shown(float(np.max(track.overall[:, number]))):.4g}"
-            )
-            rows.append(
-                f"{port.label:<8} largest {shown(float(size[peak])):.4g} {unit} 0-to-peak at "
-                f"{run.speeds[peak]:.4g} rpm{whole}"
-            )
-    return [*rows, *_against_gap(run, unit, shown)]
-
-
-def _against_gap(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
+            line = f"{port.label:<8} largest {size[peak]:.4g} {unit} 0-to-peak at {run.speeds[peak]:.4g} rpm"
+            if track is run.track:
+                line += f"; whole motion {factor * np.max(track.overall[:, number]):.4g}"
+            yield line
     if run.clearance is None:
-        return []
-    rows = []
+        return
+    gap, share = run.clearance.gap, run.clearance.limit
+    limit = f"{100 * share:g} %"
     for number, plane in enumerate(run.track.planes):
         orbit = run.track.orbit[:, number]
-        peak, beyond = int(np.argmax(orbit)), np.flatnonzero(orbit > run.clearance.limit * run.clearance.gap)
-        share = 100 * orbit[peak] / run.clearance.gap
-        limit = f"{100 * run.clearance.limit:g} %"
-        verdict = (
-            f"beyond {limit} from {run.speeds[beyond[0]]:.4g} rpm on"
-            if beyond.size
-            else f"within {limit} at all speeds"
-        )
-        size = f"{shown(float(orbit[peak])):.4g} {unit} = {share:.3g} % of the gap"
-        rows.append(f"{plane.name:<8} largest orbit {size} at {run.speeds[peak]:.4g} rpm: {verdict}")
-    return rows
+        peak, beyond = int(np.argmax(orbit)), np.flatnonzero(orbit > share * gap)
+        verdict = f"within {limit} at all speeds"
+        if beyond.size:
+            verdict = f"beyond {limit} from {run.speeds[beyond[0]]:.4g} rpm on"
+        largest = f"{factor * orbit[peak]:.4g} {unit} = {100 * orbit[peak] / gap:.3g} % of the gap"
+        yield f"{plane.name:<8} largest orbit {largest} at {run.speeds[peak]:.4g} rpm: {verdict}"
 
 
 def _write_table(run: TrackedRun, path: Path) -> None:
     columns = [("time_s", run.track.time), ("speed_hz", run.track.speed)]
     for track in (run.track, *run.circles):
-        columns += _order_columns(track)
+        for number, port in enumerate(track.ports):
+            phasor = track.amplitude[:, number]
+            columns.append((f"{port.label}:amplitude", np.abs(phasor)))
+            columns.append((f"{port.label}:phase_deg", np.degrees(np.angle(phasor))))
+            columns.append((f"{port.label}:std", np.sqrt(track.variance[:, number])))
     columns += [
         (f"{port.label}:overall", run.track.overall[:, number]) for number, port in enumerate(run.track.ports)
     ]
@@ -337,29 +314,19 @@ def _write_table(run: TrackedRun, path: Path) -> None:
             table.writerow([f"{value:.9g}" for value in row])
 
 
-def _order_columns(track: OrderTrack) -> list[Column]:
-    columns: list[Column] = []
-    for number, port in enumerate(track.ports):
-        x = track.amplitude[:, number]
-        columns.append((f"{port.label}:amplitude", np.abs(x)))
-        columns.append((f"{port.label}:phase_deg", np.degrees(np.angle(x))))
-        columns.append((f"{port.label}:std", np.sqrt(track.variance[:, number])))
-    return columns
-
-
 def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:
     """Half axis |f| + |b| of the order, largest distance of the whole motion, also per gap."""
     (plane,) = circles.planes
     whole = circles.orbit[:, 0]
-    columns = [
-        (plane.labelled("half_axis"), np.abs(circles.amplitude).sum(axis=1)),
-        (plane.labelled("orbit"), whole),
-        (plane.labelled("centreline_x"), circles.mean[:, 0]),
-        (plane.labelled("centreline_y"), circles.mean[:, 1]),
-    ]
-    return (
-        columns if clearance is None else [*columns, (plane.labelled("orbit_per_gap"), whole / clearance.gap)]
-    )
+    columns = {
+        "half_axis": np.abs(circles.amplitude).sum(axis=1),
+        "orbit": whole,
+        "centreline_x": circles.mean[:, 0],
+        "centreline_y": circles.mean[:, 1],
+    }
+    if clearance is not None:
+        columns["orbit_per_gap"] = whole / clearance.gap
+    return [(plane.labelled(name), values) for name, values in columns.items()]
 
 
 def track_and_write(
@@ -392,9 +359,9 @@ def track_and_write(
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
         names = write_tracked(run, folder)
-        others = (
-            None if baseline is None else track_run(baseline, rig, lines, order, revolutions, folder).track
-        )
+        others = None
+        if baseline is not None:
+            others = track_run(baseline, rig, lines, order, revolutions, folder).track
         verdict = None
         if any((*bands, baseline)):
             added = _added(unbalance, baseline is not None)
@@ -402,28 +369,21 @@ def track_and_write(
             verdict = judge(
                 run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
             )
-            folder.write_path("judgement.json").write_text(
-                json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n", encoding="utf-8"
-            )
-            figure = judged_figure(run.name, verdict, run.quantity)
-            folder.write_path("judgement.svg").write_text(svg_file(figure), encoding="utf-8")
-            names += ["judgement.json", "judgement.svg"]
-        speeds = (
-            0 if save_run_up is None or conditions is None else write_run_up(run, save_run_up, *conditions)
-        )
+            entry = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
+            figure = svg_file(judged_figure(run.name, verdict, run.quantity))
+            for name, text in {"judgement.json": entry, "judgement.svg": figure}.items():
+                folder.write_path(name).write_text(text, encoding="utf-8")
+                names.append(name)
+        speeds = 0
+        if save_run_up is not None and conditions is not None:
+            speeds = write_run_up(run, save_run_up, *conditions)
     code = 0 if verdict is None or verdict.accepted else 1
     if quiet:
         return code
     between = f"{run.speeds.min():.4g}-{run.speeds.max():.4g} rpm"
     echo(f"{run.name}: order {order:g}, {run.speeds.size} segments of {revolutions} revolutions, {between}")
-    quantity = QUANTITIES.get(run.quantity)
-    unit = quantity.display_unit if quantity else "SI"
-
-    def shown(value: float) -> float:
-        return to_display(value, unit) if quantity else value
-
-    judged = () if verdict is None else judgement_lines(verdict, unit, shown)
-    for row in (*order_lines(run, unit, shown), *(_centreline(run) if centreline else ()), *judged):
+    judged = () if verdict is None else judgement_lines(verdict, run.quantity)
+    for row in (*order_lines(run), *(_centreline(run) if centreline else ()), *judged):
         echo(f"  {row}")
     echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
     return code
@@ -461,21 +421,22 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
     for circles in run.circles:
         (plane,) = circles.planes
         x, y = circles.mean[last] - circles.mean[first]
-        share = (
-            "" if run.clearance is None else f", {100 * np.hypot(x, y) / run.clearance.gap:.3g} % of the gap"
-        )
+        moved, share = float(np.hypot(x, y)), ""
+        if run.clearance is not None:
+            share = f", {100 * moved / run.clearance.gap:.3g} % of the gap"
         yield (
-            f"{plane.name:<8} centreline moved by {to_display(float(np.hypot(x, y)), 'um'):.4g} um at "
+            f"{plane.name:<8} centreline moved by {to_display(moved, 'um'):.4g} um at "
             f"{np.degrees(np.arctan2(y, x)):.0f} deg from {run.speeds[first]:.4g} to "
             f"{run.speeds[last]:.4g} rpm{share}"
         )
 
 
-def judgement_lines(verdict: Judgement, unit: str, shown: Callable[[float], float]) -> Iterator[str]:
+def judgement_lines(verdict: Judgement, quantity: str) -> Iterator[str]:
     """Slow roll, critical speeds with their margins and decisions, sensitivities."""
+    unit, factor = _unit(quantity)
     if verdict.slow_roll is not None:
         for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True):
-            size, angle = shown(float(abs(vector))), np.degrees(np.angle(vector))
+            size, angle = factor * abs(vector), np.degrees(np.angle(vector))
             yield f"{label:<8} slow roll {size:.3g} {unit} at {angle:.0f} deg, subtracted"
     for peak in verdict.peaks:
         text = f"{peak.probe:<8} critical speed {_ends(peak.speed, 60.0)} rpm"
@@ -492,8 +453,8 @@ def judgement_lines(verdict: Judgement, unit: str, shown: Callable[[float], floa
     if verdict.not_run:
         yield verdict.not_run
     for row in verdict.sensitivities:
-        per_g_mm = Estimate(*(1e-6 * shown(x) for x in (row.size.value, row.size.low, row.size.high)))
-        yield f"{row.probe:<8} sensitivity {_ends(per_g_mm)} {unit}/(g mm) at {60 * row.speed:.0f} rpm"
+        size = _ends(row.size, 1e-6 * factor)
+        yield f"{row.probe:<8} sensitivity {size} {unit}/(g mm) at {60 * row.speed:.0f} rpm"
 
 
 def _ends(estimate: Estimate, factor: float = 1.0) -> str:

@@ -115,10 +115,6 @@ class ProcessFamily:
     family: FilmFamily
     field: SmoothField
 
-    @property
-    def n_parameter(self) -> int:
-        return len(PARAMETERS) + 8 * self.field.n_mode
-
     def factors(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """exp(g), (n_point, 8) [-]."""
         basis = self.field.basis(places_of(load, speed))
@@ -126,9 +122,8 @@ class ProcessFamily:
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
-        return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(
-            values, load, speed
-        )
+        eight = self.family.coefficients(values[: len(PARAMETERS)], load, speed)
+        return eight * self.factors(values, load, speed)
 
     def coefficients_and_slopes(
         self, values: FloatArray, load: FloatArray, speed: FloatArray
@@ -149,9 +144,7 @@ class ProcessFamily:
 
 def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     """Places (n_point, 2) of loads [N] and speeds [rad/s]."""
-    return np.stack(
-        np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1
-    ).reshape(-1, 2)
+    return np.stack(np.broadcast_arrays(load, speed), axis=-1).reshape(-1, 2)
 
 
 PEAK_STEP = 5e-3
@@ -189,10 +182,6 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         of_probes = np.sum((slopes @ self.systematic.T) ** 2, axis=2)
         return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
 
-    def factors(self, load: float, speed: FloatArray) -> FloatArray:
-        """The smooth factors (n_speed, 8) [-]."""
-        return self.model.factors(self.values, load, speed)
-
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
         """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
         named.
@@ -209,11 +198,8 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         )
         size = largest_displacement(response.reshape(3, -1, 2))[:, number]
         bend = (size[0] - 2 * size[1] + size[2]) / step**2
-        by_eight = (
-            displacement_slopes(response, slopes)[:, number]
-            * np.array([1.0, 0.0, -1.0])[:, None]
-            / (2 * step * bend)
-        )
+        sides = np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
+        by_eight = displacement_slopes(response, slopes)[:, number] * sides
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
@@ -278,7 +264,7 @@ def fit_with_process(
     )
     extent = np.ptp(places, axis=0)
     ranges = np.where(extent > 0, extent, places[0])
-    family = joint.model if joint is not None else family_about(rig, groups)
+    family = joint.model if joint is not None else family_about(rig, [group.load for group in groups])
 
     def problem_of(kernel: SquaredExponential) -> Problem[ProcessFamily]:
         field = SmoothField.of(kernel, places)
@@ -378,16 +364,13 @@ def _rows_by_place(
         if isinstance(test, LoadRuns):
             group_eight = eight[first : first + test.speed.size]
             residual, slopes = test.residual_and_slopes(group_eight)
-            rows += [
-                (equations, slope * here)
-                for equations, slope, here in zip(residual, slopes, group_eight, strict=True)
-            ]
+            rows += list(zip(residual, slopes * group_eight[:, None], strict=True))
             first += test.speed.size
             continue
         threshold, by_parameter = test.residual(problem.model, values)
         # A slope by z is the slope by ln coefficients times b.
         place = field.basis(field.places[[first]])[0]
-        by_z = by_parameter[0, len(PARAMETERS) :].reshape(8, field.n_mode)
+        by_z = by_parameter()[0, len(PARAMETERS) :].reshape(8, field.n_mode)
         rows.append((threshold, (by_z @ place / (place @ place))[None]))
         first += 1
     return rows

@@ -139,21 +139,16 @@ def _speed_text(prediction: RunPrediction | None, item: str, measured: Amount | 
 def _mark(amount: Amount, measured: Amount) -> str:
     if amount.std_error is None or measured.std_error is None:
         return ""
-    return (
-        "*"
-        if abs(amount.value - measured.value) > TWO_SIDED * math.hypot(amount.std_error, measured.std_error)
-        else ""
-    )
+    error = math.hypot(amount.std_error, measured.std_error)
+    return "*" if abs(amount.value - measured.value) > TWO_SIDED * error else ""
 
 
 def both_differences(predicted: float, measured: float) -> str:
     """ "+2.15 % (2.10 %)": relative to the measurement, and by the source's rule, relative to the larger of
     the two.
     """
-    relative, rule = (
-        (predicted - measured) / measured,
-        abs(predicted - measured) / max(abs(predicted), abs(measured)),
-    )
+    relative = (predicted - measured) / measured
+    rule = abs(predicted - measured) / max(abs(predicted), abs(measured))
     return f"{100 * relative:+.2f} % ({100 * rule:.2f} %)"
 
 
@@ -163,26 +158,16 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
         printed = getattr(run, f"printed_{item}")
         if not printed:
             continue
-        measured, original, enhanced = (60 * value for value in printed)
-        differences = (both_differences(value, measured) for value in (original, enhanced))
-        shown = [
-            f"{value:.6g}: {difference}"
-            for value, difference in zip((original, enhanced), differences, strict=True)
-        ]
+        measured, *others = (60 * value for value in printed)
+        shown = (f"{value:.6g}: {both_differences(value, measured)}" for value in others)
         rows.append((_run_name(run), f"{measured:.6g}", *shown))
     if not rows:
         return []
     caption = (
         f"{title} [rpm] as printed in {result.source or 'a source'}: for reference, measured on another rig"
     )
-    return [
-        Table(
-            ("run", "measured (source)", "original (source)", "enhanced (source)"),
-            tuple(rows),
-            caption,
-            (1, 2, 3),
-        )
-    ]
+    header = ("run", "measured (source)", "original (source)", "enhanced (source)")
+    return [Table(header, tuple(rows), caption, (1, 2, 3))]
 
 
 def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
@@ -203,14 +188,9 @@ def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
     )
     blocks: list[Block] = [Table(header, rows, caption, (3, 4, 5, 6))]
     for method in fitted:
-        remarks = [
-            *method.remarks,
-            *(
-                [f"Determined by the priors alone: {'; '.join(method.free)} (logarithms)."]
-                if method.free
-                else []
-            ),
-        ]
+        remarks = list(method.remarks)
+        if method.free:
+            remarks.append(f"Determined by the priors alone: {'; '.join(method.free)} (logarithms).")
         if remarks:
             blocks.append(Paragraph(f"{method.title}: {' '.join(remarks)}"))
     blocks.extend(_rank_blocks(result))
@@ -280,7 +260,7 @@ def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
         (f"{figures.RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place))
         for place in chosen
     )
-    units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in COEFFICIENTS)
+    units = tuple(f"{name} [{figures.scale(name)[1]}]" for name in COEFFICIENTS)
     caption = (
         f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; "
         "every speed in identification.json"
@@ -291,16 +271,15 @@ def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
 def _eight(prediction: RunPrediction, place: int) -> list[str]:
     cells = []
     for number, value in enumerate(prediction.coefficients[place]):
-        scale = 1e-3 if number < 4 else 1.0
+        scale, _ = figures.scale(COEFFICIENTS[number])
         error = prediction.std_errors[place][number] if prediction.std_errors else None
-        cells.append(_with_deviation(scale * value, None if error is None else scale * error))
+        if error is None:
+            cells.append(f"{scale * value:.4g}")
+        elif math.isfinite(error):
+            cells.append(with_error(scale * value, scale * error))
+        else:
+            cells.append(f"{scale * value:.4g} at bound")
     return cells
-
-
-def _with_deviation(value: float, error: float | None) -> str:
-    if error is None:
-        return f"{value:.4g}"
-    return with_error(value, error) if math.isfinite(error) else f"{value:.4g} at bound"
 
 
 def validation_table(models: Sequence[MetamodelResult]) -> Table:

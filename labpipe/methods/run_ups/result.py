@@ -47,18 +47,12 @@ from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter
 
-# Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels.
+# Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels, title.
 KINDS = {
-    "response-surface": "surface",
-    "network": "network",
-    "gaussian-process": "process",
-    "physical": "physical",
-}
-TITLES = {
-    "response-surface": "second-order response surface",
-    "network": "feed-forward network",
-    "gaussian-process": "Gaussian process",
-    "physical": "physical fit (c)",
+    "response-surface": ("surface", "second-order response surface"),
+    "network": ("network", "feed-forward network"),
+    "gaussian-process": ("process", "Gaussian process"),
+    "physical": ("physical", "physical fit (c)"),
 }
 # Grid of the drawn surfaces.
 SURFACE_LOADS, SURFACE_SPEEDS = 11, 15
@@ -78,32 +72,30 @@ def metamodels(
     grid = _grid(by_name[settings.metamodels_of], trained)
     joint = by_name["joint"].anywhere if "joint" in by_name else None
     refitted = physical_without(rig, trained) if "physical" in settings.metamodels else None
-    kinds = [KINDS[name] for name in settings.metamodels if name != "physical"]
+    kinds = [KINDS[name][0] for name in settings.metamodels if name != "physical"]
     left_out = leave_one_load_out(grid, kinds, refitted, settings.seed)
     results = []
     for name in settings.metamodels:
+        kind, title = KINDS[name]
         model = _fit(name, grid, joint, settings.seed)
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
-        uncertainty = (
-            (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
-        )
+        rejected = source.verdict == REJECTED
+        uncertainty = (f"of a fit that chi-square rejects, {source.title}",) if rejected else ()
         predictions = tuple(_prediction(model, rig, run, settings.plane, uncertainty) for run in runs)
         loads = [run.load for run in runs]
-        load, speed = (
-            np.linspace(min(loads), max(loads), SURFACE_LOADS),
-            np.linspace(*model.extent.speeds, SURFACE_SPEEDS),
-        )
+        load = np.linspace(min(loads), max(loads), SURFACE_LOADS)
+        speed = np.linspace(*model.extent.speeds, SURFACE_SPEEDS)
         values = np.stack([model.predict(one_load, speed) for one_load in load])
         results.append(
             MetamodelResult(
                 name,
-                TITLES[name],
+                title,
                 Surface(
                     column(load),
                     column(speed),
                     tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)),
                 ),
-                tuple(left_out[KINDS[name]]),
+                tuple(left_out[kind]),
                 predictions,
                 (f"{model.statement}.",),
                 model.to_entries(),
@@ -124,7 +116,7 @@ def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
         if name == "physical":
             assert isinstance(joint, JointFit)
             return PhysicalFit.of(joint, Extent.of(grid).speeds)
-        return fit_metamodel(KINDS[name], grid, seed)
+        return fit_metamodel(KINDS[name][0], grid, seed)
     except LabpipeError as error:
         error.where = error.where or f"run_ups, metamodel {name}"
         raise
@@ -135,20 +127,12 @@ def _prediction(
 ) -> RunPrediction:
     run_rig = with_unbalance_of(rig, run)
     remark = caution(model, run.load)
-    notes = (
-        *uncertainty,
-        *((remark,) if remark else ()),
-        *(() if isinstance(model, PhysicalFit) else (BEYOND,)),
-    )
+    beyond = "" if isinstance(model, PhysicalFit) else BEYOND
+    notes = (*uncertainty, *(text for text in (remark, beyond) if text))
     eight = model.predict(run.load, run.speed)
     error = None if uncertainty else model.std_error(run.load, run.speed)
-    return predict(
-        run_rig,
-        run,
-        AtLoad(carried_beyond(partial(model.predict, run.load), *model.speeds), eight, error, notes=notes),
-        plane,
-        curves=False,
-    )
+    course = carried_beyond(partial(model.predict, run.load), *model.speeds)
+    return predict(run_rig, run, AtLoad(course, eight, error, notes=notes), plane, curves=False)
 
 
 Tell = Callable[[str], None]
@@ -166,14 +150,12 @@ def run_up_result(
     for name in [START, *(name for name in METHODS if name in settings.methods)]:
         tell(f"run-ups   {name}")
         solved.append(_solve(name, rig, trained, settings))
-    methods = [
-        replace(
-            item.method,
-            predictions=tuple(prediction(item.predictor, rig, run, settings.plane) for run in runs),
-        )
-        for item in solved
-    ]
-    if settings.metamodels:
+    methods = []
+    for item in solved:
+        predictions = tuple(prediction(item.predictor, rig, run, settings.plane) for run in runs)
+        methods.append(replace(item.method, predictions=predictions))
+    fitted_to = settings.metamodels_of if settings.metamodels else ""
+    if fitted_to:
         tell("run-ups   metamodels")
     loads = sorted({run.load for run in trained})
     load = loads[len(loads) // 2]
@@ -186,10 +168,7 @@ def run_up_result(
         runs=tuple(record for record, _ in measured),
         methods=tuple(methods),
         metamodels=metamodels(settings, rig, trained, runs, solved),
-        metamodels_of=next(
-            (item.title for item in methods if settings.metamodels and item.name == settings.metamodels_of),
-            "",
-        ),
+        metamodels_of=next((item.title for item in methods if item.name == fitted_to), ""),
         ranks=rank_statements(rig, load, speed),
         rank_load=load,
         rank_speed=speed,
@@ -255,30 +234,19 @@ def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Fin
     if "determined" in method.verdict and method.chi2_p is not None and method.chi2_p < LEAST_PROBABILITY:
         excess = f"chi² per datum is {method.chi2_per_datum:.2f}: the residual exceeds the noise"
         bounds = f"{100 * (method.share_at_bound or 0.0):.0f} % of the coefficients lie on their bounds"
-        findings.append(
-            Finding(
-                "model-mismatch", f"{method.title}: {excess}; {bounds}, and stated errors may be too small."
-            )
-        )
+        message = f"{method.title}: {excess}; {bounds}, and stated errors may be too small."
+        findings.append(Finding("model-mismatch", message))
     bound = [parameter.name for parameter in method.parameters if parameter.at_bound]
     if bound:
-        findings.append(
-            Finding(
-                "at-bound",
-                f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing.",
-            )
+        message = (
+            f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing."
         )
-    for run in runs:
-        run_prediction = method.prediction(run.name)
-        if (
-            run.role == HELD_OUT
-            and run_prediction is not None
-            and run_prediction.notes
-            and method.verdict in ("rejected", "not rejected")
-        ):
-            findings.append(
-                Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(run_prediction.notes)}.")
-            )
+        findings.append(Finding("at-bound", message))
+    jointly = method.verdict in ("rejected", "not rejected")
+    for run in runs if jointly else ():
+        notes = getattr(method.prediction(run.name), "notes", ())
+        if run.role == HELD_OUT and notes:
+            findings.append(Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(notes)}."))
     return findings
 
 
@@ -316,12 +284,6 @@ def _speeds(
         speed: Amount | None = getattr(owner, name)
         if speed is not None:
             parameter = Parameter(
-                name,
-                speed.value,
-                "rad/s",
-                std_error=speed.std_error,
-                t_ratio=None,
-                ci95=speed.ci95,
-                derived=True,
+                name, speed.value, "rad/s", std_error=speed.std_error, ci95=speed.ci95, derived=True
             )
             yield ListedParameter(fit=fit, parameter=parameter, test=run, model="run_ups", warnings=codes)

@@ -100,7 +100,7 @@ class FilmFamily:
         """
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
-        return self._join(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
+        return as_eight(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
 
     def coefficients_and_slopes(
         self, values: FloatArray, load: FloatArray, speed: FloatArray
@@ -108,8 +108,8 @@ class FilmFamily:
         """`coefficients` [N/m, N s/m] and their derivatives by PARAMETERS, (n_point, 8, 12)."""
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         scale = self._scale(values, load, speed)
-        eight = self._join(curve_values.stiffness, curve_values.damping) * scale
-        by_place = self._join(curve_values.stiffness_slope, curve_values.damping_slope) * scale
+        eight = as_eight(curve_values.stiffness, curve_values.damping) * scale
+        by_place = as_eight(curve_values.stiffness_slope, curve_values.damping_slope) * scale
         slopes = np.zeros((*eight.shape, len(PARAMETERS)))
         slopes[..., 0] = by_place
         slopes[..., 1] = by_place * np.log(speed / self.speed)[:, None]
@@ -128,12 +128,6 @@ class FilmFamily:
         both = np.stack([per_length] * 4 + [per_length / speed] * 4, axis=-1)
         return both * np.exp(values[4:])
 
-    @staticmethod
-    def _join(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-        return np.concatenate(
-            [stiffness.reshape(*stiffness.shape[:-2], 4), damping.reshape(*damping.shape[:-2], 4)], axis=-1
-        )
-
 
 def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
     """K [N/m] and C [N s/m], (..., 2, 2) each, from eight COEFFICIENTS (..., 8)."""
@@ -143,7 +137,8 @@ def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
     """The eight COEFFICIENTS (..., 8) from K [N/m] and C [N s/m], (..., 2, 2)."""
-    return FilmFamily._join(np.asarray(stiffness), np.asarray(damping))
+    parts = [matrix.reshape(*matrix.shape[:-2], 4) for matrix in (stiffness, damping)]
+    return np.concatenate(parts, axis=-1)
 
 
 def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
@@ -246,13 +241,10 @@ class RunUpRotor:
             )
         if len({node for _, node in self.planes}) < len(self.planes):
             raise ConfigError("planes: two planes sit on one node")
-        for node in (
-            self.place.node,
-            *(node for _, node in self.planes),
-            *(unbalance.node for unbalance in self.unbalances),
-        ):
+        for node in (self.place.node, *(node for _, node in self.planes)):
             self.pinned.dofs(node)
         for unbalance in self.unbalances:
+            self.pinned.dofs(unbalance.node)
             self.plane_at(unbalance.node)
 
     @property
@@ -336,12 +328,9 @@ class RunUpRotor:
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
         if not isinstance(bearing, JournalBearing):
-            points = [
-                self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()
-            ]
-            stiffness, damping = (
-                np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping")
-            )
+            points = [bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
+            stiffness = np.stack([point.stiffness for point in points])
+            damping = np.stack([point.damping for point in points])
             return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
         curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
         curve_values = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
@@ -383,11 +372,9 @@ class RunUpRotor:
         self, speed: FloatArray, coefficients: CoefficientsAtSpeed, direction: str
     ) -> FloatArray:
         response = self.response(speed, coefficients)
-        return (
-            np.abs(response[..., DIRECTIONS.index(direction)])
-            if direction
-            else largest_displacement(response)
-        )
+        if direction:
+            return np.abs(response[..., DIRECTIONS.index(direction)])
+        return largest_displacement(response)
 
     def resonance(self, coefficients: CoefficientsAtSpeed) -> float | None:
         """Speed [rad/s] that equals the imaginary part of an eigenvalue; None when there is none."""
@@ -412,6 +399,5 @@ def largest_displacement(response: ComplexArray) -> FloatArray:
     """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of
     phasors (..., 2). Equation (rotor-largest).
     """
-    return (
-        np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])
-    ) / 2
+    x, y = response[..., 0], response[..., 1]
+    return (np.abs(x + 1j * y) + np.abs(x - 1j * y)) / 2

@@ -12,24 +12,21 @@ import numpy as np
 from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.methods.rotor.rig import Unbalance
-from labpipe.methods.rotor.rotor_file import (
-    LISTS,
-    DampingSettings,
-    build_rotor,
-    read_bearings,
-    read_entries,
-    read_materials,
-    tried,
-)
+from labpipe.methods.rotor.rotor_file import read_parts, tried
 from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
 from labpipe.methods.run_ups.rotor import RunUpRotor
-from labpipe.project.marked_yaml import Marked, load_marked, set_entry
-from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.project.marked_yaml import Marked, load_marked
+from labpipe.project.settings_reader import Faults, join
 from labpipe.records.settings import FileKind, Settings, setting
 from labpipe.registry import nearest
 
 OWN_LISTS = ("elements", "discs", "sleeves", "unbalances")
-SECTIONS = (*OWN_LISTS, "bearings", "materials", "damping", "planes", "pins")
+# Keys that the file needs, with hints.
+NEEDED = {
+    "pins": "for example pins: [1, 5]",
+    "planes": "for example planes: {disc 1: 2}",
+    "bearings": "one entry",
+}
 
 
 @dataclass(frozen=True)
@@ -51,9 +48,7 @@ class PinnedSettings(Settings):
 
 def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
     """The rotor of a rotor file with pins; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
+    tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     rig = read_run_up_rotor(tree, path.stem, faults, path.parent)
     faults.raise_any()
@@ -74,38 +69,21 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     """The rotor of a marked tree, files it names relative to *folder*."""
     before = len(faults)
     entries = faults.mapping(tree, "")
-    plain = Marked({key: entry for key, entry in entries.items() if key not in SECTIONS}, tree.where)
-    settings = read_settings(PinnedSettings, plain, "", faults)
-    for key, hint in (
-        ("pins", "for example pins: [1, 5]"),
-        ("planes", "for example planes: {disc 1: 2}"),
-        ("bearings", "one entry"),
-    ):
-        if key not in entries:
-            faults.add(tree, key, "is missing", hint)
+    settings, rotor, bearings, lists = read_parts(tree, entries, PinnedSettings, OWN_LISTS, NEEDED, faults)
     pins = _nodes(entries.get("pins"), "pins", faults)
     named = faults.mapping(entries["planes"], "planes") if "planes" in entries else {}
     planes = tuple((name, _node(entry, join("planes", name), faults)) for name, entry in named.items())
-    lists = {key: read_entries(LISTS[key], entries.get(key), key, faults) for key in OWN_LISTS}
-    bearings = read_bearings(entries.get("bearings"), faults)
     if (
         "bearings" in entries
         and isinstance(entries["bearings"].content, list)
         and len(entries["bearings"].content) != 1
     ):
         faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one bearing")
-    materials = read_materials(entries.get("materials"), faults)
-    damping = (
-        read_settings(DampingSettings, entries["damping"], "damping", faults)
-        if "damping" in entries
-        else DampingSettings()
-    )
     tabulated = (
         read_coefficients(settings.coefficients, folder, entries["coefficients"], faults)
         if settings and settings.coefficients
         else None
     )
-    rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
     if rotor is None or settings is None or len(faults) > before:
         return None
     (entry, place), *_ = bearings
@@ -121,9 +99,7 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     speeds = (
         None if settings.speeds is None else (2 * np.pi * settings.speeds[0], 2 * np.pi * settings.speeds[1])
     )
-    unbalances = tuple(
-        Unbalance(unbalance.node, unbalance.size, unbalance.phase) for _, unbalance in lists["unbalances"]
-    )
+    unbalances = tuple(Unbalance(part.node, part.size, part.phase) for _, part in lists["unbalances"])
     rest: dict[str, Any] = {"pins": pins, "planes": planes, "unbalances": unbalances}
     rest |= {"tabulated": tabulated, "speeds": speeds}
     return tried(lambda: RunUpRotor(settings.name or stem, rotor, place=place, **rest), tree, "", faults)

@@ -58,9 +58,9 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
     by plane, for a table without unbalance lines; empty for a run with its residual unbalance only.
     """
     if not path.exists():
-        raise DataError("no such file", where=str(path))
+        raise DataError("no such file", path)
     read = _Reader(path)
-    speed = read.in_si(read.speed_column, "Hz") * 2 * np.pi
+    speed = read.speed
     amplitude, phase = read.stack("amplitude"), read.stack("phase")
     amplitude_error = read.errors("amplitude error", amplitude, "1")
     phase_error = read.errors("phase error", np.ones_like(phase), "rad")
@@ -82,7 +82,7 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
             threshold=read.threshold(),
         )
     except DataError as error:
-        raise DataError(error.what, where=error.where or str(path), hint=error.hint) from None
+        raise DataError(error.what, error.where or str(path), error.hint) from None
 
 
 class _Reader:
@@ -94,7 +94,7 @@ class _Reader:
         self.planes = tuple(dict.fromkeys(plane for plane, _, _ in self.columns))
 
     def fault(self, what: str, hint: str) -> DataError:
-        return DataError(what, where=str(self.path), hint=hint)
+        return DataError(what, self.path, hint)
 
     def _columns(self) -> dict[tuple[str, str, str], str]:
         names = {}
@@ -111,10 +111,11 @@ class _Reader:
         return names
 
     @property
-    def speed_column(self) -> str:
+    def speed(self) -> FloatArray:
+        """(n_speed,) [rad/s]."""
         for column in self.table.columns:
             if _SPEED.match(column):
-                return column
+                return 2 * np.pi * self.in_si(column, "Hz")
         raise self.fault("no column 'speed'", "for example 'speed [rpm]'")
 
     def in_si(self, column: str, si_unit: str) -> FloatArray:
@@ -166,8 +167,7 @@ class _Reader:
         text, where = self.head["threshold"]
         value, _, error = text.partition("+-")
         if not error.strip():
-            hint = "for example 2772 rpm +- 6 rpm"
-            raise DataError("threshold: its uncertainty is missing", where=where, hint=hint)
+            raise DataError("threshold: its uncertainty is missing", where, "for example 2772 rpm +- 6 rpm")
         hertz = [_parse(part.strip(), where, "threshold", "Hz") for part in (value, error)]
         return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
 
@@ -179,7 +179,7 @@ class _Reader:
             match = _UNBALANCE.match(text)
             if match is None:
                 what = f"{key}: '{text}' is not a size and an angle"
-                raise DataError(what, where=where, hint="for example 50 g.mm at 0 deg")
+                raise DataError(what, where, "for example 50 g.mm at 0 deg")
             size, angle = _parse(match["size"], where, key, "kg.m"), _parse(match["angle"], where, key, "rad")
             unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
         return unbalances
@@ -191,11 +191,11 @@ class _Reader:
         match = _SHAKER.match(text)
         if match is None:
             what = f"shaker: '{text}' is not a force at a plane"
-            raise DataError(what, where=where, hint="for example 2 N in x, 0 N in y at disc 1")
+            raise DataError(what, where, "for example 2 N in x, 0 N in y at disc 1")
         ratio = self.value("shaker frequency", "1")
         if not ratio > 0:
             where = self.head["shaker frequency"][1]
-            raise DataError("shaker frequency: must be positive", where=where, hint="over the shaft's speed")
+            raise DataError("shaker frequency: must be positive", where, "over the shaft's speed")
         x, y = (_parse(match[axis], where, "shaker", "N") for axis in DIRECTIONS)
         return Shaker(match["plane"], x, y, ratio)
 
@@ -214,24 +214,20 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
                 continue
             key, where = match["key"], f"{path}:{number}"
             if key not in PLAIN_KEYS[:-1] and not key.startswith("unbalance "):
-                _refuse_misspelt(key, where)
+                if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
+                    raise DataError(f"unknown entry '{key}'", where, nearest(key, PLAIN_KEYS))
                 continue
             if key in entries:
-                raise DataError(f"'{key}' appears twice", where=where)
+                raise DataError(f"'{key}' appears twice", where)
             entries[key] = (match["text"], where)
     return entries
-
-
-def _refuse_misspelt(key: str, where: str) -> None:
-    if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
-        raise DataError(f"unknown entry '{key}'", where=where, hint=nearest(key, PLAIN_KEYS))
 
 
 def _parse(text: str, where: str, key: str, unit: str) -> float:
     try:
         return parse_value(text, unit)
     except UnitError as error:
-        raise DataError(f"{key}: {error.what}", where=where, hint=error.hint) from None
+        raise DataError(f"{key}: {error.what}", where, error.hint) from None
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:

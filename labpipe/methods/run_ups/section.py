@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.errors import DataError, LabpipeError
 from labpipe.methods.run_ups.measured import ReadRun, at_speeds, column, difference, run_up_of
 from labpipe.methods.run_ups.records import (
     REJECTED,
@@ -27,7 +27,7 @@ from labpipe.methods.run_ups.records import (
     findings,
 )
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
-from labpipe.methods.run_ups.result import listed_speeds_and_parameters, run_up_result
+from labpipe.methods.run_ups.result import Tell, listed_speeds_and_parameters, run_up_result
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
 from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, RunUpSettings, turning
@@ -36,7 +36,7 @@ from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.judging import CompareNumber, compare_covers
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
-from labpipe.records.finding import WARNING, of_level
+from labpipe.records.finding import WARNING, Finding, of_level
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.rig import Rig
 from labpipe.records.sections import PipelineSection
@@ -77,24 +77,22 @@ def run_as_measured(
 
 
 def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
-    run = _statement(
-        settings, read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None)
-    )
-    run = replace(run, uncertainties=probes.errors(run.planes))
+    table = read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None)
+    run = replace(_statement(settings, table), uncertainties=probes.errors(table.planes))
     if settings.subtracted is not None:
         run = difference(run, read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}))
     return ReadRun(settings, run)
 
 
 def _statement(settings: RunSettings, run: RunUp) -> RunUp:
-    threshold = settings.threshold
+    threshold = run.threshold
+    if settings.threshold is not None:
+        threshold = Uncertain(2 * np.pi * settings.threshold.value, 2 * np.pi * settings.threshold.std_error)
     return replace(
         run,
         load=run.load if settings.load is None else settings.load,
         unbalance=dict(settings.unbalance) or run.unbalance,
-        threshold=run.threshold
-        if threshold is None
-        else Uncertain(2 * np.pi * threshold.value, 2 * np.pi * threshold.std_error),
+        threshold=threshold,
     )
 
 
@@ -115,7 +113,7 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
 
 def _open(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
     if settings.recorded_by is None and not is_recording(path):
-        raise DataError("a raw file needs its rig file", where=str(path), hint="add rig: FILE to the entry")
+        raise DataError("a raw file needs its rig file", path, "add rig: FILE to the entry")
     return ingest(
         path, settings.recorded_by or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder
     )
@@ -144,18 +142,11 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
         .reshape(spectra.amplitude.shape[0], -1, group, len(spectra.labels))
         .max(axis=2)
     )
+    places = column(spectra.speed), column(frequency)
     return tuple(
-        Cascade(
-            label,
-            column(spectra.speed),
-            column(frequency),
-            tuple(column(row) for row in thinned[:, :, number]),
-        )
+        Cascade(label, *places, tuple(column(row) for row in thinned[:, :, number]))
         for number, label in enumerate(spectra.labels)
     )
-
-
-Tell = Callable[[str], None]
 
 
 def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
@@ -171,12 +162,8 @@ def identify_run_ups(
     rig = settings.rig
     assert rig is not None
     probes = settings.probes.uncertainties
-    return run_up_result(
-        settings,
-        rig,
-        [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs],
-        tell,
-    )
+    runs = [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs]
+    return run_up_result(settings, rig, runs, tell)
 
 
 MEASURED = "measured"
@@ -203,25 +190,28 @@ class _Address:
     attribute: str
 
 
+def warnings_outcome(rule: Rule, findings_of_rotor: Iterable[Finding]) -> RuleOutcome:
+    """The outcome of a rule such as "warnings: none" or "warnings: not code" on all findings together."""
+    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, findings_of_rotor)))
+    wanted = rule.bound.removeprefix("not ").strip()
+    passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
+    return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+
+
 def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
-        codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
-        wanted = rule.bound.removeprefix("not ").strip()
-        passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
-        return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+        return warnings_outcome(rule, result.findings)
     match = _ADDRESS.match(rule.item)
     if match is None:
-        raise _fault(rule, "is no address", "write run_ups.joint[held-out].critical_speed")
+        raise rule.fault("is no address", "write run_ups.joint[held-out].critical_speed")
     address = _Address(*(part or "" for part in match.groups()))
     names = [run.name for run in result.runs]
     if address.run and address.run not in names:
-        raise _fault(rule, f"there is no run '{address.run}'", nearest(address.run, names))
+        raise rule.fault(f"there is no run '{address.run}'", nearest(address.run, names))
     if address.item in SPEEDS:
         if address.attribute and address.attribute not in ATTRIBUTES:
-            raise _fault(
-                rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES)
-            )
+            raise rule.fault(f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
         runs = [run for run in result.runs if address.run in ("", run.name)]
         candidates = [(run, _amount(rule, address, result, run)) for run in runs]
         selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
@@ -232,18 +222,14 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
     return _of_method(rule, address, result, compare_number)
 
 
-def _fault(rule: Rule, what: str, hint: str) -> ConfigError:
-    return ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
-
-
 def _of_method(
     rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
     predictor = _predictor(rule, address, result)
     if isinstance(predictor, MetamodelResult):
         if address.item != "left_out":
-            raise _fault(
-                rule, f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
+            raise rule.fault(
+                f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
             )
         worst = max((validation.rms for validation in predictor.left_out), default=None)
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, worst, "1"))
@@ -251,7 +237,7 @@ def _of_method(
         return RuleOutcome(rule.section, rule.text, predictor.verdict, predictor.verdict == rule.bound)
     if address.item not in METHOD_VALUES:
         hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
-        raise _fault(rule, f"a method has no '{address.item}'", hint)
+        raise rule.fault(f"a method has no '{address.item}'", hint)
     return RuleOutcome(
         rule.section, rule.text, *compare_number(rule, METHOD_VALUES[address.item](predictor), "1")
     )
@@ -261,7 +247,7 @@ def _predictor(rule: Rule, address: _Address, result: RunUpResult) -> RunUpMetho
     predictors = {predictor.name: predictor for predictor in result.predictors}
     if address.method not in predictors:
         hint = nearest(address.method, [*predictors, MEASURED])
-        raise _fault(rule, f"there is no method '{address.method}'", hint)
+        raise rule.fault(f"there is no method '{address.method}'", hint)
     return predictors[address.method]
 
 
@@ -290,13 +276,9 @@ def _attribute(
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
-    names = [
-        "measured",
-        *(
-            f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name
-            for method in result.methods
-        ),
-    ]
+    names = ["measured"]
+    for method in result.methods:
+        names.append(f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name)
     yield f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names)
     for run in result.runs:
         columns = [run, *(method.prediction(run.name) for method in result.methods)]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, ProbeError
 from labpipe.methods.run_ups.rotor import PARAMETERS, RunUpRotor
 from labpipe.quantities import UnitError
@@ -141,7 +141,7 @@ class RunSettings(Settings):
             )
         if not self.unbalance:
             hint = "a recording does not state it; for example {disc 1: 50 g.mm at 0 deg}"
-            raise ConfigError("unbalance: is missing", hint=hint, field="unbalance")
+            raise SettingError("unbalance", "unbalance: is missing", hint)
         if min(self.pulses, self.harmonics, self.revolutions - 1) < 1:
             raise ConfigError("'pulses' and 'harmonics' are at least 1, 'revolutions' at least 2")
 
@@ -177,9 +177,7 @@ class ProbeSettings(Settings):
             try:
                 numbers[name] = parse_uncertain(f"{value} +- {text}", unit) if text else None
             except UnitError as error:
-                raise ConfigError(
-                    f"'{text}' is no uncertainty: {error.what}", hint=error.hint, field=name
-                ) from None
+                raise SettingError(name, f"'{text}' is no uncertainty: {error.what}", error.hint) from None
         object.__setattr__(self, "uncertainties", ProbeUncertainties(**numbers))
 
 
@@ -230,47 +228,30 @@ class RunUpSettings(Settings):
         for field, table in (("methods", METHODS), ("metamodels", METAMODELS), ("known", PARAMETERS)):
             for name in getattr(self, field):
                 if name not in table:
-                    raise ConfigError(f"unknown name '{name}'", hint=nearest(name, table), field=field)
+                    raise SettingError(field, f"unknown name '{name}'", nearest(name, table))
         if len(set(self.known)) == len(PARAMETERS):
-            raise ConfigError("nothing is left to estimate", hint="leave some out", field="known")
+            raise SettingError("known", "nothing is left to estimate", "leave some out")
         if not (0 < self.bound < 1 and self.ridge > 0):
             raise ConfigError(
                 "'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %"
             )
-        if self.plane and self.rig is not None:
-            self._check_plane(self.rig)
-        self._check_metamodels()
-        self._check_runs()
+        if self.plane and self.rig is not None and self.plane not in self.rig.plane_names:
+            hint = nearest(self.plane, self.rig.plane_names)
+            raise SettingError("plane", f"no plane '{self.plane}' in {self.rig.name}", hint)
+        self._check_fits()
 
-    def _check_plane(self, rig: RunUpRotor) -> None:
-        try:
-            rig.node(self.plane)
-        except ConfigError as error:
-            error.field = "plane"
-            raise
-
-    def _check_metamodels(self) -> None:
-        needed = (
-            {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set())
-            if self.metamodels
-            else set()
-        )
+    def _check_fits(self) -> None:
+        needed = {self.metamodels_of} if self.metamodels else set()
+        if "physical" in self.metamodels:
+            needed.add("joint")
         for name in sorted(needed - set(self.methods)):
-            hint = f"add {name} to run_ups.methods"
-            raise ConfigError(
-                f"metamodels need the method '{name}', which is not fitted", hint=hint, field="metamodels"
-            )
-
-    def _check_runs(self) -> None:
+            what = f"metamodels need the method '{name}', which is not fitted"
+            raise SettingError("metamodels", what, f"add {name} to run_ups.methods")
         if not self.runs:
-            raise ConfigError(
-                "a list of runs is needed", hint="for example - {file: load-1.csv}", field="runs"
-            )
+            raise SettingError("runs", "a list of runs is needed", "for example - {file: load-1.csv}")
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
-                raise ConfigError(f"a second run named '{name}'", hint="names must differ", field="runs")
+                raise SettingError("runs", f"a second run named '{name}'", "names must differ")
         if all(run.role == HELD_OUT for run in self.runs):
-            raise ConfigError(
-                "every run is held out, none is trained", hint="leave out role: of some", field="runs"
-            )
+            raise SettingError("runs", "every run is held out, none is trained", "leave out role: of some")

@@ -9,19 +9,20 @@ differs from the rotor file's in one of three ways (TRUTHS).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
+from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
-from labpipe.methods.run_ups.rotor import BOUND, FilmFamily, RunUpRotor, as_eight, as_matrices
+from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
+from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate.virtual_rigs import (
@@ -104,9 +105,7 @@ class VirtualUnbalanceRig(Settings):
 
     def __post_init__(self) -> None:
         if self.rig is not None and not self.rig.unbalances:
-            raise ConfigError(
-                "the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor"
-            )
+            raise SettingError("rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
         if not 2 <= self.count <= MOST_SPEEDS or not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError(f"a run-up has 2 to {MOST_SPEEDS} speeds that rise from above zero")
         if not self.loads or min(*self.loads, self.held_out) <= 0:
@@ -132,11 +131,9 @@ class VirtualUnbalanceRig(Settings):
         """
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
-        return (
-            self.rig
-            if self.rig.speeds is not None
-            else replace(self.rig, speeds=(float(self.omega[0]), float(self.omega[-1])))
-        )
+        if self.rig.speeds is not None:
+            return self.rig
+        return replace(self.rig, speeds=(float(self.omega[0]), float(self.omega[-1])))
 
     @property
     def load_of_run(self) -> dict[str, float]:
@@ -152,17 +149,8 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
     if virtual.truth == "factors":
         return _with_factors(virtual, load)
     if virtual.truth == "inside":
-        return family(virtual.nominal, virtual.loads).at_load(INSIDE, load)
+        return family_about(virtual.nominal, virtual.loads, "a virtual run-up").at_load(INSIDE, load)
     return _outside(virtual, load)
-
-
-def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
-    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the
-    speeds.
-    """
-    return FilmFamily(
-        rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads)))))
-    )
 
 
 def smooth_factors(
@@ -231,11 +219,8 @@ def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> R
     excitation = _excitation(virtual, name)
     exact = rig.condensed(speed, *excitation).response(*coefficients(speed)).reshape(shape)
     noise = virtual.noise
-    noisy = (
-        exact
-        * (1 + noise.amplitude * rng.standard_normal(shape))
-        * np.exp(1j * noise.phase * rng.standard_normal(shape))
-    )
+    noisy = exact * (1 + noise.amplitude * rng.standard_normal(shape))
+    noisy = noisy * np.exp(1j * noise.phase * rng.standard_normal(shape))
     return RunUp(
         name,
         load,
@@ -267,9 +252,8 @@ def _threshold(
     exact = virtual.nominal.threshold(coefficients)
     if exact is None:
         return None
-    return Uncertain(
-        exact * (1 + virtual.noise.threshold * rng.standard_normal()), exact * virtual.noise.threshold
-    )
+    error = virtual.noise.threshold
+    return Uncertain(exact * (1 + error * rng.standard_normal()), exact * error)
 
 
 def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
@@ -295,24 +279,16 @@ def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, run: RunUp) -> None:
-    from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-
-    write_run_up_csv(path, run)
-
-
 def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> Simulation:
-    return Simulation(
-        {run.name: LoggedFile(run, _write) for run in run_ups(virtual, seed, runs)}, {"truth": truth(virtual)}
-    )
+    files = {run.name: LoggedFile(run, write_run_up_csv) for run in run_ups(virtual, seed, runs)}
+    return Simulation(files, {"truth": truth(virtual)})
 
 
 def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> Truth:
     coefficients = true_coefficients(virtual, virtual.load_of_run[runs[0]])
+    speeds = {"critical_speed": virtual.nominal.critical_speed(coefficients)}
     threshold = virtual.nominal.threshold(coefficients)
-    return {"critical_speed": virtual.nominal.critical_speed(coefficients)} | (
-        {} if threshold is None else {"threshold": threshold}
-    )
+    return speeds if threshold is None else {**speeds, "threshold": threshold}
 
 
 UNBALANCE_RIG = VirtualRigKind(

@@ -160,7 +160,15 @@ def test_faults_are_said_at_their_place(tmp_path: Path, labpipe, change: dict, w
     [
         ("estimate: [yong]", "unknown name 'yong'; did you mean 'young'?"),
         ("pedestals: [{bearing: leftt, mass: 8 kg, stiffness: 50 MN/m}]", "no bearing 'leftt'"),
+        (
+            "pedestals: [{bearing: left, mass: 8 kg, stiffness: 50 MN/m}, "
+            "{bearing: left, mass: 8 kg, stiffness: 50 MN/m}]",
+            "pedestals: a second one of bearing 'left'",
+        ),
+        ("pedestals: [{bearing: left, mass: 0 kg, stiffness: 50 MN/m}]", "mass must be positive"),
+        ("pedestals: [{bearing: left, mass: 8 kg, stiffness: -1 MN/m}]", "stiffness must be positive"),
         ("damping: {internl: 30 us}", "damping.internl: unknown key"),
+        ("damping: {internal: -30 us}", "internal must not be negative"),
     ],
 )
 def test_faults_of_a_rotor_file(tmp_path: Path, labpipe, text: str, said: str) -> None:

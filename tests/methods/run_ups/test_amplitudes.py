@@ -93,7 +93,6 @@ def test_the_fit_looks_perfect_and_the_coefficients_move_away_from_the_truth(
     for fit in factors:
         assert set(fit.rank.tolist()) == {2}
         assert fit.n_effective == fit.n_datum
-        assert np.isnan(fit.chi2_per_datum) and np.isnan(fit.std_error).all()
 
 
 def test_its_thresholds_are_ten_per_cent_off_at_half_of_the_loads(factors: list[AmplitudeFit]) -> None:
@@ -112,7 +111,6 @@ def test_all_factors_stay_within_the_box(factors: list[AmplitudeFit]) -> None:
         assert np.all((factor > 0.7 - 1e-9) & (factor < 1.3 + 1e-9))
         edge = (factor < 0.7003) | (factor > 1.2997)
         np.testing.assert_array_equal(fit.at_bound, edge)
-        assert fit.share_at_bound == np.mean(edge)
 
 
 def test_beyond_its_speeds_stiffness_and_damping_times_speed_are_held(factors: list[AmplitudeFit]) -> None:
@@ -180,7 +178,7 @@ def test_all_runs_of_a_load_count() -> None:
     )[0]
     assert fit.n_datum == 4 * fit.speed.size
     assert fit.rank.max() < 8
-    assert fit.chi2_per_datum > 0
+    assert fit.chi2 > 0 and fit.n_datum > fit.n_effective
 
 
 @NEWER

@@ -89,12 +89,12 @@ def test_the_posterior_of_the_basis_is_the_textbook_s(rng: np.random.Generator) 
 def test_slopes_of_the_coefficients_equal_differences(rng: np.random.Generator) -> None:
     family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, some_places(rng, 10)))
     values = np.concatenate(
-        [0.2 * PRIOR * rng.standard_normal(12), 0.5 * rng.standard_normal(family.n_parameter - 12)]
+        [0.2 * PRIOR * rng.standard_normal(12), 0.5 * rng.standard_normal(8 * family.field.n_mode)]
     )
     load, speed = np.array([4.0, 9.0]), np.array([80.0, 240.0])
     eight, slopes = family.coefficients_and_slopes(values, load, speed)
     np.testing.assert_allclose(eight, family.coefficients(values, load, speed))
-    assert slopes.shape == (2, 8, family.n_parameter)
+    assert slopes.shape == (2, 8, 12 + 8 * family.field.n_mode)
     direction = 1e-6 * rng.standard_normal(values.size)
     change = (
         family.coefficients(values + direction, load, speed)
@@ -105,7 +105,7 @@ def test_slopes_of_the_coefficients_equal_differences(rng: np.random.Generator) 
 
 def test_without_factors_it_is_the_family(rng: np.random.Generator) -> None:
     family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, some_places(rng, 6)))
-    values = np.concatenate([0.2 * PRIOR, np.zeros(family.n_parameter - 12)])
+    values = np.concatenate([0.2 * PRIOR, np.zeros(8 * family.field.n_mode)])
     speed = np.array([60.0, 200.0])
     np.testing.assert_allclose(
         family.coefficients(values, 5.0, speed), FAMILY.coefficients(0.2 * PRIOR, 5.0, speed)
@@ -129,7 +129,7 @@ def small_problem(kernel: SquaredExponential) -> tuple[Problem[ProcessFamily], n
 def test_the_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
     """Between two kernels, against the density of all responses at once, N(0, 1 + A (K + T P^2 T^T) A^T)."""
     problem, places = small_problem(KERNEL)
-    values = np.zeros(problem.model.n_parameter)
+    values = np.zeros(12 + 8 * problem.model.field.n_mode)
     data = LinearData.at(problem, values, places)
     eight = problem.model.coefficients(values, places[:, 0], places[:, 1])
     rows = _rows_by_place(problem, values, eight)
@@ -163,7 +163,7 @@ def test_slopes_of_a_threshold_by_the_coefficients_equal_differences() -> None:
     family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, places))
     threshold = MeasuredThreshold(RIG, load, Uncertain(speed, 0.5))
     problem = dataclasses.replace(problem, model=family, tests=(*problem.tests, threshold))
-    values = np.zeros(family.n_parameter)
+    values = np.zeros(12 + 8 * family.field.n_mode)
     residual, row = _rows_by_place(problem, values, family.coefficients(values, places[:, 0], places[:, 1]))[
         -1
     ]
@@ -288,7 +288,7 @@ def test_what_it_says_of_itself(found: ProcessFit) -> None:
         in found.statement
     )
     assert found.n_determined < found.rank <= found.values.size
-    factors = found.factors(6.0, np.array([100.0, 200.0]))
+    factors = found.model.factors(found.values, 6.0, np.array([100.0, 200.0]))
     assert factors.shape == (2, 8) and np.all((factors > 0.4) & (factors < 1.8))
     assert found.at_load(6.0)(np.array([100.0]))[0].shape == (1, 2, 2)
 
