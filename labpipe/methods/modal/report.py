@@ -76,10 +76,9 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
 
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
-    names = [f"singular value {n + 1}" for n in range(diagram.indicator.shape[1])]
     indicators = [
-        curve(name, diagram.indicator_frequency, diagram.indicator[:, n], *look(n))
-        for n, name in enumerate(names)
+        curve(f"singular value {n + 1}", diagram.indicator_frequency, values, *look(n))
+        for n, values in enumerate(diagram.indicator.T)
     ]
     chosen = diagram.mode >= 0
     poles: list[Series] = [upright(float(frequency), line=":") for frequency in modes.frequency]
@@ -129,15 +128,8 @@ def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
     turned = turned * np.sign(turned[np.argmax(np.abs(turned))])
     spread = TWO_SIGMA * modes.shape_std_errors[:, n] / np.sqrt(2)
     places = np.arange(turned.size, dtype=float)
-    line = curve(
-        "shape",
-        places,
-        turned,
-        0,
-        "-" if not few else "",
-        marker="o" if few else "",
-        bars=(turned - spread, turned + spread),
-    )
+    ends = turned - spread, turned + spread
+    line = curve("shape", places, turned, 0, "" if few else "-", marker="o" if few else "", bars=ends)
     return Panel(axis, Axis("shape"), (level(0.0), line), f"{n + 1}: {modes.frequency[n]:.4g} Hz")
 
 
