@@ -20,18 +20,9 @@ from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.wording import legible, rounded
 
 HEADER = (
-    "parameter",
-    "value",
-    "unit",
-    "random",
-    "systematic",
-    "combined",
-    "expanded",
-    "relative",
-    "k",
-    "ν eff",
+    "parameter", "value", "unit", "random", "systematic", "combined", "expanded", "relative", "k", "ν eff",
     "Monte Carlo / first order",
-)
+)  # fmt: skip
 # Most parameters that have a bar each, and half the height of one.
 MOST_BARS, BAR = 12, 0.38
 # Degrees of freedom from which they count as known.

@@ -31,16 +31,9 @@ MOST_NOTES = 12
 LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
 SERIOUS = (
-    "collinear",
-    "no-convergence",
-    "unphysical",
-    "model-mismatch",
-    "negative-gof",
-    "mass",
-    "drift",
-    "unstable-loop",
-    "feedback",
-)
+    "collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift",
+    "unstable-loop", "feedback",
+)  # fmt: skip
 
 
 def verdict_sections(identification: Identification) -> tuple[Section, ...]:
@@ -166,9 +159,8 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
 def _warnings(identification: Identification) -> tuple[Block, ...]:
     """Each kind of warning once in full, with the number of fits that carry it."""
     blocks: list[Block] = []
-    for code, entries in _by_code(identification, WARNING).items():
-        origin, finding = entries[0]
-        more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
+    for code, ((origin, finding), *others) in _by_code(identification, WARNING).items():
+        more = f" ({1 + len(others)} times in all; this is the first)" if others else ""
         blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
     if not blocks:
         what = "No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
@@ -184,10 +176,10 @@ def _notes(identification: Identification) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
-        said = "; ".join(notes)
-        if len(notes) > 1 and (len(notes) > MOST_NOTES or len(said) > LONGEST_NOTES):
-            said = f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
-        blocks.append(Paragraph(f"{code}: {said}.", "note"))
+        text = "; ".join(notes)
+        if len(notes) > 1 and (len(notes) > MOST_NOTES or len(text) > LONGEST_NOTES):
+            text = f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
+        blocks.append(Paragraph(f"{code}: {text}.", "note"))
     return tuple(blocks)
 
 
@@ -338,12 +330,8 @@ def build(identification: Identification, test: str = "") -> Document:
 
 def _fits_outside(identification: Identification) -> tuple[Section, ...]:
     """The fits of tests that are at no point of a matrix."""
-    inside = {
-        test
-        for matrix in identification.sections["matrix"]
-        for point in matrix.points
-        for test in point.tests
-    }
+    points = (point for matrix in identification.sections["matrix"] for point in matrix.points)
+    inside = {test for point in points for test in point.tests}
     fits = tuple(fit for fit in identification.fits if fit.test not in inside)
     return fit_sections(replace(identification, fits=fits)) if fits else ()
 

@@ -261,6 +261,9 @@ def _overlay(title: str, parameter: str, tests: dict[str, list[Fit]]) -> Figure:
     return Figure(chart, caption, f"{parameter} of {title} over frequency in {len(tests)} tests")
 
 
+TREND_HEADER = (
+    "coefficient", "over", "slope", "unit", "95 % interval", "p-value", "after Holm", "beyond chance",
+)  # fmt: skip
 LEVEL = 0.05
 FEWEST = 3
 MOST_NAMED = 2
@@ -430,17 +433,7 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
         )
         for trend, p in zip(trends, corrected, strict=True)
     )
-    header = (
-        "coefficient",
-        "over",
-        "slope",
-        "unit",
-        "95 % interval",
-        "p-value",
-        "after Holm",
-        "beyond chance",
-    )
-    return Table(header, rows, "Straight trends over the conditions", (2, 4, 5, 6))
+    return Table(TREND_HEADER, rows, "Straight trends over the conditions", (2, 4, 5, 6))
 
 
 def _slope_unit(trend: Trend) -> str:

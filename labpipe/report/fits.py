@@ -80,15 +80,8 @@ def _by_bic(fit: Fit) -> tuple[Block, ...]:
 
 
 PARAMETER_HEADER = (
-    "parameter",
-    "value",
-    "unit",
-    "std. error",
-    "95 % interval",
-    "t-ratio",
-    "significance",
-    "VIF",
-)
+    "parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF",
+)  # fmt: skip
 NUMERIC = (1, 3, 4, 5, 7)
 # Estimates whose correlation a sentence says, and pairs that it names. That of more is a figure, and so is
 # that of more than the pairs tell where two of them are hardly told apart.

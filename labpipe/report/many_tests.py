@@ -122,6 +122,10 @@ FEWEST = 3
 # Of the standard deviation of normal values: the scale of their median absolute deviation.
 NORMAL_MAD = 1.4826
 MOST_OUTSIDE = 10
+HEADER = (
+    "coefficient", "unit", "tests", "median", "scatter", "median std. error", "least", "in test", "largest",
+    "in test",
+)  # fmt: skip
 CHART = "Individuals (Shewhart) chart, mean ∓ 3 × mean moving range / 1.128"
 
 
@@ -207,23 +211,11 @@ def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
 
 def _coefficients(parameters: Sequence[TestColumns]) -> Table:
     """Centre, scatter and extremes of every coefficient."""
-    header = (
-        "coefficient",
-        "unit",
-        "tests",
-        "median",
-        "scatter",
-        "median std. error",
-        "least",
-        "in test",
-        "largest",
-        "in test",
-    )
     caption = (
         "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, "
         "which outliers do not widen"
     )
-    return Table(header, tuple(_row(columns) for columns in parameters), caption, (2, 3, 4, 5, 6, 8))
+    return Table(HEADER, tuple(_row(columns) for columns in parameters), caption, (2, 3, 4, 5, 6, 8))
 
 
 def _row(columns: TestColumns) -> tuple[str, ...]:

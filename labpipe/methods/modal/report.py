@@ -31,6 +31,10 @@ from labpipe.report.wording import fit_title
 # Largest number of points whose names stand below the panels of the shapes.
 MOST_NAMES = 12
 COLUMNS = 3
+HEADER = (
+    "mode", "f [Hz]", "zeta [%]", "largest at", "strongest reference", "phase collinearity", "returns [%]",
+    "m, k, c at",
+)  # fmt: skip
 # Modes whose likeness a sentence says.
 FEW_MODES = 3
 # Limits of 95 % of a standard normal value.
@@ -62,17 +66,7 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
         )
         for n in range(modes.frequency.size)
     )
-    header = (
-        "mode",
-        "f [Hz]",
-        "zeta [%]",
-        "largest at",
-        "strongest reference",
-        "phase collinearity",
-        "returns [%]",
-        "m, k, c at",
-    )
-    return Table(header, rows, f"Modes of {fit_title(fit)}", (1, 2, 5, 6))
+    return Table(HEADER, rows, f"Modes of {fit_title(fit)}", (1, 2, 5, 6))
 
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
