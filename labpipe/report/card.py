@@ -38,13 +38,11 @@ def recording_card(overview: Overview) -> Document:
 
 def response_card(response: FrequencyResponse, file: str) -> Document:
     """The card of a file that holds FRFs."""
+    shown = (response_figure(response), phase_figure(response), *spectral_blocks(response))
     sections = (
         Section("The file", _response_facts(response, file)),
         Section("Findings", _carried(response.findings)),
-        Section(
-            "Frequency response",
-            (response_figure(response), phase_figure(response), *spectral_blocks(response)),
-        ),
+        Section("Frequency response", shown),
     )
     return _card(file, "Frequency response", sections)
 

@@ -314,21 +314,13 @@ def _path_table(path: EquilibriumPath) -> Table:
         )
         for point in path.points
     )
+    eccentricity = "e [um]" if path.clearance is None else "e / clearance"
     header = (
-        "load [N]",
-        "x [um]",
-        "y [um]",
-        "e [um]" if path.clearance is None else "e / clearance",
-        "attitude [deg]",
-        "static slope x [nm/N]",
-        "y [nm/N]",
-        "by shaking x [nm/N]",
-        "y [nm/N]",
-        "p-value",
-    )
-    caption = (
-        f"Rest positions{f' at {path.at}' if path.at else ''}; p-value: that static slope and shaking agree"
-    )
+        "load [N]", "x [um]", "y [um]", eccentricity, "attitude [deg]", "static slope x [nm/N]", "y [nm/N]",
+        "by shaking x [nm/N]", "y [nm/N]", "p-value",
+    )  # fmt: skip
+    where = f" at {path.at}" if path.at else ""
+    caption = f"Rest positions{where}; p-value: that static slope and shaking agree"
     return Table(header, rows, caption, tuple(range(len(header))))
 
 

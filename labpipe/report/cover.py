@@ -9,7 +9,6 @@ from dataclasses import replace
 from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
 from labpipe.quantities import to_display
 from labpipe.records.finding import Parameter
-from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import (
     Fit,
     FittedCurve,
@@ -22,6 +21,7 @@ from labpipe.records.sections import section
 from labpipe.report.chart import Chart, stack
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import fitted_curve_figure
+from labpipe.report.fits import blocks_of_details
 from labpipe.report.wording import few, fit_title, legible
 
 # What rules without limits decide by, since ISO/IEC 17025, 7.8.6, asks for it to be stated.
@@ -175,13 +175,9 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
     for fit in fits:
         if fit.curve is not None and len(fit.curve.outputs) * len(fit.curve.inputs) <= MOST_ELEMENTS:
             return (table, _response(fit, fit.curve, is_alone))
-    return (table, *(_of_details(fits[0])[:1] if is_alone else []))
-
-
-def _of_details(fit: Fit) -> list[Figure]:
-    """The figures of what a model shows beside its parameters, such as a decay."""
-    blocks = (block for detail in fit.details for block in DETAILS.load(detail.key).blocks(fit, detail))
-    return [block for block in blocks if isinstance(block, Figure) and isinstance(block.graphic, Chart)]
+    beside = blocks_of_details(fits[0]) if is_alone else []
+    charts = [block for block in beside if isinstance(block, Figure) and isinstance(block.graphic, Chart)]
+    return (table, *charts[:1])
 
 
 def _response(fit: Fit, fitted: FittedCurve, is_alone: bool) -> Figure:

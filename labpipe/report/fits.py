@@ -168,9 +168,14 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
-        *(block for detail in fit.details for block in DETAILS.load(detail.key).blocks(fit, detail)),
+        *blocks_of_details(fit),
         *fit_figures(fit),
     )
+
+
+def blocks_of_details(fit: Fit) -> list[Block]:
+    """What the model of a fit shows beside its parameters, such as a decay."""
+    return [block for detail in fit.details for block in DETAILS.load(detail.key).blocks(fit, detail)]
 
 
 def _is_mapped(fit: Fit) -> bool:

@@ -222,14 +222,8 @@ def _mark(peak: HalfPower, factor: float, sign: int) -> Series:
 
 def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> tuple[Block, ...]:
     unit, factor = form_unit(response.form)
-    header = (
-        "term",
-        "resonance [Hz]",
-        f"{response.form} [{unit}]",
-        "half power from [Hz]",
-        "to [Hz]",
-        "damping ratio [%]",
-    )
+    size = f"{response.form} [{unit}]"
+    header = ("term", "resonance [Hz]", size, "half power from [Hz]", "to [Hz]", "damping ratio [%]")
     rows = tuple(
         (
             f"H_{label}{label} ({TURNS[label]})",
@@ -314,12 +308,8 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
     assert response.distortion is not None and response.variance is not None
     factor = form_unit(response.form)[1]
     noise = np.sqrt(np.maximum(response.variance - response.distortion**2, 0.0))
-    parts = (
-        (np.abs(response.matrix), "-", ""),
-        (response.distortion, "--", " distortion"),
-        (noise, ":", " noise"),
-    )
-    x = response.frequency
+    size, x = np.abs(response.matrix), response.frequency
+    parts = ((size, "-", ""), (response.distortion, "--", " distortion"), (noise, ":", " noise"))
     series = [
         curve(f"{name}{what}", x, factor * _positive(values[:, o, i]), number % PALETTE_SIZE, line)
         for number, (o, i, name) in enumerate(element_names(response))

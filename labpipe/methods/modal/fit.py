@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -495,25 +496,23 @@ def _curve(
     measured = sides.measured
     frequency = measured.omega / (2 * np.pi)
     away = alignment(1j * measured.omega, moved)
-    fitted, outputs, inputs = estimate.fitted - away, measured.outputs, measured.inputs
+    outputs, inputs = measured.outputs, measured.inputs
     factor = receptance_factor(form, frequency)[:, None, None]
-    variance = None
+    parts: list[Any] = [(matrix - away) * factor for matrix in (measured.matrix, estimate.fitted)]
     if measured.variance is not None:
-        variance = measured.variance.reshape(measured.matrix.shape) * np.abs(factor) ** 2
-    shown, fitted = (measured.matrix - away) * factor, fitted * factor
+        parts.append(measured.variance.reshape(measured.matrix.shape) * np.abs(factor) ** 2)
     if sides.forces_move:
-        shown, fitted, outputs, inputs = shown.swapaxes(1, 2), fitted.swapaxes(1, 2), inputs, outputs
-        variance = None if variance is None else variance.swapaxes(1, 2)
-    if (ports := shown_ports(*shown.shape)) is not None:
+        parts, outputs, inputs = [part.swapaxes(1, 2) for part in parts], inputs, outputs
+    if (ports := shown_ports(*parts[0].shape)) is not None:
         rows, columns = ports
-        shown, fitted = shown[:, rows][:, :, columns], fitted[:, rows][:, :, columns]
-        variance = None if variance is None else variance[:, rows][:, :, columns]
+        parts = [part[:, rows][:, :, columns] for part in parts]
         outputs, inputs = tuple(outputs[row] for row in rows), tuple(inputs[column] for column in columns)
+    shown, fitted, *variance = parts
     return FittedCurve(
         frequency,
         shown,
         fitted,
-        variance=variance,
+        variance=variance[0] if variance else None,
         outputs=tuple(port.label for port in outputs),
         inputs=tuple(port.label for port in inputs),
         form=named,

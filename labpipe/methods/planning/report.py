@@ -269,9 +269,9 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     )
     if aimed:
         met = plan.needed is not None and plan.needed <= plan.duration * (1 + 1e-9)
-        needed = (
-            "no time meets them" if plan.needed is None else (f"they need {_time(plan.needed)} of such runs")
-        )
+        needed = "no time meets them"
+        if plan.needed is not None:
+            needed = f"they need {_time(plan.needed)} of such runs"
         yield f"The goals are {'met' if met else 'NOT met'}: {needed}, {_time(plan.duration)} are planned."
     if plan.undetermined:
         helps = f"; {' or '.join(plan.remedies)} would determine all" if plan.remedies else ""
