@@ -159,8 +159,9 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
 def _warnings(identification: Identification) -> tuple[Block, ...]:
     """Each kind of warning once in full, with the number of fits that carry it."""
     blocks: list[Block] = []
-    for code, ((origin, finding), *others) in _by_code(identification, WARNING).items():
-        more = f" ({1 + len(others)} times in all; this is the first)" if others else ""
+    for code, entries in _by_code(identification, WARNING).items():
+        origin, finding = entries[0]
+        more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
         blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
     if not blocks:
         what = "No rule for collinear excitation, coherence, significance, residuals or clipping was broken."

@@ -564,8 +564,9 @@ class Bench(Watch):
         for fit in self.fits:
             if (estimate := fit.estimate) is None:
                 continue
-            columns = (fit.model.names, estimate.values, estimate.std_error, estimate.dof)
-            for name, value, error, dof in zip(*columns, strict=True):
+            for name, value, error, dof in zip(
+                fit.model.names, estimate.values, estimate.std_error, estimate.dof, strict=True
+            ):
                 common = fit.common.get(name)
                 half = fit.by_chi_square * error * sequence_factor(estimate.n, estimate.n, float(dof))
                 if common is not None:

@@ -212,8 +212,11 @@ class _Problem:
         return float(np.log(largest) + np.log(total) / (2 * p)), slopes
 
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
-        how = {"jac": True, "method": "L-BFGS-B", "options": {"maxiter": steps, "ftol": SETTLED}}
-        return np.asarray(scipy.optimize.minimize(self.norm, unknowns, args=(p,), **how).x)
+        options = {"maxiter": steps, "ftol": SETTLED}
+        solved = scipy.optimize.minimize(
+            self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options
+        )
+        return np.asarray(solved.x)
 
 
 # Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the

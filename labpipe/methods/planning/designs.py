@@ -251,7 +251,9 @@ def _least_largest(
         "fun": lambda unknowns: unknowns[:-1].sum() - 1,
         "jac": lambda _unknowns: 1 - unit,
     }
-    within = {"bounds": [(0, 1)] * begin.size + [(None, None)], "constraints": [below, sums]}
+    bounds = [(0, 1)] * begin.size + [(None, None)]
     begun = np.append(begin, 0.0)
-    solved = scipy.optimize.minimize(lambda unknowns: (unknowns[-1], unit), begun, **within, **_BY_SQP)
+    solved = scipy.optimize.minimize(
+        lambda unknowns: (unknowns[-1], unit), begun, bounds=bounds, constraints=[below, sums], **_BY_SQP
+    )
     return np.asarray(solved.x[:-1])

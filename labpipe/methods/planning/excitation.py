@@ -155,9 +155,13 @@ def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
     if evaluation.side_by_side:
         frf["result"] = "spectra"
     rig = RIG if evaluation.rig_path is None else os.path.relpath(evaluation.rig_path, folder)
-    identify = {FIT: _fit(evaluation)}
-    head = {"title": evaluation.title, "rig": rig, "recordings": recordings}
-    return {**head, "frf": frf, "identify": identify}
+    return {
+        "title": evaluation.title,
+        "rig": rig,
+        "recordings": recordings,
+        "frf": frf,
+        "identify": {FIT: _fit(evaluation)},
+    }
 
 
 def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:

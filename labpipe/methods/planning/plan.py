@@ -288,7 +288,8 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
     directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
         raise SettingError("shakers", "both shakers push in one direction", "x and y")
-    if (density := settings.noise_density) is not None:
+    density = settings.noise_density
+    if density is not None:
         noise = Noise(density.force, density.displacement, density.acceleration)
     else:
         assert settings.noise is not None

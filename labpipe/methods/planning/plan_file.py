@@ -30,8 +30,13 @@ def plan_schema() -> dict[str, Any]:
     plan = of_kinds("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
     head = {name: plan.pop(name) for name in ("$schema", "title")}
     properties = {"title": {"type": "string"}, "plan": plan}
-    rest = {"properties": properties, "required": ["plan"], "additionalProperties": False}
-    return {**head, "type": "object", **rest}
+    return {
+        **head,
+        "type": "object",
+        "properties": properties,
+        "required": ["plan"],
+        "additionalProperties": False,
+    }
 
 
 @dataclass(frozen=True)

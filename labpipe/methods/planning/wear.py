@@ -334,8 +334,8 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
     beside = BESIDE / settings.block
     exclude = tuple((speed - beside, speed + beside) for speed in settings.speeds)
     density, noise = float(np.sqrt(2 / settings.sample_rate)), settings.noise
-    sensors = density * noise.displacement, density * noise.force
-    testing = ResponseTest(settings.force, settings.run, 1 / settings.block, *sensors, exclude)
+    displacement, force = density * noise.displacement, density * noise.force
+    testing = ResponseTest(settings.force, settings.run, 1 / settings.block, displacement, force, exclude)
     points = tuple(_points(settings))
     question = RunQuestion(
         parameters=tuple(expected.values),

@@ -141,8 +141,8 @@ class _Problem:
                 step = STEP * self.zeta if column == SHARED - 1 else STEP
                 change = np.zeros(parameters.size)
                 change[column] = step
-                ends = (self.course(number, parameters + sign * change) for sign in (1, -1))
-                block[:, column] = np.subtract(*ends) / (2 * step)
+                above, below = (self.course(number, parameters + sign * change) for sign in (1, -1))
+                block[:, column] = (above - below) / (2 * step)
             blocks.append(block)
         return np.concatenate(blocks)
 
@@ -463,13 +463,15 @@ def decay_findings(
         steps = f"the fit of the decay did not converge in {fitted.steps} steps"
         warnings.append(Finding("no-convergence", f"{steps}; its numbers are not a result"))
     decay, errors = -fitted.poles.real, np.sqrt(np.diag(fitted.covariance)[0::2])
-    if where := _places(fitted, (decay > 0) & (decay < 2 * errors)):
-        what = f"the damping ratio at {where} cannot be told from zero at 95 %"
+    lasting = _places(fitted, (decay > 0) & (decay < 2 * errors))
+    if lasting:
+        what = f"the damping ratio at {lasting} cannot be told from zero at 95 %"
         cause = "hum, an excitation that goes on, or too short a decay"
         warnings.append(Finding("insignificant", f"{what}: {cause}"))
-    if where := _places(fitted, decay <= 0):
+    growing = _places(fitted, decay <= 0)
+    if growing:
         cause = "energy enters the structure, or it is an excitation"
-        warnings.append(Finding("unphysical", f"the oscillation at {where} does not decay: {cause}"))
+        warnings.append(Finding("unphysical", f"the oscillation at {growing} does not decay: {cause}"))
     beats = missing.mode if missing is not None else None
     of_amplitude = [
         _over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None)
