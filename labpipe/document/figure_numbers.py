@@ -31,6 +31,8 @@ CELL_DIGITS = 3
 EXACT_POWER, LARGEST_WHOLE = 22, 1e15
 RULE = "var(--rule)"
 COLUMNS = ("panel", "series", "x axis", "x", "y axis", "y", "low", "high", "interval")
+# Those that are numbers: x, y, low and high.
+READ = (3, 5, 6, 7)
 # Rows of the table of a figure, and letters of a file's name.
 MOST_ROWS, MOST_LETTERS = 60, 48
 
@@ -85,10 +87,8 @@ def _as_json(values: FloatArray) -> list[float | None]:
     whole = (np.floor(values) == values) & (np.abs(values) < LARGEST_WHOLE)
     if whole.all():
         return values.astype(int).tolist()
-    return [
-        int(value) if is_whole else value if math.isfinite(value) else None
-        for value, is_whole in zip(values.tolist(), whole.tolist(), strict=True)
-    ]
+    pairs = zip(values.tolist(), whole.tolist(), strict=True)
+    return [int(x) if is_whole else x if math.isfinite(x) else None for x, is_whole in pairs]
 
 
 def figure_json(chart: Chart) -> str:
@@ -224,22 +224,16 @@ def figure_table(chart: Chart) -> Table:
         for series in every
         for n in sorted({round(at) for at in np.linspace(0, series.count - 1, min(room, series.count))})
     ]
-    used = [n for n in range(len(COLUMNS)) if any(row[n] for row in chosen)]
     left_out = sum(series.count for series in every) - len(chosen)
     caption = f"{len(chosen)} of {len(chosen) + left_out} points" if left_out else ""
-    number = tuple(place for place, n in enumerate(used) if COLUMNS[n] in ("x", "y", "low", "high"))
-    return Table(
-        tuple(COLUMNS[n] for n in used),
-        tuple(tuple(_short(row[n], COLUMNS[n]) for n in used) for row in chosen),
-        caption,
-        number,
-    )
+    rows = tuple(tuple(_short(text) if n in READ else text for n, text in enumerate(row)) for row in chosen)
+    return Table(COLUMNS, rows, caption, READ)
 
 
-def _short(text: str, column: str) -> str:
+def _short(text: str) -> str:
     """A number with the digits that a reader needs."""
     try:
-        return f"{float(text):.{READ_DIGITS}g}" if column in ("x", "y", "low", "high") else text
+        return f"{float(text):.{READ_DIGITS}g}"
     except ValueError:
         return text
 

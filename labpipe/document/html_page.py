@@ -43,21 +43,14 @@ def script_text() -> str:
 def policy() -> str:
     """What the page may do: run this script, style itself, show embedded pictures; no request to anywhere."""
     digest = base64.b64encode(hashlib.sha256(script_text().encode()).digest()).decode()
-    parts = (
-        "default-src 'none'",
-        f"script-src 'sha256-{digest}'",
-        "style-src 'unsafe-inline'",
-        "img-src data:",
-    )
-    return "; ".join((*parts, "base-uri 'none'", "form-action 'none'"))
+    may = (f"script-src 'sha256-{digest}'", "style-src 'unsafe-inline'", "img-src data:")
+    return "; ".join(("default-src 'none'", *may, "base-uri 'none'", "form-action 'none'"))
 
 
 def render_html(document: Document) -> str:
     """The document as HTML."""
     counter = _Figures()
-    sections = "\n".join(
-        _section(number, section, counter) for number, section in enumerate(document.signed, 1)
-    )
+    sections = "\n".join(_section(n, section, counter) for n, section in enumerate(document.signed, 1))
     script = f"<script>{script_text()}</script>\n" if counter.alive else ""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
@@ -83,11 +76,10 @@ class _Figures:
         graphic, name = figure.graphic, escape(figure.alternative)
         living = live_json(graphic)
         self.alive |= living is not None
-        kind, numbers = (
-            ("", "")
-            if living is None
-            else (f' class="{living[0]}"', f'<script type="application/json">{living[1]}</script>')
-        )
+        kind, numbers = "", ""
+        if living is not None:
+            kind = f' class="{living[0]}"'
+            numbers = f'<script type="application/json">{living[1]}</script>'
         if isinstance(graphic, Chart):
             still = f"<noscript><p>{NEEDS_SCRIPT}</p>{_whole(figure_table(graphic))}</noscript>"
         else:
@@ -132,10 +124,8 @@ def _contents(document: Document) -> str:
 
 def _section(number: int, section: Section, counter: _Figures) -> str:
     blocks = "\n".join(_block(block, counter) for block in section.blocks)
-    return (
-        f'<section aria-labelledby="section-{number}"><h2 '
-        f'id="section-{number}">{escape(section.heading)}</h2>\n{blocks}</section>'
-    )
+    head = f'<h2 id="section-{number}">{escape(section.heading)}</h2>'
+    return f'<section aria-labelledby="section-{number}">{head}\n{blocks}</section>'
 
 
 def _block(block: Block, counter: _Figures) -> str:
@@ -164,16 +154,11 @@ def _whole(table: Table) -> str:
         f'<th scope="col"{_mark(table, n)}>{escape(as_printed(cell))}</th>'
         for n, cell in enumerate(table.header)
     )
-    body = "\n".join(
-        "<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>"
-        for cells in table.rows
-    )
+    rows = ("".join(_cell(table, n, cell) for n, cell in enumerate(row)) for row in table.rows)
+    body = "\n".join(f"<tr>{cells}</tr>" for cells in rows)
     name = escape(_name(table))
-    blank = (
-        ' class="signature"'
-        if table.rows and not any(cell.strip() for row in table.rows for cell in row)
-        else ""
-    )
+    is_blank = table.rows and not any(cell.strip() for row in table.rows for cell in row)
+    blank = ' class="signature"' if is_blank else ""
     named = "" if table.caption else f' aria-label="{name}"'
     whole = f"<table{blank}{named}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
     return f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
@@ -184,14 +169,10 @@ def _fold(table: Table, name: str, whole: str) -> str:
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([table.header, *table.rows])
     content = base64.b64encode(stream.getvalue().encode()).decode("ascii")
-    link = (
-        f'<a download="{short_name(table.caption or "table")}.csv" '
-        f'href="data:text/csv;base64,{content}">CSV</a>'
-    )
-    return (
-        f'<details class="long"><summary>{name}: {len(table.rows)} '
-        f"rows</summary>\n<p>{link}</p>\n{whole}</details>"
-    )
+    file = f"{short_name(table.caption or 'table')}.csv"
+    link = f'<a download="{file}" href="data:text/csv;base64,{content}">CSV</a>'
+    summary = f"<summary>{name}: {len(table.rows)} rows</summary>"
+    return f'<details class="long">{summary}\n<p>{link}</p>\n{whole}</details>'
 
 
 def _cell(table: Table, column: int, text: str) -> str:

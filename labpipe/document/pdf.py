@@ -287,9 +287,8 @@ def _box(pages: _Pages, block: Paragraph) -> None:
     pages.set_font(FONT, "B" if block.kind in ("passed", "failed") else "", 11)
     pages.set_text_color(*TONES.get(block.kind, INK))
     pages.set_x(23)
-    pages.multi_cell(
-        167, 6.5, as_printed(block.text), fill=True, new_x="LMARGIN", new_y="NEXT", align="L", padding=(2, 3)
-    )
+    look: Any = {"fill": True, "new_x": "LMARGIN", "new_y": "NEXT", "align": "L", "padding": (2, 3)}
+    pages.multi_cell(167, 6.5, as_printed(block.text), **look)
     if pages.page == page:
         pages.set_fill_color(*TONES.get(block.kind, INK))
         pages.rect(20, start, 1.6, pages.get_y() - start, style="F")
@@ -376,9 +375,8 @@ def _as_dots(figure: Figure) -> bool:
     if not isinstance(figure.graphic, Chart):
         return False
     series = [curve for panel in figure.graphic.panels for curve in panel.series]
-    return (
-        any(curve.kind == "cells" for curve in series) or sum(curve.y.size for curve in series) > MOST_POINTS
-    )
+    is_map = any(curve.kind == "cells" for curve in series)
+    return is_map or sum(curve.y.size for curve in series) > MOST_POINTS
 
 
 def _table(pages: _Pages, table: Table) -> None:

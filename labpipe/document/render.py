@@ -53,15 +53,10 @@ def _markdown(block: Block) -> str:
         return "```json\n" + block.text + "\n```"
     if isinstance(block, Figure):
         return f"*Figure (drawn in the HTML report):* {_plain(block.caption)}"
-    rows = [
-        block.header,
-        tuple("---:" if n in block.numeric else "---" for n in range(len(block.header))),
-        *block.rows,
-    ]
-    lines = [
-        "| " + " | ".join(cell if set(cell) <= set("-:") else _plain(cell) for cell in row) + " |"
-        for row in rows
-    ]
+    rule = ("---:" if n in block.numeric else "---" for n in range(len(block.header)))
+    rows = [block.header, rule, *block.rows]
+    cells = [[cell if set(cell) <= set("-:") else _plain(cell) for cell in row] for row in rows]
+    lines = [f"| {' | '.join(row)} |" for row in cells]
     return (f"*{_plain(block.caption)}*\n\n" if block.caption else "") + "\n".join(lines)
 
 

@@ -55,7 +55,8 @@ def study_blocks(study: Study) -> tuple[Block, ...]:
     blocks.extend(
         _parameter_table(case) for case in study.cases if case.noise == noisiest and case.parameters
     )
-    blocks.extend(_means_table(study, fit) for fit in dict.fromkeys(case.fit for case in study.cases))
+    evaluated = dict.fromkeys(case.fit for case in study.cases if case.parameters)
+    blocks.extend(_means_table(study, fit) for fit in evaluated)
     return tuple(blocks)
 
 
@@ -108,8 +109,8 @@ def _parameter_table(case: StudyCase) -> Table:
 def _means_table(study: Study, fit: str) -> Table:
     """Mean of every coefficient over the noise levels, below the truth."""
     cases = [case for case in study.cases if case.fit == fit and case.parameters]
-    names = [p.name for p in cases[0].parameters] if cases else []
-    truth = ("truth", *(f"{p.truth:.4g}" for p in cases[0].parameters)) if cases else ()
+    names = [p.name for p in cases[0].parameters]
+    truth = ("truth", *(f"{p.truth:.4g}" for p in cases[0].parameters))
     rows = [truth, *((_per_cent(case.noise), *(f"{p.mean:.4g}" for p in case.parameters)) for case in cases)]
     caption = f"{fit}: mean of the estimates, repeats without a result left out"
     return Table(("noise", *names), tuple(rows), caption, tuple(range(1 + len(names))))

@@ -90,9 +90,11 @@ def fit_html(fit: Fit) -> str:
     return f"<p>{escape(fit_line(fit)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{notes}"
 
 
-def parameter_cells(parameter: Parameter) -> tuple[str, ...]:
-    """Name, value, standard error, interval, unit and limits, in the display unit."""
-    unit = shown_unit(parameter.unit, parameter.value, parameter.full_error)
+def parameter_cells(parameter: Parameter, unit: str = "") -> tuple[str, ...]:
+    """Name, value, standard error, interval, unit and limits, in *unit*, by default that which suits the
+    value.
+    """
+    unit = unit or shown_unit(parameter.unit, parameter.value, parameter.full_error)
     limits = "at bound" if parameter.at_bound else "not significant" if parameter.significant is False else ""
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
     ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)

@@ -20,17 +20,9 @@ from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.wording import legible, rounded
 
 HEADER = (
-    "parameter",
-    "value",
-    "unit",
-    "random",
-    "systematic",
-    "combined",
-    "expanded",
-    "relative",
-    "k",
-    "ν eff",
-)
+    "parameter", "value", "unit", "random", "systematic", "combined", "expanded", "relative", "k", "ν eff",
+    "Monte Carlo / first order",
+)  # fmt: skip
 # Most parameters that have a bar each, and half the height of one.
 MOST_BARS, BAR = 12, 0.38
 # Degrees of freedom from which they count as known.
@@ -56,16 +48,9 @@ def budget_blocks(fit: Fit) -> tuple[Block, ...]:
     stated.
     """
     blocks = () if fit.budget is None else _blocks(fit.name, fit.parameters, fit.budget, EXPLAINED)
-    return (*blocks, *_not_stated(fit))
-
-
-def _not_stated(fit: Fit) -> tuple[Block, ...]:
-    """The sources that count as zero, since nobody stated them and no residual shows them."""
-    if not fit.not_stated:
-        return ()
     rows = tuple((entry.source, "0 (not stated)", entry.effect) for entry in fit.not_stated)
-    caption = "What no residual shows, and counts as zero in the intervals"
-    return (Table(NOT_STATED, rows, caption),)
+    not_stated = Table(NOT_STATED, rows, "What no residual shows, and counts as zero in the intervals")
+    return (*blocks, *([not_stated] if rows else []))
 
 
 def comparison_budget_blocks(comparison: Comparison) -> list[Block]:
@@ -78,19 +63,14 @@ def comparison_budget_blocks(comparison: Comparison) -> list[Block]:
 
 
 def _blocks(name: str, parameters: Sequence[Parameter], budget: Budget, explained: str) -> tuple[Block, ...]:
-    drawn = budget.drawn is not None
     with_systematic = {parameter.name: parameter for parameter in parameters if parameter.systematic}
     if not with_systematic:
         return ()
-    header = (*HEADER, *(["Monte Carlo / first order"] if drawn else []))
-    rows = tuple(
-        (*_row(budget, parameter), *([_draw(budget, parameter)] if drawn else []))
-        for parameter in with_systematic.values()
-    )
+    rows = tuple(_row(budget, parameter) for parameter in with_systematic.values())
     named = list(with_systematic)
     return (
         *([Paragraph(explained)] if explained else []),
-        Table(header, rows, f"Uncertainty of {name}", tuple(range(1, len(header)))),
+        Table(HEADER, rows, f"Uncertainty of {name}", tuple(range(1, len(HEADER)))),
         _bars(budget, named[:MOST_BARS]),
         _shares_table(budget, named),
         Paragraph(_improvement(with_systematic, budget), "note"),
@@ -115,14 +95,8 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
         relative,
         f"{factor:.2f}",
         "known" if dof > MANY else f"{math.floor(dof)}",
+        "" if budget.drawn is None else f"{budget.drawn[column, 0] / budget.combined[column]:.3f}",
     )
-
-
-def _draw(budget: Budget, parameter: Parameter) -> str:
-    """Scatter of the Monte Carlo draws over the combined standard uncertainty."""
-    assert budget.drawn is not None
-    column = budget.names.index(parameter.name)
-    return f"{budget.drawn[column, 0] / budget.combined[column]:.3f}"
 
 
 def _sources(budget: Budget, names: list[str]) -> list[str]:
@@ -145,26 +119,18 @@ def _bars(budget: Budget, names: list[str]) -> Figure:
             end = begin + 100 * shares[source]
             x, y = np.array([begin, end, end, begin]), row + BAR * np.array([-1, -1, 1, 1])
             series.append(outline(source if row == 0 else "", x, y, number % PALETTE_SIZE, 0.75))
-    axis = Axis("", ticks=named_ticks(names), low=len(names) - 0.5, high=-0.5)
-    chart = stack(
-        [Panel(Axis("share of the variance", "%", low=0.0, high=100.0), axis, tuple(series))],
-        1.3 + 0.32 * len(names),
-        "above",
-    )
-    return Figure(
-        chart,
-        "Shares of the sources in the variance of each parameter, the largest first.",
-        "Bars of the shares of all sources",
-    )
+    along = Axis("share of the variance", "%", low=0.0, high=100.0)
+    panel = Panel(along, Axis("", "", len(names) - 0.5, -0.5, ticks=named_ticks(names)), tuple(series))
+    caption = "Shares of the sources in the variance of each parameter, the largest first."
+    chart = stack([panel], 1.3 + 0.32 * len(names), "above")
+    return Figure(chart, caption, "Bars of the shares of all sources")
 
 
 def _shares_table(budget: Budget, names: list[str]) -> Table:
-    sources = _sources(budget, names)
-    uncertainties = {source.source: source for source in budget.sources}
+    sizes = {source.source: _size(source.std_error, source.unit) for source in budget.sources}
     rows = []
-    for source in sources:
-        uncertainty = uncertainties.get(source)
-        size = "this measurement" if uncertainty is None else _size(uncertainty.std_error, uncertainty.unit)
+    for source in _sources(budget, names):
+        size = sizes.get(source, "this measurement")
         shares = (budget.shares(name).get(source, 0.0) for name in names)
         rows.append((source, size, *(f"{100 * share:.1f} %" if share >= 5e-4 else "0" for share in shares)))
     header = ("source", "standard uncertainty", *names)
@@ -179,23 +145,18 @@ def _size(std_error: float, unit: str) -> str:
     return f"{two_digits(difference_in(std_error, shown))} {legible(shown)}"
 
 
-def _improvement(told: Mapping[str, Parameter], budget: Budget) -> str:
+def _improvement(parameters: Mapping[str, Parameter], budget: Budget) -> str:
     """What to improve first: the source whose removal makes the largest relative uncertainty smallest."""
-    worst = max(told, key=lambda name: _relative(told[name]))
+    worst = max(parameters, key=lambda name: _relative(parameters[name]))
+    before = 100 * _relative(parameters[worst])
     source, share = next(iter(budget.shares(worst).items()))
-    gain = math.sqrt(max(1 - share, 0.0))
-    before = 100 * _relative(told[worst])
+    part = f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is"
     if source == "noise":
-        return (
-            f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance "
-            "is noise; measure longer first."
-        )
+        return f"{part} noise; measure longer first."
+    gain = math.sqrt(max(1 - share, 0.0))
     after = f"{before * gain:.2g} %" if gain > 0.005 else "noise alone"
-    return (
-        f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is "
-        f"{source}. Without that uncertainty it would be {after}; with half of it "
-        f"{before * math.sqrt(1 - 0.75 * share):.2g} %."
-    )
+    half = f"{before * math.sqrt(1 - 0.75 * share):.2g} %"
+    return f"{part} {source}. Without that uncertainty it would be {after}; with half of it {half}."
 
 
 def _relative(parameter: Parameter) -> float:
@@ -211,9 +172,5 @@ def _sharp_ends(budget: Budget, names: list[str]) -> str:
         source, share = next(iter(budget.shares(name).items()))
         if shapes.get(source, "normal") != "normal" and share > RECTANGULAR:
             ends.append(f"{name} ({source}, {shapes[source]})")
-    if not ends:
-        return ""
-    return (
-        f"One source with sharp limits holds most of the variance of {', '.join(ends)}: the expanded "
-        "intervals are too wide there."
-    )
+    most = f"One source with sharp limits holds most of the variance of {', '.join(ends)}"
+    return f"{most}: the expanded intervals are too wide there." if ends else ""

@@ -5,7 +5,7 @@ provenance last.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import Identification, of_points
 from labpipe.records.sections import section
 from labpipe.registry import Registry, nearest
-from labpipe.report.cover import SIMPLE_ACCEPTANCE, cover_facts, decision_blocks, result_blocks, section_facts
+from labpipe.report.cover import cover_facts, result_blocks, rule_blocks, section_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
@@ -26,23 +26,14 @@ from labpipe.spectra.settings import FrfSettings
 # the report together.
 REPORT_PARTS = Registry("report part")
 
-# What a reader must know first: whether the result is accepted, and every warning and note in words.
-
 MOST_NOTES = 12
 # Characters of all notes of one kind that are still read.
 LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
 SERIOUS = (
-    "collinear",
-    "no-convergence",
-    "unphysical",
-    "model-mismatch",
-    "negative-gof",
-    "mass",
-    "drift",
-    "unstable-loop",
-    "feedback",
-)
+    "collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift",
+    "unstable-loop", "feedback",
+)  # fmt: skip
 
 
 def verdict_sections(identification: Identification) -> tuple[Section, ...]:
@@ -58,88 +49,66 @@ def verdict_sections(identification: Identification) -> tuple[Section, ...]:
 
 
 def _verdict(identification: Identification) -> tuple[Block, ...]:
-    if identification.failed:
-        return (*_failed(identification), *_judgement(identification))
-    return _judgement(identification)
-
-
-def _failed(identification: Identification) -> tuple[Block, ...]:
-    """Missing results with their reasons, before all results."""
+    """Missing results with their reasons, before the judgement of the others."""
     rows = tuple((failed.name, failed.message) for failed in identification.failed)
-    lead = Paragraph(
-        f"INCOMPLETE: {len(rows)} test(s), fit(s) or comparison(s) could not be evaluated. What follows is "
-        "the rest.",
-        "failed",
+    if not rows:
+        return _judgement(identification)
+    what = "test(s), fit(s) or comparison(s) could not be evaluated. What follows is the rest."
+    return (
+        Paragraph(f"INCOMPLETE: {len(rows)} {what}", "failed"),
+        Table(("name", "why"), rows, "What could not be evaluated"),
+        *_judgement(identification),
     )
-    return (lead, Table(("name", "why"), rows, "What could not be evaluated"))
 
 
 def _judgement(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
-    codes = _by_code(identification, WARNING)
-    uncertainty = (
-        f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted."
-        if codes
-        else " No warnings."
-    )
+    kinds = len(_by_code(identification, WARNING))
+    limit = "kind(s) of warning below limit how far the numbers can be trusted."
+    uncertainty = f"{kinds} {limit}" if kinds else "No warnings."
+    serious = _not_to_be_signed(identification)
     if not outcomes:
-        lead = Paragraph(
-            f"No acceptance rules were given, so nothing is accepted or refused.{uncertainty}", "note"
-        )
-        return (lead, *_not_to_be_signed(identification))
+        text = f"No acceptance rules were given, so nothing is accepted or refused. {uncertainty}"
+        return (Paragraph(text, "note"), *serious)
     failed = sum(not outcome.passed for outcome in outcomes)
     if failed:
-        lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail.{uncertainty}", "failed")
+        lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail. {uncertainty}", "failed")
     else:
-        unchecked = _unchecked(identification)
-        said = f" Not checked: {'; '.join(unchecked)}." if unchecked else ""
-        lead = Paragraph(
-            f"ACCEPTED: all {len(outcomes)} rules hold.{uncertainty}{said}", "note" if unchecked else "passed"
-        )
-    rows = tuple(
-        (outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS")
-        for outcome in outcomes
-    )
-    table = Table(
-        ("section", "rule", "found", "outcome"), rows, f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}"
-    )
-    notes = (*_by_goodness_alone(identification), *_not_to_be_signed(identification))
-    return (lead, *notes, table, *decision_blocks(outcomes))
+        missing = _not_checked(identification)
+        text = f"ACCEPTED: all {len(outcomes)} rules hold. {uncertainty}{missing}"
+        lead = Paragraph(text, "note" if missing else "passed")
+    return (lead, *_by_goodness_alone(identification), *serious, *rule_blocks(outcomes))
 
 
-def _unchecked(identification: Identification) -> list[str]:
-    """What no rule looked at, in words; empty where everything was checked, which alone makes a box green."""
+def _not_checked(identification: Identification) -> str:
+    """What no rule looked at, as a sentence; empty where everything was checked, which alone makes a box
+    green.
+    """
     unchecked = [] if identification.outcomes else ["no accept or expect rule was given"]
     fits = [fit for fit in identification.fits if not of_points(fit.model)]
     without = [fit_title(fit) for fit in fits if fit.gof.chi2_reduced is None]
     if without:
         unchecked.append(f"chi-square, since the noise is not known ({_listing(without)})")
-    unjudged = [origin for origin, finding in _of_fits(identification) if finding.code == "not-judged"]
+    unjudged = _fits_with("not-judged", identification)
     if unjudged:
         unchecked.append(f"whether the residual is noise ({_listing(unjudged)})")
-    return unchecked
+    return f" Not checked: {'; '.join(unchecked)}." if unchecked else ""
 
 
-def _listing(origins: list[str]) -> str:
+def _listing(origins: Iterable[str], mark: str = ", ") -> str:
     """Each origin once, up to a number."""
     names = list(dict.fromkeys(origins))
     more = [f"and {len(names) - MOST_NOTES} more"] if len(names) > MOST_NOTES else []
-    return ", ".join([*names[:MOST_NOTES], *more])
+    return mark.join([*names[:MOST_NOTES], *more])
 
 
 def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:
     """Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could
     compare with.
     """
-    unchecked = [origin for origin, finding in _of_fits(identification) if finding.code == "no-covariance"]
-    if not unchecked:
-        return ()
-    return (
-        Paragraph(
-            f"By G.o.F alone, chi-square could not be checked (no covariance): {'; '.join(unchecked)}.",
-            "warning",
-        ),
-    )
+    unchecked = "; ".join(_fits_with("no-covariance", identification))
+    what = "By G.o.F alone, chi-square could not be checked (no covariance)"
+    return (Paragraph(f"{what}: {unchecked}.", "warning"),) if unchecked else ()
 
 
 def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
@@ -152,16 +121,18 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
             serious.setdefault(origin, []).append(finding.code)
     if not serious:
         return ()
-    listed = [f"{origin} ({', '.join(dict.fromkeys(codes))})" for origin, codes in serious.items()]
-    more = [f"and {len(listed) - MOST_NOTES} more"] if len(listed) > MOST_NOTES else []
-    return (
-        Paragraph(f"Read the warnings before using: {'; '.join([*listed[:MOST_NOTES], *more])}.", "warning"),
-    )
+    named = (f"{origin} ({', '.join(dict.fromkeys(codes))})" for origin, codes in serious.items())
+    return (Paragraph(f"Read the warnings before using: {_listing(named, '; ')}.", "warning"),)
 
 
 def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
     """The findings of all fits, each with the fit that it is of."""
     return [(fit_title(fit), finding) for fit in identification.fits for finding in fit.findings]
+
+
+def _fits_with(code: str, identification: Identification) -> list[str]:
+    """The fits that have a finding of that code."""
+    return [origin for origin, finding in _of_fits(identification) if finding.code == code]
 
 
 def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
@@ -187,22 +158,16 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
 
 def _warnings(identification: Identification) -> tuple[Block, ...]:
     """Each kind of warning once in full, with the number of fits that carry it."""
-    none = (
-        "None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
-    )
     blocks: list[Block] = []
     for code, entries in _by_code(identification, WARNING).items():
         origin, finding = entries[0]
         more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
         blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
-    if blocks:
-        return tuple(blocks)
-    unchecked = _unchecked(identification)
-    return (
-        Paragraph(f"{none} Not checked: {'; '.join(unchecked)}.", "note")
-        if unchecked
-        else Paragraph(none, "passed"),
-    )
+    if not blocks:
+        what = "No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
+        missing = _not_checked(identification)
+        blocks.append(Paragraph(f"None. {what}{missing}", "note" if missing else "passed"))
+    return tuple(blocks)
 
 
 def _notes(identification: Identification) -> tuple[Block, ...]:
@@ -212,14 +177,12 @@ def _notes(identification: Identification) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
-        said = "; ".join(notes)
-        if len(notes) > 1 and (len(notes) > MOST_NOTES or len(said) > LONGEST_NOTES):
-            said = f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
-        blocks.append(Paragraph(f"{code}: {said}.", "note"))
+        text = "; ".join(notes)
+        if len(notes) > 1 and (len(notes) > MOST_NOTES or len(text) > LONGEST_NOTES):
+            text = f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
+        blocks.append(Paragraph(f"{code}: {text}.", "note"))
     return tuple(blocks)
 
-
-# The last sections of a report: rig and conditions, and where the numbers come from.
 
 # Parts of the settings that the numbers depend on.
 SHOWN_SETTINGS = ("frf", "identify", "calibrate", "run_ups")
@@ -236,25 +199,24 @@ def provenance_sections(identification: Identification) -> tuple[Section, ...]:
 def rig_blocks(identification: Identification) -> tuple[Block, ...]:
     """The rig in words and its channels as a table; nothing without a rig."""
     rig = identification.rig
-    blocks: list[Block] = []
-    if rig:
-        mass = f" Moving mass {rig['mass']:g} kg." if rig.get("mass") is not None else ""
-        blocks.append(Paragraph(f"{rig.get('name') or 'Rig'}. {rig.get('description', '')}{mass}"))
-        rows = tuple(
-            (
-                entry["channel"]["name"],
-                entry["column"],
-                entry["channel"]["quantity"],
-                entry["channel"]["role"],
-                entry["channel"]["dof"],
-                entry["unit"],
-                f"{entry['scale']:.6g}",
-            )
-            for entry in rig.get("channels", [])
+    if not rig:
+        return ()
+    mass = f" Moving mass {rig['mass']:g} kg." if rig.get("mass") is not None else ""
+    rows = tuple(
+        (
+            entry["channel"]["name"],
+            entry["column"],
+            *(entry["channel"][key] for key in ("quantity", "role", "dof")),
+            entry["unit"],
+            f"{entry['scale']:.6g}",
         )
-        header = ("channel", "column", "quantity", "role", "dof", "recorded unit", "SI per recorded unit")
-        blocks.append(Table(header, rows, "Channels", (6,)))
-    return tuple(blocks)
+        for entry in rig.get("channels", [])
+    )
+    header = ("channel", "column", "quantity", "role", "dof", "recorded unit", "SI per recorded unit")
+    return (
+        Paragraph(f"{rig.get('name') or 'Rig'}. {rig.get('description', '')}{mass}"),
+        Table(header, rows, "Channels", (6,)),
+    )
 
 
 def _rig(identification: Identification) -> tuple[Block, ...]:
@@ -290,18 +252,16 @@ def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...
     """Each setting that is not as by default, with the path of its keys."""
     if isinstance(settings, Mapping):
         kept = {name: entry for name, entry in settings.items() if entry not in DEFAULTS.get(str(name), ())}
-        entries = [(f"{key}.{name}" if key else str(name), entry) for name, entry in kept.items()]
-        return tuple(row for path, entry in entries for row in _stated_settings(entry, path))
+        paths = [(f"{key}.{name}" if key else str(name), entry) for name, entry in kept.items()]
+        return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
     if isinstance(settings, list) and settings and isinstance(settings[0], Mapping):
         # What all of several fits share stands once.
-        shared = {
-            k: v for k, v in settings[0].items() if all(fit_settings.get(k) == v for fit_settings in settings)
-        }
-        shared = shared if len(settings) > 1 else {}
-        named = [(entry.get("name", number), entry) for number, entry in enumerate(settings, 1)]
-        differing = [(name, {k: v for k, v in entry.items() if k not in shared}) for name, entry in named]
-        paths = [(f"{key}.{name}", {**entry, "name": None}) for name, entry in differing]
-        paths = [*([(f"{key}.*", shared)] if shared else []), *paths]
+        several = len(settings) > 1
+        shared = {k: v for k, v in settings[0].items() if several and all(e.get(k) == v for e in settings)}
+        paths = [(f"{key}.*", shared)] if shared else []
+        for number, entry in enumerate(settings, 1):
+            differing = {k: v for k, v in entry.items() if k not in shared}
+            paths.append((f"{key}.{entry.get('name', number)}", {**differing, "name": None}))
         return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
     if settings in (None, False, "", []):
         return ()
@@ -335,8 +295,6 @@ def section_parts(identification: Identification) -> tuple[Section, ...]:
 Part = Callable[[Identification], tuple[Section, ...]]
 
 
-# The parts of a report in their order; each gives its sections, or none where the result has nothing of its
-# kind.
 def added_sections(identification: Identification) -> tuple[Section, ...]:
     """Sections that models, or sections of the pipeline, add for all their results together."""
     there = {fit.model for fit in identification.fits} | set(identification.sections)
@@ -344,6 +302,8 @@ def added_sections(identification: Identification) -> tuple[Section, ...]:
     return tuple(section for part in parts for section in part(identification))
 
 
+# The parts of a report in their order; each gives its sections, or none where the result has nothing of its
+# kind.
 PARTS: tuple[Part, ...] = (
     verdict_sections,
     section_parts,
@@ -352,8 +312,6 @@ PARTS: tuple[Part, ...] = (
     added_sections,
     provenance_sections,
 )
-
-
 # The parts that hold pages of single tests.
 OF_TESTS = (fit_sections, measurement_sections)
 
@@ -366,18 +324,15 @@ def build(identification: Identification, test: str = "") -> Document:
     """
     if test:
         return _document(_of_test(identification, test), OF_TESTS, f"{identification.title}: {test}")
-    parts = tuple(WITH_MATRIX.get(part, part) for part in PARTS) if _in_matrix(identification) else PARTS
+    in_matrix = bool(identification.sections.get("matrix"))
+    parts = tuple(WITH_MATRIX.get(part, part) for part in PARTS) if in_matrix else PARTS
     return _document(identification, parts, identification.title)
 
 
 def _fits_outside(identification: Identification) -> tuple[Section, ...]:
     """The fits of tests that are at no point of a matrix."""
-    inside = {
-        test
-        for matrix in identification.sections["matrix"]
-        for point in matrix.points
-        for test in point.tests
-    }
+    points = (point for matrix in identification.sections["matrix"] for point in matrix.points)
+    inside = {test for point in points for test in point.tests}
     fits = tuple(fit for fit in identification.fits if fit.test not in inside)
     return fit_sections(replace(identification, fits=fits)) if fits else ()
 
@@ -399,16 +354,11 @@ def _each_figure_once(sections: Sequence[Section]) -> tuple[Section, ...]:
     """The sections without the figures that the first of them has already, by their captions."""
     first, *others = sections
     shown = {block.caption for block in first.blocks if isinstance(block, Figure)}
-    kept = (
-        tuple(block for block in other.blocks if not (isinstance(block, Figure) and block.caption in shown))
-        for other in others
-    )
-    return (first, *(replace(other, blocks=blocks) for other, blocks in zip(others, kept, strict=True)))
 
+    def fresh(block: Block) -> bool:
+        return not (isinstance(block, Figure) and block.caption in shown)
 
-def _in_matrix(identification: Identification) -> bool:
-    """Whether a matrix of tests sums the fits up."""
-    return bool(identification.sections.get("matrix"))
+    return (first, *(Section(other.heading, tuple(filter(fresh, other.blocks))) for other in others))
 
 
 def _of_test(identification: Identification, test: str) -> Identification:
@@ -416,11 +366,9 @@ def _of_test(identification: Identification, test: str) -> Identification:
     names = [*identification.test_conditions, *(fit.test for fit in identification.fits)]
     if test not in names:
         raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, names))
-    fits = tuple(fit for fit in identification.fits if fit.test == test)
-    responses = tuple(response for response in identification.responses if response.name == test)
     return replace(
         identification,
-        fits=fits,
-        responses=responses,
+        fits=tuple(fit for fit in identification.fits if fit.test == test),
+        responses=tuple(response for response in identification.responses if response.name == test),
         spectra=tuple(spectrum for spectrum in identification.spectra if spectrum.name == test),
     )

@@ -21,13 +21,10 @@ from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, named_
 from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_names
-from labpipe.report.wording import rounded, unit_text
+from labpipe.report.wording import few, rounded, unit_text
 from labpipe.uncertainty.amounts import joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
-
-# One coefficient in many results: its values with their uncertainty, and the conditions of the tests that
-# they come from.
 
 
 @dataclass(frozen=True)
@@ -107,18 +104,12 @@ class CoefficientSeries:
         """condition -> (axis, values (n,) [axis unit]) for every amount that all tests have and that differs
         between them.
         """
-        names = [
-            name
-            for name in self.values[0].conditions
-            if all(name in value.conditions for value in self.values)
-        ]
         conditions = {}
-        for name in names:
-            units = {value.conditions[name][1] for value in self.values}
-            if len(units) == 1 and len({value.conditions[name][0] for value in self.values}) > 1:
-                unit = units.pop()
-                amounts = [to_display(value.conditions[name][0], display_unit(unit)) for value in self.values]
-                conditions[name] = (Axis(name, unit_text(unit)), np.array(amounts))
+        for name, (_, unit) in self.values[0].conditions.items():
+            amounts = [value.conditions.get(name, (0.0, "")) for value in self.values]
+            if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
+                shown = [to_display(amount, display_unit(unit)) for amount, _ in amounts]
+                conditions[name] = (Axis(name, unit_text(unit)), np.array(shown))
         days = [value.day for value in self.values if value.day is not None]
         if self.dated and len(set(days)) > 1:
             since = np.array([float((day - min(days)).days) for day in days])
@@ -135,24 +126,21 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
     for result, identification in results:
         for listed in single_parameters(identification):
             title = f"{listed.fit} of {listed.term}" if listed.term else listed.fit
-            groups.setdefault((title, listed.parameter.name), []).append(
-                _value(result, identification, listed)
-            )
-    series = [
+            values = groups.setdefault((title, listed.parameter.name), [])
+            values.append(_value(result, identification, listed))
+    return [
         CoefficientSeries(fit, name, _order(values))
         for (fit, name), values in groups.items()
-        if len(values) > 1
+        if len(values) > 1 and len({value.parameter.unit for value in values}) == 1
     ]
-    return [entry for entry in series if len({value.parameter.unit for value in entry.values}) == 1]
 
 
 def single_parameters(identification: Identification) -> list[ListedParameter]:
     """Parameters that occur once for their fit, test and term."""
     rows = [listed for listed in listed_parameters(identification) if not of_points(listed.model)]
-    counts = Counter((listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows)
-    return [
-        listed for listed in rows if counts[listed.fit, listed.test, listed.term, listed.parameter.name] == 1
-    ]
+    keys = [(listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows]
+    counts = Counter(keys)
+    return [listed for listed, key in zip(rows, keys, strict=True) if counts[key] == 1]
 
 
 def _order(values: Sequence[Value]) -> tuple[Value, ...]:
@@ -186,9 +174,6 @@ def _day(text: str) -> date | None:
     except ValueError:
         return None
 
-
-# The figures of a campaign: a coefficient over a condition, its control chart, and sliding fits of several
-# results together.
 
 MOST_TOGETHER = 12
 LONGEST_NAME = 24
@@ -229,27 +214,16 @@ def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
     """The values in their order with centre and limits; those outside are ringed."""
     values = series.shown()
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
-    ringed = (
-        [dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)]
-        if outside
-        else []
-    )
+    ringed = dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)
     ends = [level(end, 1, "--", width=1.0) for end in (limits.low, limits.high)]
     tests = curve("tests", places, values, marker=".", size=4.0)
-    names = [_place_name(series, n) for n in range(values.size)]
+    names = [str(value.day) if series.dated else value.label[-LONGEST_NAME:] for value in series.values]
     x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
-    chart = stack([Panel(x, series.axis, (tests, *ringed, level(limits.centre, width=0.9), *ends))], 3.0)
-    caption = (
-        f"{series.title}: individuals chart; full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128."
-    )
-    return Figure(
-        chart, caption, f"Control chart of {series.title} with {len(outside)} values outside its limits"
-    )
-
-
-def _place_name(series: CoefficientSeries, number: int) -> str:
-    value = series.values[number]
-    return str(value.day) if series.dated else value.label[-LONGEST_NAME:]
+    lines = (*([ringed] if outside else []), level(limits.centre, width=0.9), *ends)
+    meaning = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
+    alternative = f"Control chart of {series.title} with {len(outside)} values outside its limits"
+    chart = stack([Panel(x, series.axis, (tests, *lines))], 3.0)
+    return Figure(chart, f"{series.title}: individuals chart; {meaning}.", alternative)
 
 
 def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figure]:
@@ -268,11 +242,9 @@ def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figu
             label: fits for label, fits in tests.items() if len(fits) > 1 and not of_points(fits[0].model)
         }
         if len(sliding) > 1:
+            names = sliding_names(next(iter(sliding.values())))
             title = f"{name} of {term}" if term else name
-            figures.extend(
-                _overlay(title, parameter, sliding)
-                for parameter in sliding_names(next(iter(sliding.values())))
-            )
+            figures += [_overlay(title, parameter, sliding) for parameter in names]
     return figures
 
 
@@ -289,6 +261,9 @@ def _overlay(title: str, parameter: str, tests: dict[str, list[Fit]]) -> Figure:
     return Figure(chart, caption, f"{parameter} of {title} over frequency in {len(tests)} tests")
 
 
+TREND_HEADER = (
+    "coefficient", "over", "slope", "unit", "95 % interval", "p-value", "after Holm", "beyond chance",
+)  # fmt: skip
 LEVEL = 0.05
 FEWEST = 3
 MOST_NAMED = 2
@@ -338,12 +313,10 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
         Section("Provenance", _provenance(results)),
     )
     identifications = [identification for _, identification in results]
-    titles = list(dict.fromkeys(identification.title for identification in identifications))
-    title = titles[0] if len(titles) == 1 else f"{len(results)} results compared"
-    version = identifications[0].version
-    return Document(
-        f"Campaign: {title}", f"Campaign report, labpipe {version}", sections, cover_facts(identifications)
-    )
+    titles = {identification.title for identification in identifications}
+    title = titles.pop() if len(titles) == 1 else f"{len(results)} results compared"
+    subtitle = f"Campaign report, labpipe {identifications[0].version}"
+    return Document(f"Campaign: {title}", subtitle, sections, cover_facts(identifications))
 
 
 @dataclass
@@ -401,33 +374,28 @@ def _verdict(
     differences: Sequence[_Differences],
 ) -> tuple[Block, ...]:
     """What a reader must know first: values out of control, trends, and values that differ."""
-    outside = [
-        f"{coefficient.title} ({_few(labels)})" for coefficient in series if (labels := _outside(coefficient))
-    ]
+    charted = [coefficient for coefficient in series if len(coefficient.values) >= FEWEST]
+    labels = [(coefficient.title, _outside(coefficient)) for coefficient in charted]
+    outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
     steep = [
         f"{trend.series.title} over {trend.condition}"
         for trend, p in zip(trends, corrected, strict=True)
         if p < LEVEL
     ]
     n_apart = sum(int(np.sum(apart.corrected < LEVEL)) for apart in differences)
-    charted = sum(len(coefficient.values) >= FEWEST for coefficient in series)
+    n = len(charted)
     if outside:
-        which = f"{len(outside)} of {charted} charts have values beyond their limits: {', '.join(outside)}."
+        which = f"{len(outside)} of {n} charts have values beyond their limits: {', '.join(outside)}."
         lead = Paragraph(f"OUT OF CONTROL: {which}", "failed")
     elif charted:
-        lead = Paragraph(f"In control: no value of {charted} charts lies beyond its limits.", "passed")
+        lead = Paragraph(f"In control: no value of {n} charts lies beyond its limits.", "passed")
     else:
-        lead = Paragraph(
-            f"Too few tests for control limits: at least {FEWEST} of one coefficient are needed.", "note"
-        )
+        needed = f"at least {FEWEST} of one coefficient are needed"
+        lead = Paragraph(f"Too few tests for control limits: {needed}.", "note")
     blocks = [lead]
     if trends:
-        which = "; ".join(steep) if steep else "none"
-        blocks.append(
-            Paragraph(
-                f"Trends beyond chance, of {len(trends)} looked at: {which}.", "warning" if steep else "note"
-            )
-        )
+        sentence = f"Trends beyond chance, of {len(trends)} looked at: {'; '.join(steep) or 'none'}."
+        blocks.append(Paragraph(sentence, "warning" if steep else "note"))
     if series:
         values = sum(len(coefficient.values) for coefficient in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
@@ -435,44 +403,20 @@ def _verdict(
     return tuple(blocks)
 
 
-def _few(labels: Sequence[str]) -> str:
-    more = f" and {len(labels) - MOST_NAMED} more" if len(labels) > MOST_NAMED else ""
-    return "; ".join(labels[:MOST_NAMED]) + more
-
-
 def _outside(coefficient: CoefficientSeries) -> list[str]:
-    if len(coefficient.values) < FEWEST:
-        return []
     return [coefficient.values[place].label for place in control_limits(coefficient.shown()).outside]
 
 
 def _results(results: Sequence[tuple[str, Identification]]) -> Table:
     rows = []
     for name, identification in results:
-        verdict = (
-            "no rules"
-            if not identification.outcomes
-            else "accepted"
-            if identification.accepted
-            else "NOT ACCEPTED"
-        )
-        tests = str(len({fit.test for fit in identification.fits}))
-        rows.append(
-            (
-                name or "result",
-                identification.title,
-                tests,
-                str(len(identification.fits)),
-                verdict,
-                f"labpipe {identification.version}",
-            )
-        )
-    return Table(
-        ("result", "title", "tests", "fits", "verdict", "computed by"),
-        tuple(rows),
-        "Results read together",
-        (2, 3),
-    )
+        rules = "accepted" if identification.accepted else "NOT ACCEPTED"
+        verdict = rules if identification.outcomes else "no rules"
+        counts = str(len({fit.test for fit in identification.fits})), str(len(identification.fits))
+        version = f"labpipe {identification.version}"
+        rows.append((name or "result", identification.title, *counts, verdict, version))
+    header = ("result", "title", "tests", "fits", "verdict", "computed by")
+    return Table(header, tuple(rows), "Results read together", (2, 3))
 
 
 def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
@@ -489,17 +433,7 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
         )
         for trend, p in zip(trends, corrected, strict=True)
     )
-    header = (
-        "coefficient",
-        "over",
-        "slope",
-        "unit",
-        "95 % interval",
-        "p-value",
-        "after Holm",
-        "beyond chance",
-    )
-    return Table(header, rows, "Straight trends over the conditions", (2, 4, 5, 6))
+    return Table(TREND_HEADER, rows, "Straight trends over the conditions", (2, 4, 5, 6))
 
 
 def _slope_unit(trend: Trend) -> str:
@@ -515,23 +449,16 @@ def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block,
     """
     blocks: list[Block] = [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
-        limits = control_limits(coefficient.shown())
-        outside = "; ".join(coefficient.values[place].label for place in limits.outside)
-        sentence = f"outside: {outside}" if outside else "no value lies outside"
-        sentence += ". The limits suppose that all tests are of one condition"
-        few = (
-            f" With {len(coefficient.values)} values, fewer than {SETTLED}, the limits are provisional."
-            if len(coefficient.values) < SETTLED
-            else ""
-        )
+        limits, n = control_limits(coefficient.shown()), len(coefficient.values)
+        outside = "; ".join(_outside(coefficient))
+        which = f"outside: {outside}" if outside else "no value lies outside"
         ends = f"{limits.low:.5g} to {limits.high:.5g} {coefficient.unit}"
-        text = f"{limits.formula}; centre {limits.centre:.5g}, limits {ends}; {sentence}.{few}"
-        blocks.extend(
-            [
-                Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"),
-                control_figure(coefficient, limits),
-            ]
-        )
+        suppose = "The limits suppose that all tests are of one condition."
+        text = f"{limits.formula}; centre {limits.centre:.5g}, limits {ends}; {which}. {suppose}"
+        if n < SETTLED:
+            text += f" With {n} values, fewer than {SETTLED}, the limits are provisional."
+        blocks.append(Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"))
+        blocks.append(control_figure(coefficient, limits))
     return (*blocks, _value_table(coefficient, apart))
 
 
@@ -539,32 +466,23 @@ def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
     rows = []
     over = coefficient.over()
     for n, (value, error) in enumerate(zip(coefficient.shown(), coefficient.errors(), strict=True)):
-        low, high = coefficient.intervals()[n]
+        (low, high), p = coefficient.intervals()[n], apart.corrected[n]
         rows.append(
             (
                 coefficient.values[n].label,
-                *([str(coefficient.values[n].day or "")] if coefficient.dated else []),
+                str(coefficient.values[n].day) if coefficient.dated else "",
                 *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
                 rounded(value, error),
-                "none" if not np.isfinite(low) else " to ".join(written(value, error, low, high)[2:]),
-                "" if not np.isfinite(apart.difference[n]) else rounded(apart.difference[n], error),
-                ""
-                if not np.isfinite(apart.corrected[n])
-                else f"{apart.corrected[n]:.2g}{' *' if apart.corrected[n] < LEVEL else ''}",
+                " to ".join(written(value, error, low, high)[2:]) if np.isfinite(low) else "none",
+                rounded(apart.difference[n], error) if np.isfinite(apart.difference[n]) else "",
+                f"{p:.2g}{' *' if p < LEVEL else ''}" if np.isfinite(p) else "",
             )
         )
     named = tuple(axis.label for name, (axis, _) in over.items() if name != "date")
-    header = (
-        "test",
-        *(["date"] if coefficient.dated else []),
-        *named,
-        coefficient.axis.label,
-        "95 % interval",
-        "from the others",
-        "p after Holm",
-    )
+    last = (coefficient.axis.label, "95 % interval", "from the others", "p after Holm")
+    header = ("test", "date", *named, *last)
     caption = f"Values of {coefficient.title}; * differs from the others"
-    return Table(header, tuple(rows), caption, tuple(range(1 + coefficient.dated, len(header))))
+    return Table(header, tuple(rows), caption, tuple(range(2, len(header))))
 
 
 def _provenance(results: Sequence[tuple[str, Identification]]) -> tuple[Block, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.records.finding import Finding
 from labpipe.records.recording import ChannelOverview, Overview
-from labpipe.records.response import FORMS, FrequencyResponse, Port
+from labpipe.records.response import FORMS, FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, curve, dots, stack
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
@@ -29,33 +29,22 @@ def recording_card(overview: Overview) -> Document:
     sections = (
         Section("The file", _facts(overview)),
         Section("Findings", _findings(overview.findings, "No gaps, no clipping, no constant channel.")),
-        *(
-            []
-            if overview.contradictions is None
-            else [Section("Against the rig file", _contradictions(overview.contradictions))]
-        ),
+        *_against_the_rig(overview.contradictions),
         Section("Levels", (_levels(overview.plotted),)),
         Section("Channels", tuple(channel_figure(channel, overview) for channel in overview.plotted)),
     )
-    return Document(
-        overview.file,
-        f"{overview.kind[0].upper()}{overview.kind[1:]}, read by labpipe {__version__}",
-        sections,
-        to_sign=False,
-    )
+    return _card(overview.file, f"{overview.kind[0].upper()}{overview.kind[1:]}", sections)
 
 
 def response_card(response: FrequencyResponse, file: str) -> Document:
     """The card of a file that holds FRFs."""
+    shown = (response_figure(response), phase_figure(response), *spectral_blocks(response))
     sections = (
         Section("The file", _response_facts(response, file)),
         Section("Findings", _carried(response.findings)),
-        Section(
-            "Frequency response",
-            (response_figure(response), phase_figure(response), *spectral_blocks(response)),
-        ),
+        Section("Frequency response", shown),
     )
-    return Document(file, f"Frequency response, read by labpipe {__version__}", sections, to_sign=False)
+    return _card(file, "Frequency response", sections)
 
 
 def spectra_card(spectra: ChannelSpectra, file: str) -> Document:
@@ -65,45 +54,43 @@ def spectra_card(spectra: ChannelSpectra, file: str) -> Document:
         Section("Findings", _carried(spectra.findings)),
         Section("Spectra of all channels", channel_blocks(spectra)),
     )
-    return Document(file, f"Spectra of all channels, read by labpipe {__version__}", sections, to_sign=False)
+    return _card(file, "Spectra of all channels", sections)
+
+
+def _card(file: str, kind: str, sections: tuple[Section, ...]) -> Document:
+    return Document(file, f"{kind}, read by labpipe {__version__}", sections, to_sign=False)
 
 
 def _facts(overview: Overview) -> tuple[Block, ...]:
-    length = (
-        "not known" if overview.sample_rate is None else f"{overview.n_sample / overview.sample_rate:.6g} s"
-    )
-    rate = (
-        overview.rate
-        if overview.sample_rate is None or "Hz" in overview.rate
-        else f"{overview.sample_rate:g} Hz ({overview.rate})"
-    )
+    length, rate = "not known", overview.rate
+    if overview.sample_rate is not None:
+        length = f"{overview.n_sample / overview.sample_rate:.6g} s"
+        rate = rate if "Hz" in rate else f"{overview.sample_rate:g} Hz ({rate})"
     rows = [("samples per channel", str(overview.n_sample)), ("rate", rate), ("length", length)]
     if overview.time:
         rows.append(("time column", overview.time))
-    about = any(channel.about for channel in overview.channels)
-    header = ("channel", "unit", *(["role and direction"] if about else []))
     channels = tuple(
-        (channel.name, channel.unit or "not stated", *([channel.about] if about else []))
-        for channel in overview.plotted
+        (channel.name, channel.unit or "not stated", channel.about) for channel in overview.plotted
     )
-    return Table(("what", "which"), tuple(rows), "Entries of the file"), Table(header, channels, "Channels")
+    return (
+        Table(("what", "which"), tuple(rows), "Entries of the file"),
+        Table(("channel", "unit", "role and direction"), channels, "Channels"),
+    )
 
 
 def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]:
     frequency = response.frequency
     uncertainties = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
+    neither = "neither covariance nor coherence: ml needs one, ls does not"
     rows = (
         ("file", file),
         ("form", f"{response.form} [{FORMS[response.form]}]"),
         ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
         ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
-        (
-            "uncertainty",
-            " and ".join(uncertainties) or "neither covariance nor coherence: ml needs one, ls does not",
-        ),
+        ("uncertainty", " and ".join(uncertainties) or neither),
     )
     ports = tuple(
-        _port(kind, port)
+        (kind, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}")
         for kind, ports_of_kind in (("response", response.outputs), ("force", response.inputs))
         for port in ports_of_kind
     )
@@ -113,29 +100,24 @@ def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]
     )
 
 
-def _port(kind: str, port: Port) -> tuple[str, ...]:
-    return kind, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}"
-
-
-def _findings(findings: Sequence[Finding], nothing: str) -> tuple[Block, ...]:
+def _findings(findings: Sequence[Finding], nothing: str, kind: str = "passed") -> tuple[Block, ...]:
     if not findings:
-        return (Paragraph(nothing, "passed"),)
+        return (Paragraph(nothing, kind),)
     return tuple(Paragraph(f"{finding.code}: {finding.message}", finding.level) for finding in findings)
 
 
 def _carried(findings: Sequence[Finding]) -> tuple[Block, ...]:
     """What the file says of itself: that it says nothing is no test that was passed."""
-    return (
-        _findings(findings, "")
-        if findings
-        else (Paragraph("The file carries no warnings; nothing was checked here.", "note"),)
-    )
+    return _findings(findings, "The file carries no warnings; nothing was checked here.", "note")
 
 
-def _contradictions(sentences: Sequence[str]) -> tuple[Block, ...]:
-    if not sentences:
-        return (Paragraph("File and rig file agree in columns, units and rate.", "passed"),)
-    return tuple(Paragraph(sentence, "failed") for sentence in sentences)
+def _against_the_rig(contradictions: Sequence[str] | None) -> tuple[Section, ...]:
+    """What a rig file says otherwise; nothing without a rig file."""
+    if contradictions is None:
+        return ()
+    agreement = Paragraph("File and rig file agree in columns, units and rate.", "passed")
+    blocks = tuple(Paragraph(sentence, "failed") for sentence in contradictions) or (agreement,)
+    return (Section("Against the rig file", blocks),)
 
 
 def _levels(channels: Sequence[ChannelOverview]) -> Table:
@@ -160,19 +142,12 @@ def _crest(channel: ChannelOverview) -> str:
 def channel_figure(channel: ChannelOverview, overview: Overview) -> Figure:
     """Envelope over time beside the spectrum of one channel."""
     panels = (_envelope(channel, overview.sample_rate), _spectrum(channel, overview.sample_rate))
-    stretch = (
-        f", smallest and largest of every {channel.envelope.step} samples"
-        if channel.envelope.step > 1
-        else ""
-    )
-    blocks = channel.spectrum.blocks
+    step, blocks = channel.envelope.step, channel.spectrum.blocks
+    stretch = f", smallest and largest of every {step} samples" if step > 1 else ""
     averaged = f"mean of {blocks} block{'s' if blocks > 1 else ''}" if blocks else "no block without gaps"
     caption = f"{channel.label}: the signal over time{stretch}; its spectrum, {averaged}."
-    return Figure(
-        Chart(panels, 1, 2, (WIDTH, HEIGHT), legend="none"),
-        caption,
-        f"{channel.label} over time and its spectrum",
-    )
+    chart = Chart(panels, 1, 2, (WIDTH, HEIGHT), legend="none")
+    return Figure(chart, caption, f"{channel.label} over time and its spectrum")
 
 
 def _envelope(channel: ChannelOverview, rate: float | None) -> Panel:
@@ -205,23 +180,12 @@ def _spectrum(channel: ChannelOverview, rate: float | None) -> Panel:
 
 def phase_figure(response: FrequencyResponse) -> Figure:
     """The phase of every element over frequency."""
-    series = []
-    for number, (o, i, name) in enumerate(element_names(response)):
-        series.append(
-            dots(
-                name,
-                response.frequency,
-                phase_degrees(response.matrix[:, o, i]),
-                number % PALETTE_SIZE,
-                size=1.0,
-            )
-        )
-    y = Axis(
-        PHASE.title,
-        PHASE.unit,
-        -PHASE_END,
-        PHASE_END,
-        ticks=tuple((float(angle), str(angle)) for angle in range(-180, 181, 90)),
-    )
+    phase = phase_degrees(response.matrix)
+    series = [
+        dots(name, response.frequency, phase[:, o, i], number % PALETTE_SIZE, size=1.0)
+        for number, (o, i, name) in enumerate(element_names(response))
+    ]
+    ticks = tuple((float(angle), str(angle)) for angle in range(-180, 181, 90))
+    y = Axis(PHASE.title, PHASE.unit, -PHASE_END, PHASE_END, ticks=ticks)
     chart = stack([over_frequency(y, series)], 2.4)
     return Figure(chart, f"Phase of the {response.form}.", f"Phase of the {response.form} over frequency")

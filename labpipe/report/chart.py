@@ -99,26 +99,20 @@ def curve(
     """Points (n,) joined by a *line*; *band* and *bars*: the two ends (n,) of an interval, shaded (with
     *opacity*) or as bars.
     """
-    low, high = (
-        (None, None)
-        if band is None and bars is None
-        else (np.asarray(end, float) for end in band or bars or ())
-    )
-    interval = "shaded" if band is not None else "bar" if bars is not None else ""
-    across, along = np.asarray(x, float), np.asarray(y, float)
-    marked = size if marker else 0.0
+    ends = band or bars
+    low, high = (None, None) if ends is None else (np.asarray(end, float) for end in ends)
     return Series(
         "line",
         name,
-        x=across,
-        y=along,
+        x=np.asarray(x, float),
+        y=np.asarray(y, float),
         colour=colour,
         low=low,
         high=high,
-        interval=interval,
+        interval="shaded" if band else "bar" if bars else "",
         line=line,
         marker=marker,
-        size=marked,
+        size=size if marker else 0.0,
         width=width,
         opacity=opacity,
         hollow=hollow,
@@ -267,9 +261,8 @@ class Chart:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of all series, each once."""
-        return tuple(
-            dict.fromkeys(series.name for panel in self.panels for series in panel.series if series.name)
-        )
+        names = (series.name for panel in self.panels for series in panel.series)
+        return tuple(dict.fromkeys(name for name in names if name))
 
     @property
     def heights(self) -> tuple[float, ...]:
@@ -290,12 +283,13 @@ class Chart:
         """
         panels = self.panels if which in self.shared else (self.panels[number],)
         axis = getattr(self.panels[number], which)
-        if any(series.kind == "cells" for panel in panels for series in panel.series):
-            return _cell_limits(panels[0], which)
-        values = np.concatenate(
-            [part for panel in panels for series in panel.series for part in _extent(series, which)]
-            or [np.empty(0)]
-        )
+        drawn = [series for panel in panels for series in panel.series]
+        for series in drawn:
+            if series.kind == "cells":
+                # The outer edges of a matrix, its first row above.
+                rows, columns = series.y.shape
+                return (-0.5, columns - 0.5) if which == "x" else (rows - 0.5, -0.5)
+        values = np.concatenate([np.empty(0), *(part for series in drawn for part in _extent(series, which))])
         low, high = _with_margin(values, axis.logarithmic)
         return low if axis.low is None else axis.low, high if axis.high is None else axis.high
 
@@ -321,12 +315,6 @@ class Drawing:
 Graphic = Chart | Drawing
 
 
-def _cell_limits(panel: Panel, which: str) -> tuple[float, float]:
-    """The outer edges of a matrix, its first row above."""
-    rows, columns = next(series.y.shape for series in panel.series if series.kind == "cells")
-    return (-0.5, columns - 0.5) if which == "x" else (rows - 0.5, -0.5)
-
-
 def _extent(series: Series, which: str) -> list[FloatArray]:
     """All values of a series along an axis."""
     parts = [series.x] if which == "x" else [series.y, series.low, series.high]
@@ -338,13 +326,11 @@ def _with_margin(values: FloatArray, logarithmic: bool) -> tuple[float, float]:
     there = values[np.isfinite(values) & ((values > 0) | (not logarithmic))]
     if not there.size:
         return (1.0, 10.0) if logarithmic else (0.0, 1.0)
-    ends = np.array([there.min(), there.max()])
-    if logarithmic:
-        low, high = (
-            _with_margin(np.log10(ends), False)
-            if ends[1] > ends[0]
-            else np.log10(ends[0]) + np.array([-1.0, 1.0])
-        )
+    least, most = float(there.min()), float(there.max())
+    if logarithmic and most > least:
+        low, high = _with_margin(np.log10([least, most]), False)
         return float(10**low), float(10**high)
-    room = MARGIN * float(ends[1] - ends[0]) or MARGIN * abs(float(ends[0])) or MARGIN
-    return float(ends[0]) - room, float(ends[1]) + room
+    if logarithmic:
+        return least / 10, 10 * least
+    room = MARGIN * (most - least) or MARGIN * abs(least) or MARGIN
+    return least - room, most + room

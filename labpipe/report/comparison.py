@@ -10,12 +10,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from labpipe.display import difference_in, number, shown_unit, written
+from labpipe.display import number, written
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedBand, ComparedPoint, Comparison, Comparisons, Overlay
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.text import parameter_cells
 from labpipe.report.budget import comparison_budget_blocks
 from labpipe.report.chart import (
     PALETTE_SIZE,
@@ -40,37 +41,19 @@ from labpipe.report.loop_figures import (
 )
 from labpipe.report.wording import legible, unit_text
 
-# Tables of comparisons band by band, and of correlations between fitted unknowns.
-
 
 def loop_blocks(comparison: Comparison) -> list[Block]:
     """Correlations of fitted unknowns, and the bands."""
-    blocks: list[Block] = []
-    warnings = of_level(WARNING, comparison.findings)
-    if warnings:
-        blocks.append(
-            Paragraph(
-                f"{'; '.join(f'{finding.code}: {finding.message}' for finding in warnings)}.", "warning"
-            )
-        )
+    warnings = [f"{finding.code}: {finding.message}" for finding in of_level(WARNING, comparison.findings)]
+    blocks: list[Block] = [Paragraph(f"{'; '.join(warnings)}.", "warning")] if warnings else []
     if comparison.correlations:
         rows = tuple((first, second, f"{value:+.3f}") for first, second, value in comparison.correlations)
-        blocks.append(
-            Table(
-                ("unknown", "and", "correlation"),
-                rows,
-                f"Correlation of the unknowns of {comparison.name}",
-                (2,),
-            )
-        )
+        caption = f"Correlation of the unknowns of {comparison.name}"
+        return [*blocks, Table(("unknown", "and", "correlation"), rows, caption, (2,))]
     # Fitted unknowns are judged by their errors; the bands of the loop as stated belong to a comparison
     # without them.
-    if comparison.bands and not comparison.correlations:
-        blocks.extend(
-            _band_table(comparison, name)
-            for name in dict.fromkeys(band.parameter for band in comparison.bands)
-        )
-    return blocks
+    names = dict.fromkeys(band.parameter for band in comparison.bands)
+    return [*blocks, *(_band_table(comparison, name) for name in names)]
 
 
 def _band_table(comparison: Comparison, name: str) -> Table:
@@ -78,19 +61,13 @@ def _band_table(comparison: Comparison, name: str) -> Table:
     bands = [band for band in comparison.bands if band.parameter == name]
     several = not bands[0].p_value and len({band.test for band in bands}) > 1
     tested = bands[0].p_value is not None
-    other, last = ("the other test", ("p-value, corrected",)) if tested else ("predicted", ())
-    header = (
-        f"{name} [{unit_text(bands[0].unit)}]",
-        "95 % interval",
-        other,
-        "ratio with 95 % interval",
-        *last,
-    )
-    first = ("test", "band [Hz]") if several else ("band [Hz]",)
+    first = ("test", "band [Hz]", f"{name} [{unit_text(bands[0].unit)}]", "95 % interval")
+    other = "the other test" if tested else "predicted"
+    header = (*first, other, "ratio with 95 % interval", "p-value, corrected")
     rows = tuple(_row(band, several) for band in bands)
-    meaning = f"{bands[0].test}" if tested else "* where the 95 % interval does not hold the prediction"
+    meaning = bands[0].test if tested else "* where the 95 % interval does not hold the prediction"
     caption = f"{name} in the bands of {comparison.name}; {meaning}"
-    return Table((*first, *header), rows, caption, tuple(range(len(first), len(first) + len(header))))
+    return Table(header, rows, caption, tuple(range(2, len(header))))
 
 
 def _row(band: ComparedBand, several: bool) -> tuple[str, ...]:
@@ -98,15 +75,13 @@ def _row(band: ComparedBand, several: bool) -> tuple[str, ...]:
     value, low, high, other = (to_display(amount, unit) for amount in (band.value, *band.ci95, band.other))
     error = abs(high - low) / 4
     mark = "" if band.holds or band.p_value is not None else " *"
-    last = () if band.p_value is None else (f"{band.p_value:.2g}",)
+    p_value = "" if band.p_value is None else f"{band.p_value:.2g}"
     ends = "" if band.ratio_ci95 is None else f" ({band.ratio_ci95[0]:.3f} to {band.ratio_ci95[1]:.3f})"
     ratio = "" if band.ratio is None else f"{band.ratio:.3f}{ends}"
-    first = (*([band.test] if several else []), f"{band.band_hz[0]:g}-{band.band_hz[1]:g}")
+    first = (band.test if several else "", f"{band.band_hz[0]:g}-{band.band_hz[1]:g}")
     shown, _, lower, upper, reference = written(value, error, low, high, other)
-    return (*first, shown + mark, f"{lower} to {upper}", reference, ratio, *last)
+    return (*first, shown + mark, f"{lower} to {upper}", reference, ratio, p_value)
 
-
-# The figures of a comparison. FIGURES by kind.
 
 SHOWN_PAIRS = 3
 # Half width of the group of tests of a setting, and of the bar of their mean.
@@ -181,18 +156,14 @@ def _difference(comparison: Comparison) -> Figure:
         Panel(x, _subject(comparison), tuple(above), share=3.0),
         Panel(x, Axis("from the mean", "%"), (*below, level(0.0)), share=2.0),
     )
-    meaning = (
-        f"{' and '.join(groups)} with 95 % intervals of the fits; below: distance from the mean of a "
-        "condition"
-    )
+    below_text = "below: distance from the mean of a condition"
+    meaning = f"{' and '.join(groups)} with 95 % intervals of the fits; {below_text}"
     return _figure(comparison, stack(panels, 4.4), meaning)
 
 
 def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
-    here = (point.condition, point.second)
-    return float(
-        np.mean([other.value for other in comparison.points if (other.condition, other.second) == here])
-    )
+    alike = [p.value for p in comparison.points if (p.condition, p.second) == (point.condition, point.second)]
+    return float(np.mean(alike))
 
 
 def _repeatability(comparison: Comparison) -> Figure:
@@ -226,11 +197,8 @@ def _ratio(comparison: Comparison) -> Figure:
 def _rayleigh(comparison: Comparison) -> Figure:
     """Measured damping beside beta times stiffness."""
     chart = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
-    return _figure(
-        comparison,
-        chart,
-        "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals",
-    )
+    meaning = "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals"
+    return _figure(comparison, chart, meaning)
 
 
 def _beside(comparison: Comparison, what: str, ratio: str) -> Chart:
@@ -266,11 +234,8 @@ def _overlays(comparison: Comparison) -> Figure:
         f"{comparison.name}: the term's measured curve and the theory's with the measured damping, "
         "before and after the ratio."
     )
-    return Figure(
-        stack(panels, 0.6 + 2.5 * len(panels)),
-        caption,
-        f"Measured and theoretical response of {comparison.subject}",
-    )
+    alternative = f"Measured and theoretical response of {comparison.subject}"
+    return Figure(stack(panels, 0.6 + 2.5 * len(panels)), caption, alternative)
 
 
 def _overlay(overlay: Overlay) -> Panel:
@@ -326,9 +291,6 @@ OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
     "sensitivity": sensitivity_figures,
     "certificate": certificate_figures,
 }
-
-# The part of a report that a comparison of tests fills: the answer in words, its amounts, figures, and the
-# tests behind it.
 
 AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
 EXPLAINED = {
@@ -397,7 +359,7 @@ def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyRespo
         Paragraph(EXPLAINED[comparison.kind]),
         Table(
             AMOUNT_HEADER,
-            tuple(_amount_row(amount) for amount in comparison.amounts),
+            tuple(map(_amount_row, comparison.amounts)),
             f"Amounts of {comparison.name}",
             (1, 3, 4),
         ),
@@ -409,23 +371,13 @@ def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyRespo
 
 
 def _amount_row(amount: Parameter) -> tuple[str, ...]:
-    unit = shown_unit(amount.unit, amount.value, amount.full_error)
-    error = None if amount.full_error is None else difference_in(amount.full_error, unit)
-    ends = () if amount.ci95 is None else tuple(to_display(end, unit) for end in amount.ci95)
-    value, uncertainty, *interval = written(to_display(amount.value, unit), error, *ends)
-    return (
-        amount.name,
-        "not tested" if math.isnan(amount.value) else value,
-        legible(unit),
-        uncertainty,
-        " to ".join(interval),
-    )
+    name, value, error, interval, unit, _ = parameter_cells(amount)
+    return (name, "not tested" if math.isnan(amount.value) else value, legible(unit), error, interval)
 
 
 def _point_table(comparison: Comparison) -> Table:
-    """The tests; columns that none of them fills are left out."""
     unit = unit_text(comparison.unit)
-    titles = [
+    header = (
         "test",
         f"{comparison.condition or 'condition'} [{unit_text(comparison.condition_unit) or '-'}]",
         f"{comparison.second} [{unit_text(comparison.second_unit) or '-'}]",
@@ -436,16 +388,9 @@ def _point_table(comparison: Comparison) -> Table:
         "ratio",
         "95 % interval of the ratio",
         "p-value",
-    ]
-    rows = [_point_row(comparison, point) for point in comparison.points]
-    used = [number for number in range(len(titles)) if any(row[number] for row in rows)]
-    shown = tuple(tuple(row[number] for number in used) for row in rows)
-    return Table(
-        tuple(titles[number] for number in used),
-        shown,
-        f"Tests of {comparison.name}",
-        tuple(range(1, len(used))),
     )
+    rows = tuple(_point_row(comparison, point) for point in comparison.points)
+    return Table(header, rows, f"Tests of {comparison.name}", tuple(range(1, len(header))))
 
 
 def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
@@ -454,15 +399,13 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
     def text(value: float | None) -> str:
         return "" if value is None else number(to_display(value, unit))
 
+    def condition(amount: float | None, of: str) -> str:
+        return "" if amount is None else f"{to_display(amount, display_unit(of)):g}"
+
     return (
         point.test,
-        *(
-            "" if amount is None else f"{to_display(amount, display_unit(of)):g}"
-            for amount, of in (
-                (point.condition, comparison.condition_unit),
-                (point.second, comparison.second_unit),
-            )
-        ),
+        condition(point.condition, comparison.condition_unit),
+        condition(point.second, comparison.second_unit),
         point.group,
         text(point.value),
         "" if point.ci95 is None else f"{text(point.ci95[0])} to {text(point.ci95[1])}",

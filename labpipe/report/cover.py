@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
 from labpipe.quantities import to_display
 from labpipe.records.finding import Parameter
-from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import (
     Fit,
     FittedCurve,
@@ -21,10 +21,20 @@ from labpipe.records.sections import section
 from labpipe.report.chart import Chart, stack
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import fitted_curve_figure
-from labpipe.report.wording import fit_title, legible
+from labpipe.report.fits import blocks_of_details
+from labpipe.report.wording import few, fit_title, legible
 
 # What rules without limits decide by, since ISO/IEC 17025, 7.8.6, asks for it to be stated.
 SIMPLE_ACCEPTANCE = "without limits: simple acceptance, the value alone is compared"
+
+
+def rule_blocks(outcomes: Sequence[RuleOutcome], place: str = "") -> tuple[Block, ...]:
+    """The rules with what they found, *place*: where; and the decisions on limits."""
+    rows = tuple(
+        (rule.section, rule.rule, rule.found, "holds" if rule.passed else "FAILS") for rule in outcomes
+    )
+    caption = f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}{place}"
+    return (Table(("section", "rule", "found", "outcome"), rows, caption), *decision_blocks(outcomes))
 
 
 def decision_blocks(outcomes: Sequence[RuleOutcome]) -> tuple[Block, ...]:
@@ -33,20 +43,15 @@ def decision_blocks(outcomes: Sequence[RuleOutcome]) -> tuple[Block, ...]:
     if not rows:
         return ()
     heads = ("rule", "outcome", "within the limits", "u", "passes", "risk here", "global risks")
-    of_process = any(row[-1] for row in rows)
     shares = (
         ", and the shares of all that the stated process makes that are accepted falsely / rejected falsely"
-        if of_process
-        else ""
     )
     caption = (
         "Decisions on limits: the probability that they hold, the combined standard uncertainty u, the "
         "values that pass, the risk of this decision (of a false acceptance where it passes, else of a "
-        f"false rejection){shares} (JCGM 106, ILAC-G8)"
+        f"false rejection){shares if any(row[-1] for row in rows) else ''} (JCGM 106, ILAC-G8)"
     )
-    if of_process:
-        return (Table(heads, rows, caption),)
-    return (Table(heads[:-1], tuple(row[:-1] for row in rows), caption),)
+    return (Table(heads, rows, caption),)
 
 
 def _row(rule: str, decision: RuleDecision) -> tuple[str, ...]:
@@ -89,7 +94,7 @@ def _global(decision: RuleDecision) -> str:
 
 
 DATES = ("date", "recorded", "day")
-MOST_CONDITIONS = 6
+MOST_CONDITIONS, MOST_VALUES = 6, 8
 # Coefficients by the first part of their names, in words.
 MEANINGS = {
     "k": "stiffness",
@@ -127,7 +132,10 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{len(tests)} measured, from {len(sources)} source file(s)" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
-        **{key: _listing(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
+        **{
+            key: few(list(dict.fromkeys(values)), MOST_VALUES)
+            for key, values in list(conditions.items())[:MOST_CONDITIONS]
+        },
         "pipeline": ", ".join(
             dict.fromkeys(result.pipeline for result in identifications if result.pipeline)
         ),
@@ -142,57 +150,46 @@ def section_facts(identification: Identification) -> list[Mapping[str, str]]:
     return [entry for entry in facts if entry]
 
 
-def _listing(values: Sequence[str]) -> str:
-    distinct = list(dict.fromkeys(values))
-    return ", ".join(distinct[:8]) + (f" and {len(distinct) - 8} more" if len(distinct) > 8 else "")
-
-
 def result_blocks(identification: Identification) -> tuple[Block, ...]:
     """What was asked for: every coefficient with its 95 % interval, and the response behind the first.
 
     The response of a single fit stands here whole, where the rules leave room, and not again with the fit.
     """
     fits = _single_fits(identification)
-    rows = [row for fit in fits for row in _result_rows(fit, len(fits) > 1)]
+    rows = [
+        (
+            fit_title(fit) if number == 0 and len(fits) > 1 else "",
+            f"{MEANINGS.get(parameter.name.partition('_')[0], '')} {parameter.name}".lstrip(),
+            *_in_print(parameter),
+            parameter.reason,
+        )
+        for fit in fits
+        for number, parameter in enumerate(fit.parameters)
+    ]
     if not rows:
         return ()
     header = ("result of", "coefficient", "value with its 95 % interval", "relative", "why it is so wide")
-    there = [n for n in range(len(header)) if any(row[n] for row in rows)]
-    shown = tuple(tuple(row[n] for n in there) for row in rows[:MOST_RESULTS])
     more = f"; {len(rows) - MOST_RESULTS} more follow behind" if len(rows) > MOST_RESULTS else ""
-    table = Table(tuple(header[n] for n in there), shown, f"Results{more}")
-    drawn = [(fit, fit.curve) for fit in fits if fit.curve is not None]
-    drawn = [(fit, fitted) for fit, fitted in drawn if _n_element(fitted) <= MOST_ELEMENTS]
+    table = Table(header, tuple(rows[:MOST_RESULTS]), f"Results{more}")
     is_alone = len(fits) == 1 and len(rows) + len(identification.outcomes) <= FEW_ROWS
-    figure = _whole if is_alone else _amplitudes
-    figures = [figure(fit, fitted) for fit, fitted in drawn[:1]]
-    return (table, *(figures or [block for block in _of_details(fits[0]) if is_alone][:1]))
+    for fit in fits:
+        if fit.curve is not None and len(fit.curve.outputs) * len(fit.curve.inputs) <= MOST_ELEMENTS:
+            return (table, _response(fit, fit.curve, is_alone))
+    beside = blocks_of_details(fits[0]) if is_alone else []
+    charts = [block for block in beside if isinstance(block, Figure) and isinstance(block.graphic, Chart)]
+    return (table, *charts[:1])
 
 
-def _of_details(fit: Fit) -> list[Figure]:
-    """The figures of what a model shows beside its parameters, such as a decay."""
-    blocks = (block for detail in fit.details for block in DETAILS.load(detail.key).blocks(fit, detail))
-    return [block for block in blocks if isinstance(block, Figure) and isinstance(block.graphic, Chart)]
-
-
-def _n_element(curve: FittedCurve) -> int:
-    return len(curve.outputs) * len(curve.inputs)
-
-
-def _whole(fit: Fit, fitted: FittedCurve) -> Figure:
-    """Amplitude, phase and residual of the measured and the fitted response, lower than with the fit."""
-    figure = fitted_curve_figure(fit, fitted)
-    assert isinstance(figure.graphic, Chart)
-    return replace(figure, graphic=stack(figure.graphic.panels, WHOLE_HEIGHT))
-
-
-def _amplitudes(fit: Fit, fitted: FittedCurve) -> Figure:
-    """Amplitude of the measured and the fitted response alone; phase and residual follow with the fit."""
+def _response(fit: Fit, fitted: FittedCurve, is_alone: bool) -> Figure:
+    """The measured and the fitted response as with the fit, but lower; of several the amplitude alone."""
     whole = fitted_curve_figure(fit, fitted)
     assert isinstance(whole.graphic, Chart)
-    panel = replace(whole.graphic.panels[0], share=1.0, x=whole.graphic.panels[-1].x)
+    panels = whole.graphic.panels
+    if is_alone:
+        return replace(whole, graphic=stack(panels, WHOLE_HEIGHT))
     caption = f"Measured (dots) and fitted (lines) response of {fit_title(fit)}."
-    return Figure(stack([panel], FIGURE_HEIGHT), caption, whole.alternative)
+    amplitude = stack([replace(panels[0], share=1.0, x=panels[-1].x)], FIGURE_HEIGHT)
+    return Figure(amplitude, caption, whole.alternative)
 
 
 def _single_fits(identification: Identification) -> list[Fit]:
@@ -201,25 +198,9 @@ def _single_fits(identification: Identification) -> list[Fit]:
     """
     if identification.sections.get("matrix"):
         return []
-    keys = [(fit.name, fit.term, fit.test) for fit in identification.fits]
-    return [
-        fit
-        for fit, key in zip(identification.fits, keys, strict=True)
-        if keys.count(key) == 1 and not of_points(fit.model)
-    ]
-
-
-def _result_rows(fit: Fit, several: bool) -> list[tuple[str, ...]]:
-    title = fit_title(fit) if several else ""
-    return [
-        (title if number == 0 else "", _coefficient(parameter.name), *_in_print(parameter), parameter.reason)
-        for number, parameter in enumerate(fit.parameters)
-    ]
-
-
-def _coefficient(name: str) -> str:
-    meaning = MEANINGS.get(name.partition("_")[0], "")
-    return f"{meaning} {name}" if meaning else name
+    keys = Counter((fit.name, fit.term, fit.test) for fit in identification.fits)
+    single = [fit for fit in identification.fits if keys[fit.name, fit.term, fit.test] == 1]
+    return [fit for fit in single if not of_points(fit.model)]
 
 
 def _in_print(parameter: Parameter) -> tuple[str, str]:

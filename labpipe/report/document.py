@@ -17,12 +17,22 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a header; with a *caption*; *numeric*: columns aligned as numbers."""
+    """Rows of text under a header; with a *caption*; *numeric*: columns aligned as numbers. Columns without
+    any entry are left out.
+    """
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     numeric: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        kept = [n for n in range(len(self.header)) if any(row[n] for row in self.rows)]
+        if self.rows and len(kept) < len(self.header):
+            header, *rows = (tuple(row[n] for n in kept) for row in (self.header, *self.rows))
+            numeric = tuple(place for place, n in enumerate(kept) if n in self.numeric)
+            for name, value in (("header", header), ("rows", tuple(rows)), ("numeric", numeric)):
+                object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)
@@ -49,23 +59,10 @@ Block = Paragraph | Table | Figure | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and its blocks; columns of a table without any entry are left out."""
+    """A heading and its blocks."""
 
     heading: str
     blocks: tuple[Block, ...]
-
-    def __post_init__(self) -> None:
-        blocks = tuple(_without_empty(block) if isinstance(block, Table) else block for block in self.blocks)
-        object.__setattr__(self, "blocks", blocks)
-
-
-def _without_empty(table: Table) -> Table:
-    """The table without columns that have no entry."""
-    kept = [n for n in range(len(table.header)) if any(row[n] for row in table.rows)]
-    if not table.rows or len(kept) == len(table.header):
-        return table
-    header, *rows = (tuple(row[n] for n in kept) for row in (table.header, *table.rows))
-    return Table(header, tuple(rows), table.caption, tuple(map(kept.index, {*table.numeric} & {*kept})))
 
 
 SIGNATURE = Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -36,8 +35,6 @@ from labpipe.report.chart import (
 from labpipe.report.document import Figure
 from labpipe.report.wording import fit_title, unit_text
 
-# The figures of fits and of measured responses, the same for the same result.
-
 FREQUENCY = Axis("frequency", "Hz")
 CENTRE = Axis("centre of the band", "Hz")
 PHASE = Axis("phase", "deg")
@@ -47,6 +44,7 @@ LEAST_SIDE = 2.2
 # Elements of an FRF matrix that have a curve each.
 MOST_CURVES = 24
 HIGHEST_COHERENCE = 1.02
+PARTIAL = "the partial coherence of each response and force, the other forces removed"
 
 
 def form_unit(form: str) -> tuple[str, float]:
@@ -81,45 +79,36 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     The residual with its 95 % band where the covariance is known.
     """
     pairs = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
-    amplitude, phase, residual = [], [], []
+    amplitude: list[Series] = []
+    phase: list[Series] = []
+    residual: list[Series] = []
+    factor, (lines, values) = form_unit(fitted.form)[1], fitted.drawn
     for number, (o, i) in enumerate(pairs):
-        colour = number % PALETTE_SIZE
-        factor, label = form_unit(fitted.form)[1], f"{fitted.outputs[o]}/{fitted.inputs[i]}"
-        lines, values = fitted.drawn
+        colour, label = number % PALETTE_SIZE, f"{fitted.outputs[o]}/{fitted.inputs[i]}"
         # With several elements dots and line of one share an entry of the legend; the caption says which is
         # which.
         entry = label if len(pairs) > 1 else ""
         pair = (
-            (f"{label} measured", fitted.frequency, fitted.measured[:, o, i]),
-            (f"{label} fitted", lines, values[:, o, i]),
+            (f"{label} measured", fitted.frequency, fitted.measured[:, o, i], "", "."),
+            (f"{label} fitted", lines, values[:, o, i], "-", ""),
         )
-        for (name, x, h), style, marker in zip(pair, ("", "-"), (".", ""), strict=True):
-            amplitude.append(
-                curve(name, x, factor * np.abs(h), colour, style, width=1.5, marker=marker, entry=entry)
-            )
-            phase.append(
-                curve(name, x, phase_degrees(h), colour, style, width=1.5, marker=marker, entry=entry)
-            )
-        residual.append(
-            dataclasses.replace(_residual(fitted, o, i, colour, f"{label} measured"), entry=entry)
-        )
+        for name, x, h, line, marker in pair:
+            for series, y in ((amplitude, factor * np.abs(h)), (phase, phase_degrees(h))):
+                series.append(curve(name, x, y, colour, line, width=1.5, marker=marker, entry=entry))
+        residual.append(_residual(fitted, o, i, f"{label} measured", colour, entry))
     panels = (
         over_frequency(form_axis(fitted.form), amplitude, 3.0),
         over_frequency(PHASE, phase, 2.0),
         over_frequency(Axis("|residual| / |H|", "%"), residual, 2.0),
     )
-    band = (
-        "; shaded: 95 % of residuals lie below when only the measured noise is left"
-        if fitted.variance is not None
-        else ""
-    )
-    caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {fitted.form}, and the residual{band}."
-    return Figure(
-        stack(panels, 5.0), caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
-    )
+    caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {fitted.form}, and the residual"
+    if fitted.variance is not None:
+        caption += "; shaded: 95 % of residuals lie below when only the measured noise is left"
+    alternative = f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
+    return Figure(stack(panels, 5.0), f"{caption}.", alternative)
 
 
-def _residual(fitted: FittedCurve, o: int, i: int, colour: int, name: str) -> Series:
+def _residual(fitted: FittedCurve, o: int, i: int, name: str, colour: int, entry: str) -> Series:
     """Residual relative to the fitted FRF [%].
 
     |e|^2 / var is exponential, so 95 % lie below sqrt(ln 20 var).
@@ -129,7 +118,7 @@ def _residual(fitted: FittedCurve, o: int, i: int, colour: int, name: str) -> Se
     band = None
     if fitted.variance is not None:
         band = np.zeros_like(size), 100 * np.sqrt(np.log(20.0) * fitted.variance[:, o, i]) / size
-    return dots(name, fitted.frequency, values, colour, band=band)
+    return dots(name, fitted.frequency, values, colour, band=band, entry=entry)
 
 
 def correlation_figure(fit: Fit) -> Figure:
@@ -174,32 +163,25 @@ def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
     y = Axis(names[0][0], unit_text(fits[0].parameter(names[0]).unit))
     what = "stiffness" if names[0].startswith("k") else "damping"
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
-    return Figure(
-        stack([Panel(CENTRE, y, tuple(series))], 3.2),
-        caption,
-        f"{what} of {fit_title(fits[0])} over frequency with 95 % interval",
-    )
+    alternative = f"{what} of {fit_title(fits[0])} over frequency with 95 % interval"
+    return Figure(stack([Panel(CENTRE, y, tuple(series))], 3.2), caption, alternative)
 
 
 def _goodness_figure(fits: Sequence[Fit]) -> Figure:
     centres = [fit.centre_hz for fit in fits]
     goodness = curve("G.o.F (adj. R²)", centres, [fit.gof.r2_adjusted for fit in fits], marker=".")
-    chi2 = [np.nan if fit.gof.chi2_reduced is None else fit.gof.chi2_reduced for fit in fits]
+    reduced = [np.nan if fit.gof.chi2_reduced is None else fit.gof.chi2_reduced for fit in fits]
+    chi2 = curve("chi² per datum", centres, reduced, 1, marker=".")
     panels = (
         Panel(CENTRE, Axis("G.o.F (adj. R²)"), (goodness,)),
-        Panel(
-            CENTRE,
-            Axis("chi² per datum"),
-            (curve("chi² per datum", centres, chi2, 1, marker="."), level(1.0)),
-        ),
+        Panel(CENTRE, Axis("chi² per datum"), (chi2, level(1.0))),
     )
     caption = (
         f"{fit_title(fits[0])}: goodness of fit per band. A high G.o.F does not prove the coefficients; "
         "chi² per datum near 1 says that the model leaves nothing but the measured noise."
     )
-    return Figure(
-        stack(panels, 3.6, "none"), caption, f"Goodness of fit of {fit_title(fits[0])} over frequency"
-    )
+    alternative = f"Goodness of fit of {fit_title(fits[0])} over frequency"
+    return Figure(stack(panels, 3.6, "none"), caption, alternative)
 
 
 def element_names(response: FrequencyResponse) -> list[tuple[int, int, str]]:
@@ -217,11 +199,8 @@ def response_figure(response: FrequencyResponse) -> Figure:
     quality, what = _quality(response)
     shown = over_frequency(form_axis(response.form), amplitude, 3.0)
     chart = stack([shown], 2.4) if quality is None else stack([shown, quality], 3.4)
-    return Figure(
-        chart,
-        f"Measured {response.form} of {name}, and {what}.",
-        f"Measured {response.form} of {name} and {what}",
-    )
+    subject = f"Measured {response.form} of {name}"
+    return Figure(chart, f"{subject}, and {what}.", f"{subject} and {what}")
 
 
 def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
@@ -230,51 +209,40 @@ def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
     Of very many the largest, the median and the least.
     """
     if values[0].size > MOST_CURVES:
-        flat = values.reshape(values.shape[0], -1)
-        statistics = {
-            "largest": np.max(flat, axis=1),
-            "median": np.median(flat, axis=1),
-            "least": np.min(flat, axis=1),
-        }
-        named = enumerate(statistics.items())
-        return [
-            curve(f"{name} of {flat.shape[1]}", response.frequency, over, *look(number))
-            for number, (name, over) in named
+        flat, n = values.reshape(values.shape[0], -1), values[0].size
+        named = [
+            (f"largest of {n}", flat.max(axis=1)),
+            (f"median of {n}", np.median(flat, axis=1)),
+            (f"least of {n}", flat.min(axis=1)),
         ]
-    return [
-        curve(name, response.frequency, values[:, o, i], *look(number))
-        for number, (o, i, name) in enumerate(element_names(response))
-    ]
+    else:
+        named = [(name, values[:, o, i]) for o, i, name in element_names(response)]
+    return [curve(name, response.frequency, y, *look(number)) for number, (name, y) in enumerate(named)]
 
 
 def _quality(response: FrequencyResponse) -> tuple[Panel | None, str]:
     """The panel on the quality of the FRF (coherence, standard deviation), None where nothing is known of it,
     and its description.
     """
-    several = response.partial_coherence is not None
-    coherence = response.partial_coherence if several else response.coherence
-    if coherence is not None:
-        axis = Axis("partial coherence" if several else "coherence", low=0.0, high=HIGHEST_COHERENCE)
-        what = (
-            "the partial coherence of each response and force, the other forces removed"
-            if several
-            else "its coherence"
-        )
-        return over_frequency(axis, _elements(response, coherence), 2.0), what
+    for title, coherence, what in (
+        ("partial coherence", response.partial_coherence, PARTIAL),
+        ("coherence", response.coherence, "its coherence"),
+    ):
+        if coherence is not None:
+            axis = Axis(title, low=0.0, high=HIGHEST_COHERENCE)
+            return over_frequency(axis, _elements(response, coherence), 2.0), what
     if response.snr is not None:
         ratio = np.maximum(response.snr, LEAST_SNR)
         series = [
             curve(channel, response.frequency, ratio[:, n], *look(n))
             for n, channel in enumerate(response.snr_channels)
         ]
-        return over_frequency(Axis("signal / noise", logarithmic=True), series, 2.0), (
-            "the signal-to-noise ratio of its channels"
-        )
+        axis = Axis("signal / noise", logarithmic=True)
+        return over_frequency(axis, series, 2.0), "the signal-to-noise ratio of its channels"
     if response.variance is not None:
         relative = np.sqrt(response.variance) / np.abs(response.matrix)
-        return over_frequency(
-            Axis("std / |H|", logarithmic=True), _elements(response, relative), 2.0
-        ), "its relative standard deviation"
+        axis = Axis("std / |H|", logarithmic=True)
+        return over_frequency(axis, _elements(response, relative), 2.0), "its relative standard deviation"
     return None, "its uncertainty is not known"
 
 
@@ -287,11 +255,8 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
     x = Axis(ticks=named_ticks([fit.test or fit.name for fit in fits]))
     y = Axis("slope", slopes[0].unit, low=0.0 if values.min() > 0 else None)
     chart = stack([Panel(x, y, (series,))], 3.0, "none")
-    return Figure(
-        chart,
-        f"{fits[0].name}: slope of each line with its 95 % interval.",
-        f"Slopes of calibration {fits[0].name}",
-    )
+    caption = f"{fits[0].name}: slope of each line with its 95 % interval."
+    return Figure(chart, caption, f"Slopes of calibration {fits[0].name}")
 
 
 def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
@@ -302,10 +267,8 @@ def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         f"{fit_title(fit)}: measured {fitted.form}, and the model before and after its tuning, one "
         "panel per term."
     )
-    chart = stack(panels, 0.8 + 1.6 * len(terms))
-    return Figure(
-        chart, caption, f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}"
-    )
+    alternative = f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}"
+    return Figure(stack(panels, 0.8 + 1.6 * len(terms)), caption, alternative)
 
 
 def _before_and_after(fitted: FittedCurve, o: int, i: int) -> Panel:
@@ -318,11 +281,8 @@ def _before_and_after(fitted: FittedCurve, o: int, i: int) -> Panel:
         curve("before tuning", fitted.frequency, factor * np.abs(fitted.before[:, o, i]), 1, "--", width=1.5),
         curve("after tuning", lines, factor * np.abs(after[:, o, i]), width=1.5),
     )
-    return Panel(
-        FREQUENCY,
-        Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True),
-        series,
-    )
+    axis = Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True)
+    return Panel(FREQUENCY, axis, series)
 
 
 # A fitted FRF matrix of many elements: one small panel per element in matrix order, or of very many the sum
@@ -359,12 +319,9 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         f"{fit_title(fit)}: {fitted.form}, root mean square over all {number} elements: measured, fitted, "
         "and what is left between them."
     )
-    chart = stack([Panel(FREQUENCY, form_axis(fitted.form), tuple(series))], 3.6)
-    return Figure(
-        chart,
-        caption,
-        f"Root mean square of the FRF matrix of fit {fit_title(fit)} over frequency, with the residual",
-    )
+    chart = stack([over_frequency(form_axis(fitted.form), series)], 3.6)
+    matrix = f"the FRF matrix of fit {fit_title(fit)}"
+    return Figure(chart, caption, f"Root mean square of {matrix} over frequency, with the residual")
 
 
 def _mean_size(values: ComplexArray) -> FloatArray:
@@ -374,9 +331,8 @@ def _mean_size(values: ComplexArray) -> FloatArray:
 
 def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """The elements with the largest residual in relation to their size, the worst first."""
-    left = np.sum(np.abs(fitted.measured - fitted.fitted) ** 2, axis=0) / np.sum(
-        np.abs(fitted.measured) ** 2, axis=0
-    )
+    residual = np.sum(np.abs(fitted.measured - fitted.fitted) ** 2, axis=0)
+    left = residual / np.sum(np.abs(fitted.measured) ** 2, axis=0)
     worst = np.argsort(-left, axis=None)[:WORST]
     panels = tuple(_element(fitted, *map(int, np.unravel_index(place, left.shape))) for place in worst)
     chart = Chart(panels, WORST // COLUMNS, COLUMNS, (WIDTH, 0.6 + 1.7 * (WORST // COLUMNS)), "x", "above")
@@ -385,11 +341,8 @@ def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         f"their size (residual {100 * np.sqrt(left.flat[worst[0]]):.2g} to "
         f"{100 * np.sqrt(left.flat[worst[-1]]):.2g} %), response/force; the rest meets better."
     )
-    return Figure(
-        chart,
-        caption,
-        f"Amplitude of the {WORST} worst elements of the FRF matrix of fit {fit_title(fit)} over frequency",
-    )
+    matrix = f"the FRF matrix of fit {fit_title(fit)}"
+    return Figure(chart, caption, f"Amplitude of the {WORST} worst elements of {matrix} over frequency")
 
 
 def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
@@ -405,9 +358,8 @@ def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) "
         f"{fitted.form}, response/force."
     )
-    return Figure(
-        chart, caption, f"Amplitude of every element of the FRF matrix of fit {fit_title(fit)} over frequency"
-    )
+    matrix = f"the FRF matrix of fit {fit_title(fit)}"
+    return Figure(chart, caption, f"Amplitude of every element of {matrix} over frequency")
 
 
 def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
@@ -420,9 +372,8 @@ def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
     lines, values = fitted.drawn
     measured = dots("measured", fitted.frequency, size, 0, size=1.5, band=band)
     model = curve("fitted", lines, factor * np.abs(values[:, o, i]), 1)
-    return Panel(
-        FREQUENCY, form_axis(fitted.form), (measured, model), f"{fitted.outputs[o]}/{fitted.inputs[i]}"
-    )
+    title = f"{fitted.outputs[o]}/{fitted.inputs[i]}"
+    return over_frequency(form_axis(fitted.form), (measured, model), title=title)
 
 
 def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
@@ -449,11 +400,8 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
     )
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    return Figure(
-        Chart(tuple(panels), rows, columns, (WIDTH, 2.2 * rows), "x", "none"),
-        caption,
-        f"Repeats of {fit_title(fit)}",
-    )
+    chart = Chart(tuple(panels), rows, columns, (WIDTH, 2.2 * rows), "x", "none")
+    return Figure(chart, caption, f"Repeats of {fit_title(fit)}")
 
 
 # Mode shapes on the structure: its points and lines, and how each mode moves them.
@@ -508,14 +456,9 @@ def shape_figures(title: str, modes: Modes) -> list[Figure]:
     """
     if modes.geometry is None:
         return []
-    return [
-        _figure(title, _sketch(modes, modes.geometry, range(n, min(n + AT_ONCE, modes.frequency.size))))
-        for n in _starts(modes)
-    ]
-
-
-def _starts(modes: Modes) -> range:
-    return range(0, modes.frequency.size, AT_ONCE)
+    n_mode = modes.frequency.size
+    groups = (range(first, min(first + AT_ONCE, n_mode)) for first in range(0, n_mode, AT_ONCE))
+    return [_figure(title, _sketch(modes, modes.geometry, group)) for group in groups]
 
 
 def _sketch(modes: Modes, geometry: Geometry, chosen: range) -> ShapeSketch:
@@ -526,13 +469,8 @@ def _sketch(modes: Modes, geometry: Geometry, chosen: range) -> ShapeSketch:
     titles = tuple(
         f"{n + 1}: {modes.frequency[n]:.4g} Hz, {100 * modes.damping_ratio[n]:.3g} %" for n in chosen
     )
-    return ShapeSketch(
-        geometry.names,
-        (geometry.positions - middle) / size,
-        geometry.lines,
-        titles,
-        REACH * motion / largest[:, None, None],
-    )
+    positions, motion = (geometry.positions - middle) / size, REACH * motion / largest[:, None, None]
+    return ShapeSketch(geometry.names, positions, geometry.lines, titles, motion)
 
 
 def _figure(title: str, sketch: ShapeSketch) -> Figure:
@@ -541,6 +479,5 @@ def _figure(title: str, sketch: ShapeSketch) -> Figure:
         "damping ratio above. Points without a measured dof stand still."
     )
     drawing = Drawing(KIND, sketch, (WIDTH, ROW_HEIGHT * len(sketch.titles)))
-    return Figure(
-        drawing, caption, f"Mode shapes of fit {title} on the structure: {'; '.join(sketch.titles)}"
-    )
+    alternative = f"Mode shapes of fit {title} on the structure: {'; '.join(sketch.titles)}"
+    return Figure(drawing, caption, alternative)

@@ -4,7 +4,7 @@ selection.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -28,10 +28,6 @@ from labpipe.report.wording import (
     significance,
 )
 
-# Field of a fit -> the function from the fit to the blocks that show this field.
-
-# Model selection: candidate models of a fit as a table.
-
 EXPLAINED = (
     "AIC = chi² + 2 parameters: the least is the best supported; 10 above it a model has practically no "
     "support. p: chance of so large "
@@ -42,7 +38,6 @@ BY_BIC = (
     "strongly spoken against. p: "
     "chance of so large a chi² if this form is right; below 1 % it is not, whatever its BIC."
 )
-HEADER = ("model", "parameters", "chi²", "dof", "AIC - best", "p")
 
 
 def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
@@ -63,7 +58,8 @@ def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
         )
         for candidate in fit.candidates
     )
-    return (Table(HEADER, rows, "Which structure the data ask for", (1, 2, 3, 4, 5)), Paragraph(EXPLAINED))
+    header = ("model", "parameters", "chi²", "dof", "AIC - best", "p")
+    return (Table(header, rows, "Which structure the data ask for", (1, 2, 3, 4, 5)), Paragraph(EXPLAINED))
 
 
 def _by_bic(fit: Fit) -> tuple[Block, ...]:
@@ -83,19 +79,9 @@ def _by_bic(fit: Fit) -> tuple[Block, ...]:
     return (Table(header, rows, "Which form the data ask for", (1, 2, 3, 4)), Paragraph(BY_BIC))
 
 
-# The sections of fits: every single fit in full, the bands of a sliding fit over frequency, the lines of a
-# calibration together.
-
 PARAMETER_HEADER = (
-    "parameter",
-    "value",
-    "unit",
-    "std. error",
-    "95 % interval",
-    "t-ratio",
-    "significance",
-    "VIF",
-)
+    "parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF",
+)  # fmt: skip
 NUMERIC = (1, 3, 4, 5, 7)
 # Estimates whose correlation a sentence says, and pairs that it names. That of more is a figure, and so is
 # that of more than the pairs tell where two of them are hardly told apart.
@@ -112,13 +98,13 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
     sections: list[Section] = []
     said: list[object] = []
     for fits in _groups(identification.fits):
-        blocks = _result(fits)
+        title, blocks = _result(fits)
         general = [block for block in blocks if _is_general(block)]
         again = [block for block in general if _wording(block) in said]
         said += map(_wording, general)
         pointer = (SAID_BEFORE,) if any(block != _EXPLANATION for block in again) else ()
         fresh = tuple(block for block in blocks if not (_is_general(block) and block in again))
-        sections.append(Section(f"Result: {_title(fits)}", (*fresh[:2], *pointer, *fresh[2:])))
+        sections.append(Section(f"Result: {title}", (*fresh[:2], *pointer, *fresh[2:])))
     return tuple(sections)
 
 
@@ -145,14 +131,10 @@ def fit_figures(fit: Fit) -> list[Figure]:
     shown: list[Figure] = []
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
-        shown.extend(
-            matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)]
-        )
+        shown += matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)]
         if fit.curve.before is not None:
             shown.append(figures.tuning_figure(fit, fit.curve))
-    repeated = [
-        parameter for parameter in fit.parameters if parameter.repeats is not None and not parameter.derived
-    ]
+    repeated = [p for p in fit.parameters if p.repeats is not None and not p.derived]
     if repeated:
         shown.append(figures.repeats_figure(fit, repeated))
     if _is_mapped(fit) and any(p.std_error is not None for p in fit.parameters):
@@ -168,15 +150,11 @@ def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
     return list(groups.values())
 
 
-def _title(fits: list[Fit]) -> str:
-    """One heading for all lines of a calibration, in every group."""
-    return fits[0].name if of_points(fits[0].model) else fit_title(fits[0])
-
-
-def _result(fits: list[Fit]) -> tuple[Block, ...]:
+def _result(fits: list[Fit]) -> tuple[str, tuple[Block, ...]]:
+    """Heading and blocks of fits that belong together."""
     if of_points(fits[0].model):
-        return _calibration(fits)
-    return _sliding(fits) if len(fits) > 1 else _single(fits[0])
+        return fits[0].name, _calibration(fits)
+    return fit_title(fits[0]), _sliding(fits) if len(fits) > 1 else _single(fits[0])
 
 
 def _single(fit: Fit) -> tuple[Block, ...]:
@@ -190,15 +168,14 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
-        *_blocks_of_details(fit),
+        *blocks_of_details(fit),
         *fit_figures(fit),
     )
 
 
-def _blocks_of_details(fit: Fit) -> Iterator[Block]:
-    """What the model of a fit shows beside its parameters."""
-    for detail in fit.details:
-        yield from DETAILS.load(detail.key).blocks(fit, detail)
+def blocks_of_details(fit: Fit) -> list[Block]:
+    """What the model of a fit shows beside its parameters, such as a decay."""
+    return [block for detail in fit.details for block in DETAILS.load(detail.key).blocks(fit, detail)]
 
 
 def _is_mapped(fit: Fit) -> bool:
@@ -223,10 +200,8 @@ def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
 
 def _description(fit: Fit) -> str:
     """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
-    chi2, lines = (
-        "",
-        "samples or lines" if any(detail.in_time for detail in fit.details) else "frequency lines",
-    )
+    lines = "samples or lines" if any(detail.in_time for detail in fit.details) else "frequency lines"
+    chi2 = ""
     if fit.gof.chi2_reduced is not None:
         p_value = "" if fit.gof.chi2_p is None else f" (p = {fit.gof.chi2_p:.3g})"
         chi2 = (
@@ -253,16 +228,13 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
     titles = (f"{name} [{legible(unit)}]" if legible(unit) else name for name, unit in units.items())
     header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
     rows = tuple(_band_row(fit, units) for fit in fits)
-    first = (
-        f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model "
-        f"{fits[0].model}, {fits[0].estimator}. "
-    )
     meaning = (
-        "Each value belongs to the centre of its band; ± is one standard error, n.s.: not "
-        "significantly different from zero."
+        f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model "
+        f"{fits[0].model}, {fits[0].estimator}. Each value belongs to the centre of its band; ± is one "
+        "standard error, n.s.: not significantly different from zero."
     )
     table = Table(header, rows, f"Bands of {fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
-    return (Paragraph(first + meaning), *figures.sliding_figures(fits), table)
+    return (Paragraph(meaning), *figures.sliding_figures(fits), table)
 
 
 def _band_row(fit: Fit, units: Mapping[str, str]) -> tuple[str, ...]:

@@ -29,11 +29,11 @@ def prediction_figures(comparison: Comparison) -> list[Figure]:
     """
     names = list(dict.fromkeys(band.parameter for band in comparison.bands))
     tests = list(dict.fromkeys(band.test for band in comparison.bands))
-    first = [_of(comparison.bands, names[0], test) for test in tests]
     ratios = []
-    for number, (test, bands) in enumerate(zip(tests, first, strict=True)):
+    for number, test in enumerate(tests):
         name = f"{test} measured" if len(tests) > 1 else "measured"
-        ratios.append(_ratios(bands, number % PALETTE_SIZE, name, _aside(comparison, number, len(tests))))
+        bands, aside = _of(comparison.bands, names[0], test), _aside(comparison, number, len(tests))
+        ratios.append(_ratios(bands, number % PALETTE_SIZE, name, aside))
     low, high = _ratio_range([band for band in comparison.bands if band.parameter == names[0]])
     ratio_axis = Axis(f"{names[0]}: measured / predicted", low=low, high=high)
     panels = [_coefficient_panel(comparison, name, tests) for name in names]
@@ -53,21 +53,16 @@ def _coefficient_panel(comparison: Comparison, name: str, tests: Sequence[str]) 
     The axis shows nine values in ten and all of the prediction.
     """
     series: list[Series] = []
+    ends: list[float] = []
     for number, test in enumerate(tests):
         label = f"{test} " if len(tests) > 1 else ""
         aside = _aside(comparison, number, len(tests))
-        series += _coefficient(
-            comparison, _of(comparison.bands, name, test), label, number % PALETTE_SIZE, aside
-        )
-    ends = [_focus(_of(comparison.bands, name, test)) for test in tests]
+        bands = _of(comparison.bands, name, test)
+        series += _coefficient(comparison, bands, label, number % PALETTE_SIZE, aside)
+        ends += _focus(bands)
     unit = next(band.unit for band in comparison.bands if band.parameter == name)
     factor = scale_of(unit)
-    y = Axis(
-        name,
-        unit_text(unit),
-        low=factor * min(low for low, _ in ends),
-        high=factor * max(high for _, high in ends),
-    )
+    y = Axis(name, unit_text(unit), low=factor * min(ends), high=factor * max(ends))
     return over_frequency(y, series, 3.0)
 
 
@@ -93,14 +88,9 @@ def _coefficient(
     ends = factor * np.array([band.ci95 for band in bands]).T
     values, predicted = factor * np.array([[band.value, band.other] for band in bands]).T
     line, matched = (colour, colour) if label else (1, 2)
+    bars = ends[0], ends[1]
     measured = dots(
-        f"{label}measured",
-        centres + aside,
-        values,
-        colour,
-        marker="o",
-        size=SMALL_DOT,
-        bars=(ends[0], ends[1]),
+        f"{label}measured", centres + aside, values, colour, marker="o", size=SMALL_DOT, bars=bars
     )
     series = [measured, curve(f"{label}predicted", centres, predicted, line, width=1.2)]
     for part in comparison.curves:
@@ -115,15 +105,8 @@ def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int
     """
     series = [curve(f"{label}loop", part.frequency, factor * np.array(part.theory), colour, ":", width=0.9)]
     if part.matched:
-        series.append(
-            curve(
-                f"{label}with the fitted unknowns",
-                part.frequency,
-                factor * np.array(part.matched),
-                matched,
-                "--",
-            )
-        )
+        values = factor * np.array(part.matched)
+        series.append(curve(f"{label}with the fitted unknowns", part.frequency, values, matched, "--"))
     return series
 
 
@@ -161,23 +144,16 @@ def band_figures(comparison: Comparison) -> list[Figure]:
 
     Bands that differ stand out.
     """
-    names = list(dict.fromkeys(band.parameter for band in comparison.bands))
-    panels = [
-        _band_panel(comparison, [band for band in comparison.bands if band.parameter == name])
-        for name in names
-    ]
+    by_name: dict[str, list[ComparedBand]] = {}
+    for band in comparison.bands:
+        by_name.setdefault(band.parameter, []).append(band)
+    chart = stack([_band_panel(comparison, bands) for bands in by_name.values()], 0.8 + 1.8 * len(by_name))
     test = comparison.bands[0].test
     meaning = (
         "ratio of every band with its 95 % interval, not corrected; orange: different after Holm's correction"
     )
-    caption = f"{comparison.name}: {test}, {meaning}."
-    return [
-        Figure(
-            stack(panels, 0.8 + 1.8 * len(names)),
-            caption,
-            f"{test}: ratio of {comparison.subject} over frequency",
-        )
-    ]
+    alternative = f"{test}: ratio of {comparison.subject} over frequency"
+    return [Figure(chart, f"{comparison.name}: {test}, {meaning}.", alternative)]
 
 
 def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
@@ -200,27 +176,14 @@ def _differs(comparison: Comparison, band: ComparedBand) -> bool:
 def sensitivity_figures(comparison: Comparison) -> list[Figure]:
     """Measured |S| with its 95 % band, the prediction, and the limits of the zones."""
     (part,) = comparison.curves
-    series = [
-        dots("measured", part.frequency, part.measured, size=1.25, band=(part.low, part.high), opacity=0.25)
-    ]
-    series += [curve("predicted", part.frequency, part.theory, 1, width=1.1)] if part.theory else []
-    series += (
-        [curve("with the fitted unknowns", part.frequency, part.matched, 2, "--", width=1.1)]
-        if part.matched
-        else []
-    )
-    zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
+    series = [_measured_size(part, "measured")]
+    if part.theory:
+        series.append(curve("predicted", part.frequency, part.theory, 1, width=1.1))
+    if part.matched:
+        series.append(curve("with the fitted unknowns", part.frequency, part.matched, 2, "--", width=1.1))
     at, peak = comparison.amount("peak_frequency").value, comparison.amount("peak").value
-    x = Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True)
-    panel = Panel(
-        x, Axis("|S|", "1", low=0.0), (*series, *zones, dots("peak", [at], [peak], INK, marker="v", size=6.0))
-    )
-    caption = (
-        f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of "
-        "ISO 14839-3."
-    )
-    alternative = f"Sensitivity of the control loop over frequency, {comparison.verdict}"
-    return [Figure(stack([panel], 3.6), caption, alternative)]
+    mark = dots("peak", [at], [peak], INK, marker="v", size=6.0)
+    return [_sizes(comparison, series, "control", mark)]
 
 
 def certificate_figures(comparison: Comparison) -> list[Figure]:
@@ -230,39 +193,25 @@ def certificate_figures(comparison: Comparison) -> list[Figure]:
     sizes = [part for part in comparison.curves if not part.quantity.startswith("L ") and part.measured]
     series: list[Series] = []
     for number, part in enumerate(sizes):
-        colour = 3 + number if number else 0
-        series.append(
-            dots(
-                part.quantity,
-                part.frequency,
-                part.measured,
-                colour,
-                size=1.25,
-                band=(part.low, part.high),
-                opacity=0.25,
-            )
-        )
-        series += (
-            [curve("fitted loop", part.frequency, part.matched, 1, width=1.1)]
-            if part.matched and not number
-            else []
-        )
+        series.append(_measured_size(part, part.quantity, 3 + number if number else 0))
+        if part.matched and not number:
+            series.append(curve("fitted loop", part.frequency, part.matched, 1, width=1.1))
+    return [_sizes(comparison, series, "closed"), _nyquist(comparison)]
+
+
+def _measured_size(part: Curve, name: str, colour: int = 0) -> Series:
+    band = part.low, part.high
+    return dots(name, part.frequency, part.measured, colour, size=1.25, band=band, opacity=0.25)
+
+
+def _sizes(comparison: Comparison, series: Sequence[Series], loop: str, *marks: Series) -> Figure:
+    """Curves of |S| over frequency with the limits of the zones; *marks* above these."""
     zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
-    panel = Panel(
-        Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True), Axis("|S|", "1", low=0.0), (*series, *zones)
-    )
-    caption = (
-        f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of "
-        "ISO 14839-3."
-    )
-    figures = [
-        Figure(
-            stack([panel], 3.6),
-            caption,
-            f"Sensitivity of the closed loop over frequency, {comparison.verdict}",
-        )
-    ]
-    return [*figures, _nyquist(comparison)]
+    x = Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True)
+    panel = Panel(x, Axis("|S|", "1", low=0.0), (*series, *zones, *marks))
+    meaning = "measured sensitivity with its 95 % band; dashed: limits of the zones of ISO 14839-3"
+    alternative = f"Sensitivity of the {loop} loop over frequency, {comparison.verdict}"
+    return Figure(stack([panel], 3.6), f"{comparison.name}: {meaning}.", alternative)
 
 
 def _nyquist(comparison: Comparison) -> Figure:

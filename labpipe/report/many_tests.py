@@ -16,9 +16,9 @@ from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
 from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stack
-from labpipe.report.cover import SIMPLE_ACCEPTANCE, decision_blocks
+from labpipe.report.cover import rule_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.wording import legible, unit_text
+from labpipe.report.wording import few, legible, unit_text
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
 
 # Figures of a coefficient in many tests: points where they can be told apart, else the share of tests
@@ -45,19 +45,11 @@ def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     x = np.arange(1.0, values.size + 1)
     lines = (level(float(centre), width=0.9), *(level(float(end), 1, "--", width=1.0) for end in (low, high)))
     drawn, how = _draw(x, values, columns, there)
-    chart = stack(
-        [Panel(Axis("tests by date and name"), Axis(columns.parameter, legible(unit)), (*drawn, *lines))],
-        HEIGHT,
-    )
-    caption = (
-        f"{columns.title} by date and name{how}; full line: mean, dashed: mean ∓ 3 × mean moving "
-        "range / 1.128."
-    )
-    return Figure(
-        chart,
-        caption,
-        f"{columns.title} in {values.size} tests, {len(limits.outside)} outside the control limits",
-    )
+    panel = Panel(Axis("tests by date and name"), Axis(columns.parameter, legible(unit)), (*drawn, *lines))
+    meaning = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
+    caption = f"{columns.title} by date and name{how}; {meaning}."
+    alternative = f"{columns.title} in {values.size} tests, {len(limits.outside)} outside the control limits"
+    return Figure(stack([panel], HEIGHT), caption, alternative)
 
 
 def over_amount(columns: TestColumns, condition: str) -> Figure:
@@ -68,14 +60,9 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
     below = readable_unit(unit, amounts[there])
     x = np.array([to_display(amount, below) for amount in amounts[there]])
     drawn, how = _draw(x, values, columns, there)
-    chart = stack(
-        [Panel(Axis(condition, legible(below)), Axis(columns.parameter, legible(shown)), drawn)], HEIGHT
-    )
-    return Figure(
-        chart,
-        f"{columns.title} over {condition}{how}.",
-        f"{columns.title} of {values.size} tests over {condition}",
-    )
+    panel = Panel(Axis(condition, legible(below)), Axis(columns.parameter, legible(shown)), drawn)
+    alternative = f"{columns.title} of {values.size} tests over {condition}"
+    return Figure(stack([panel], HEIGHT), f"{columns.title} over {condition}{how}.", alternative)
 
 
 def _in_unit(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
@@ -97,9 +84,8 @@ def _draw(
     order = np.argsort(x, kind="stable")
     groups = _groups(x[order])
     middle = np.array([np.median(x[order][group]) for group in groups])
-    shares = (*OUTER, 0.5, *INNER)
-    ends = np.array([np.quantile(values[order][group], shares) for group in groups]).T
-    below, above, median, lower, upper = ends
+    shares = [np.quantile(values[order][group], (*OUTER, 0.5, *INNER)) for group in groups]
+    below, above, median, lower, upper = np.array(shares).T
     beyond = _furthest(x[order], values[order], groups, below, above)
     outer = curve("95 % of the tests", middle, median, 0, "", band=(below, above), opacity=0.15)
     inner = curve(
@@ -136,6 +122,10 @@ FEWEST = 3
 # Of the standard deviation of normal values: the scale of their median absolute deviation.
 NORMAL_MAD = 1.4826
 MOST_OUTSIDE = 10
+HEADER = (
+    "coefficient", "unit", "tests", "median", "scatter", "median std. error", "least", "in test", "largest",
+    "in test",
+)  # fmt: skip
 CHART = "Individuals (Shewhart) chart, mean ∓ 3 × mean moving range / 1.128"
 
 
@@ -177,46 +167,24 @@ def _cover(
 def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block, ...]:
     """Whether all tests were evaluated and every rule holds for each of them."""
     blocks: list[Block] = []
+    outcomes, n = identification.outcomes, index.tests
     if index.failed:
-        blocks.append(
-            Paragraph(
-                f"INCOMPLETE: {index.failed} of {index.tests + index.failed} tests could not be evaluated.",
-                "failed",
-            )
-        )
-    outcomes = identification.outcomes
-    failing = sum(not outcome.passed for outcome in outcomes)
+        text = f"INCOMPLETE: {index.failed} of {n + index.failed} tests could not be evaluated."
+        blocks.append(Paragraph(text, "failed"))
     if not outcomes:
         blocks.append(Paragraph("No acceptance rules were given, so nothing is accepted or refused.", "note"))
-    elif failing:
+        return tuple(blocks)
+    failing = sum(not outcome.passed for outcome in outcomes)
+    if failing:
         what = f"{failing} of {len(outcomes)} rules do not hold for every test"
-        blocks.append(
-            Paragraph(
-                f"NOT ACCEPTED: {what}; {index.not_accepted} of {index.tests} tests are not accepted.",
-                "failed",
-            )
-        )
+        text = f"NOT ACCEPTED: {what}; {index.not_accepted} of {n} tests are not accepted."
+        blocks.append(Paragraph(text, "failed"))
     elif not index.failed:
         kinds = len(index.of_level())
-        uncertainty = (
-            f" {kinds} kind(s) of warning below limit how far some numbers can be trusted." if kinds else ""
-        )
-        blocks.append(
-            Paragraph(
-                f"ACCEPTED: all {len(outcomes)} rules hold for all {index.tests} tests.{uncertainty}",
-                "passed",
-            )
-        )
-    rows = tuple(
-        (outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS")
-        for outcome in outcomes
-    )
-    place = "found: in the first test that fails, else in the first test"
-    caption = f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}; {place}"
-    if not rows:
-        return tuple(blocks)
-    table = Table(("section", "rule", "found", "outcome"), rows, caption)
-    return (*blocks, table, *decision_blocks(outcomes))
+        limit = "kind(s) of warning below limit how far some numbers can be trusted."
+        text = f"ACCEPTED: all {len(outcomes)} rules hold for all {n} tests."
+        blocks.append(Paragraph(f"{text} {kinds} {limit}" if kinds else text, "passed"))
+    return (*blocks, *rule_blocks(outcomes, "; found: in the first test that fails, else in the first test"))
 
 
 def _findings(index: DatasetIndex) -> tuple[Block, ...]:
@@ -236,36 +204,18 @@ def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
         if named:
             more = f"; the first {len(named)} of {count}" if count > len(named) else ""
             table = Table(("test", "conditions", why), named, f"{heading}{more}")
-            sections.append(
-                Section(
-                    heading,
-                    (table, Paragraph("The pages of one test: labpipe report DIR --test NAME -o FILE.")),
-                )
-            )
+            pages = Paragraph("The pages of one test: labpipe report DIR --test NAME -o FILE.")
+            sections.append(Section(heading, (table, pages)))
     return tuple(sections)
 
 
 def _coefficients(parameters: Sequence[TestColumns]) -> Table:
     """Centre, scatter and extremes of every coefficient."""
-    header = (
-        "coefficient",
-        "unit",
-        "tests",
-        "median",
-        "scatter",
-        "median std. error",
-        "least",
-        "in test",
-        "largest",
-        "in test",
+    caption = (
+        "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, "
+        "which outliers do not widen"
     )
-    return Table(header, tuple(_row(columns) for columns in parameters), SCATTER, (2, 3, 4, 5, 6, 8))
-
-
-SCATTER = (
-    "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, "
-    "which outliers do not widen"
-)
+    return Table(HEADER, tuple(_row(columns) for columns in parameters), caption, (2, 3, 4, 5, 6, 8))
 
 
 def _row(columns: TestColumns) -> tuple[str, ...]:
@@ -290,13 +240,8 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
 def _left_out(parameters: Sequence[TestColumns]) -> tuple[Block, ...]:
     if len(parameters) <= MOST_CHARTED:
         return ()
-    return (
-        Paragraph(
-            f"Figures follow for the first {MOST_CHARTED} of {len(parameters)} coefficients; the "
-            "dataset has them all.",
-            "note",
-        ),
-    )
+    which = f"the first {MOST_CHARTED} of {len(parameters)} coefficients"
+    return (Paragraph(f"Figures follow for {which}; the dataset has them all.", "note"),)
 
 
 def _blocks(columns: TestColumns) -> tuple[Block, ...]:
@@ -308,47 +253,30 @@ def _blocks(columns: TestColumns) -> tuple[Block, ...]:
         return (Paragraph(f"{int(np.sum(there))} value(s); figures need {FEWEST}.", "note"),)
     limits = control_limits(columns.values[there])
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
-    return (
-        _control(columns, outside),
-        over_tests(columns, limits),
-        *(over_amount(columns, name) for name in _differing(columns)),
-    )
-
-
-def _control(columns: TestColumns, outside: Sequence[str]) -> Paragraph:
-    """The control chart in words."""
-    said = "No value lies outside"
+    which = "No value lies outside"
     if outside:
-        more = f" and {len(outside) - MOST_OUTSIDE} more" if len(outside) > MOST_OUTSIDE else ""
-        said = (
-            f"{len(outside)} of {len(columns.tests)} values lie outside: "
-            f"{', '.join(outside[:MOST_OUTSIDE])}{more}"
-        )
-    return Paragraph(
-        f"{CHART}: {said}. The limits suppose that all tests are of one condition.",
-        "warning" if outside else "note",
-    )
-
-
-def _differing(columns: TestColumns) -> list[str]:
-    """The conditions with two amounts or more."""
-    return [
+        which = f"{len(outside)} of {len(columns.tests)} values lie outside: {few(outside, MOST_OUTSIDE)}"
+    control = f"{CHART}: {which}. The limits suppose that all tests are of one condition."
+    differing = (
         name
         for name, (_, amounts) in columns.amounts.items()
         if np.unique(amounts[np.isfinite(amounts)]).size > 1
-    ]
+    )
+    return (
+        Paragraph(control, "warning" if outside else "note"),
+        over_tests(columns, limits),
+        *(over_amount(columns, name) for name in differing),
+    )
 
 
 def _provenance(identification: Identification) -> tuple[Block, ...]:
     rows = tuple((part["path"], part["sha256"]) for part in identification.inputs)
     settings = {key: value for key, value in identification.settings.items() if key in SHOWN_SETTINGS}
-    words = "Every row of the dataset carries the digest of the recordings that it comes from."
+    words = "Every row of the dataset carries the digest of the recordings that it comes from. To repeat:"
+    repeat = f"labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR`."
     return (
         Table(("part of the dataset", "SHA-256"), rows, "Results"),
-        Paragraph(
-            f"{words} To repeat: labpipe {identification.version}, `labpipe run "
-            f"{identification.pipeline} -o DIR`."
-        ),
+        Paragraph(f"{words} {repeat}"),
         Paragraph("Settings in SI units (Hz, s, m, N, rad):"),
         Code(json.dumps(settings, indent=1)),
     )

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
@@ -43,9 +41,6 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, two_side
 from labpipe.spectra.damping import HalfPower, half_power
 from labpipe.spectra.orders import planes_of
 
-# What is shown of spectra side by side: amplitude and noise of every channel, and the orbits of pairs of
-# displacements.
-
 PANEL_HEIGHT = 1.9
 
 
@@ -60,12 +55,9 @@ def channel_blocks(spectra: ChannelSpectra) -> tuple[Block, ...]:
         f"{name}: spectra of {len(spectra.channels)} channels, {spectra.frequency.size} lines, "
         f"{low:g}-{high:g} Hz, runs: {runs}."
     )
-    dof = (
-        ""
-        if np.isinf(spectra.covariance_dof)
-        else (f" Their noise is known with {spectra.covariance_dof:.4g} degrees of freedom.")
-    )
-    return (Paragraph(facts + dof), _table(spectra), amplitude_figure(spectra), *_orbit_figures(spectra))
+    if np.isfinite(spectra.covariance_dof):
+        facts += f" Their noise is known with {spectra.covariance_dof:.4g} degrees of freedom."
+    return (Paragraph(facts), _table(spectra), amplitude_figure(spectra), *_orbit_figures(spectra))
 
 
 def noise_of(spectra: ChannelSpectra) -> FloatArray:
@@ -77,37 +69,17 @@ def _table(spectra: ChannelSpectra) -> Table:
     noise = noise_of(spectra)
     rows = []
     for number, channel in enumerate(spectra.channels):
-        factor = scale_of(channel.unit)
-        rms = np.sqrt(np.sum(np.abs(spectra.vectors[:, :, number]) ** 2, axis=0) / 2).max()
+        factor, power = scale_of(channel.unit), np.abs(spectra.vectors[:, :, number]) ** 2
+        rms = np.sqrt(np.sum(power, axis=0) / 2).max()
         deviation = float(np.sqrt(np.mean(noise[:, :, number] ** 2)))
-        size = float(np.sqrt(np.mean(np.abs(spectra.vectors[:, :, number]) ** 2)))
-        ratio = f"{size / deviation:.3g}" if deviation > 0 else "-"
+        ratio = f"{float(np.sqrt(np.mean(power))) / deviation:.3g}" if deviation > 0 else "-"
         of = ", ".join(term.channel for term in channel.terms)
         made = f"{channel.role}, sum of {of}" if of else channel.role
-        rows.append(
-            (
-                channel.name,
-                made,
-                channel.dof,
-                f"{factor * rms:.4g}",
-                f"{factor * deviation:.3g}",
-                ratio,
-                unit_text(channel.unit),
-            )
-        )
+        sizes = f"{factor * rms:.4g}", f"{factor * deviation:.3g}", ratio
+        rows.append((channel.name, made, channel.dof, *sizes, unit_text(channel.unit)))
     header = ("channel", "role", "direction", "rms", "noise of a line", "signal over noise", "unit")
-    return Table(
-        header,
-        tuple(rows),
-        f"Channels of {spectra.name or 'the measurement'}: rms over the lines of the strongest run",
-        (3, 4, 5),
-    )
-
-
-def _above_noise(vectors: ComplexArray, noise: FloatArray) -> FloatArray:
-    """Amplitudes (n_line,) above their noise, nothing elsewhere."""
-    size = np.abs(vectors)
-    return np.where(size > noise, size, np.nan)
+    caption = f"Channels of {spectra.name or 'the measurement'}: rms over the lines of the strongest run"
+    return Table(header, tuple(rows), caption, (3, 4, 5))
 
 
 def amplitude_figure(spectra: ChannelSpectra) -> Figure:
@@ -127,28 +99,19 @@ def amplitude_figure(spectra: ChannelSpectra) -> Figure:
         f"Amplitudes of all channels of {name} at the excited lines, every run as points, and their "
         "noise as lines."
     )
-    return Figure(
-        stack(tuple(panels), PANEL_HEIGHT * len(panels) + 0.6),
-        caption,
-        f"Amplitudes and noise of the channels of {name}",
-    )
+    chart = stack(panels, PANEL_HEIGHT * len(panels) + 0.6)
+    return Figure(chart, caption, f"Amplitudes and noise of the channels of {name}")
 
 
 def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int) -> Iterator[Series]:
     channel, colour = spectra.channels[number], column % PALETTE_SIZE
     factor = scale_of(channel.unit)
-    for run in range(len(spectra.runs)):
-        amplitude = _above_noise(spectra.vectors[:, run, number], noise[:, run, number])
-        yield dots(channel.name, spectra.frequency, factor * amplitude, colour, size=2.0)
-    typical = np.sqrt(np.mean(noise[:, :, number] ** 2, axis=1))
-    yield curve(
-        f"{channel.name} noise",
-        spectra.frequency,
-        factor * np.where(typical > 0, typical, np.nan),
-        colour,
-        ":",
-        width=0.8,
-    )
+    size = np.abs(spectra.vectors[:, :, number])
+    above = factor * np.where(size > noise[:, :, number], size, np.nan)
+    for amplitude in above.T:
+        yield dots(channel.name, spectra.frequency, amplitude, colour, size=2.0)
+    typical = factor * _positive(np.sqrt(np.mean(noise[:, :, number] ** 2, axis=1)))
+    yield curve(f"{channel.name} noise", spectra.frequency, typical, colour, ":", width=0.8)
 
 
 def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
@@ -162,25 +125,20 @@ def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
         pair = [outputs[column] for column in plane.columns]
         motion = np.einsum("ij,lrj->lri", np.linalg.inv(plane.directions), spectra.vectors[:, :, pair])
         major, minor = half_axes(motion)
-        factor, unit = scale_of("m"), unit_text("m")
+        factor, unit, x = scale_of("m"), unit_text("m"), spectra.frequency
         series = []
         for run, label in enumerate(spectra.runs):
             colour = run % PALETTE_SIZE
-            series.append(dots(f"{label} major", spectra.frequency, factor * major[:, run], colour, size=2.5))
-            series.append(
-                dots(
-                    f"{label} minor", spectra.frequency, factor * minor[:, run], colour, marker="v", size=2.0
-                )
-            )
+            series.append(dots(f"{label} major", x, factor * major[:, run], colour, size=2.5))
+            series.append(dots(f"{label} minor", x, factor * minor[:, run], colour, marker="v", size=2.0))
         names = " and ".join(spectra.channels[number].name for number in pair)
         caption = (
             f"Half axes of the orbits of {names} in every run at each line; a negative minor axis "
             "turns backward, from y to x."
         )
-        chart = stack((over_frequency(Axis("half axis", unit), series),), 2.8)
-        yield Figure(
-            chart, caption, f"Half axes of the orbits of {names} of {spectra.name or 'the measurement'}"
-        )
+        chart = stack([over_frequency(Axis("half axis", unit), series)], 2.8)
+        alternative = f"Half axes of the orbits of {names} of {spectra.name or 'the measurement'}"
+        yield Figure(chart, caption, alternative)
 
 
 def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
@@ -190,15 +148,9 @@ def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
     With forward f = (x - j y) / 2 and backward b = (x + j y) / 2: |f| + |b| and |f| - |b|, which is negative
     for backward orbits.
     """
-    forward, backward = (
-        np.abs(motion[..., 0] + 1j * motion[..., 1]) / 2,
-        np.abs(motion[..., 0] - 1j * motion[..., 1]) / 2,
-    )
-    return forward + backward, backward - forward
+    plus, minus = (np.abs(motion[..., 0] + sign * motion[..., 1]) / 2 for sign in (1j, -1j))
+    return plus + minus, minus - plus
 
-
-# What a measured response shows beyond its curves: forward and backward, resonances and orbits, distortion
-# beside noise.
 
 TURNS = {"f": "forward", "b": "backward"}
 TWO_SIDED = Axis("frequency: backward < 0 < forward", "Hz")
@@ -239,8 +191,9 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
     """H_ff and H_fb over negative (backward) and positive (forward) frequencies, half-power points marked."""
     factor = form_unit(response.form)[1]
     frequency, both = two_sided(response)
-    # Between the two sides nothing was measured.
-    x, sides = _with_gap(frequency, response.n_frequency), _with_gap(both, response.n_frequency)
+    # Between the two sides nothing was measured: a row of NaN interrupts the curves.
+    x = np.insert(frequency, response.n_frequency, np.nan)
+    sides = np.insert(both, response.n_frequency, np.nan, axis=0)
     amplitude, phase = [], []
     for column, name in enumerate(("f/f", "f/b")):
         amplitude.append(curve(name, x, factor * np.abs(sides[:, column]), column))
@@ -256,16 +209,8 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
         f"Two-sided {response.form} of {name}: forward response to forward (f/f) and backward (f/b) "
         f"force{marked}."
     )
-    return Figure(
-        stack(panels, 4.8),
-        caption,
-        f"Directional {response.form} of {name} over negative and positive frequencies",
-    )
-
-
-def _with_gap(values: NDArray[Any], place: int) -> NDArray[Any]:
-    """Rows with one of NaN before *place*, where a curve is interrupted."""
-    return np.insert(values, place, np.nan, axis=0)
+    alternative = f"Directional {response.form} of {name} over negative and positive frequencies"
+    return Figure(stack(panels, 4.8), caption, alternative)
 
 
 def _mark(peak: HalfPower, factor: float, sign: int) -> Series:
@@ -277,14 +222,8 @@ def _mark(peak: HalfPower, factor: float, sign: int) -> Series:
 
 def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> tuple[Block, ...]:
     unit, factor = form_unit(response.form)
-    header = (
-        "term",
-        "resonance [Hz]",
-        f"{response.form} [{unit}]",
-        "half power from [Hz]",
-        "to [Hz]",
-        "damping ratio [%]",
-    )
+    size = f"{response.form} [{unit}]"
+    header = ("term", "resonance [Hz]", size, "half power from [Hz]", "to [Hz]", "damping ratio [%]")
     rows = tuple(
         (
             f"H_{label}{label} ({TURNS[label]})",
@@ -296,13 +235,9 @@ def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) 
         )
         for label, peak in peaks.items()
     )
-    if not rows:
-        return (
-            Paragraph(
-                "No resonance with both half-power points lies in the band of the directional response."
-            ),
-        )
-    return (Table(header, rows, "Resonances and half-power points", (1, 2, 3, 4, 5)),)
+    none = "No resonance with both half-power points lies in the band of the directional response."
+    table = Table(header, rows, "Resonances and half-power points", (1, 2, 3, 4, 5))
+    return (table if rows else Paragraph(none),)
 
 
 def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Figure:
@@ -315,11 +250,8 @@ def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Fi
         f"Orbits of {name} under a turning force of 1 N; the dot is where the force points along x, "
         "the arrow the sense of rotation."
     )
-    return Figure(
-        Chart(panels, 1, 2, (WIDTH, 0.5 * WIDTH)),
-        caption,
-        f"Orbits of {name} at resonance and half-power points",
-    )
+    chart = Chart(panels, 1, 2, (WIDTH, 0.5 * WIDTH))
+    return Figure(chart, caption, f"Orbits of {name} at resonance and half-power points")
 
 
 def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
@@ -355,35 +287,20 @@ def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Fi
     factor = form_unit(response.form)[1]
     amplitude, phase = [], []
     for number, (o, i, name) in enumerate(element_names(response)):
-        pair = (("", "-", response.matrix[:, o, i]), (" H1, biased", ":", open_loop[:, o, i]))
-        for what, line, values in pair:
-            amplitude.append(
-                curve(
-                    f"{name}{what}", response.frequency, factor * np.abs(values), number % PALETTE_SIZE, line
-                )
-            )
+        x, colour = response.frequency, number % PALETTE_SIZE
+        for title, line, h in ((name, "-", response.matrix), (f"{name} H1, biased", ":", open_loop)):
+            amplitude.append(curve(title, x, factor * np.abs(h[:, o, i]), colour, line))
             # Lines would jump from -180 to 180 deg and hide each other.
-            phase.append(
-                dots(
-                    f"{name}{what}",
-                    response.frequency,
-                    phase_degrees(values),
-                    number % PALETTE_SIZE,
-                    size=1.5,
-                    hollow=bool(what),
-                )
-            )
+            points = dots(title, x, phase_degrees(h[:, o, i]), colour, size=1.5, hollow=line == ":")
+            phase.append(points)
     name = response.name or "the measurement"
     caption = (
         f"{response.form} of {name} by what is injected into the loop (lines), and H1 (dotted), which takes "
         "the loop as open: a biased estimate, shown as what it is and used for nothing."
     )
-    chart = stack(
-        [over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0)], 4.8
-    )
-    return Figure(
-        chart, caption[0].upper() + caption[1:], f"FRF by the reference and H1 of {name} over frequency"
-    )
+    panels = (over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0))
+    alternative = f"FRF by the reference and H1 of {name} over frequency"
+    return Figure(stack(panels, 4.8), caption[0].upper() + caption[1:], alternative)
 
 
 def distortion_figure(response: FrequencyResponse) -> Figure:
@@ -391,19 +308,10 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
     assert response.distortion is not None and response.variance is not None
     factor = form_unit(response.form)[1]
     noise = np.sqrt(np.maximum(response.variance - response.distortion**2, 0.0))
-    parts = (
-        (np.abs(response.matrix), "-", ""),
-        (response.distortion, "--", " distortion"),
-        (noise, ":", " noise"),
-    )
+    size, x = np.abs(response.matrix), response.frequency
+    parts = ((size, "-", ""), (response.distortion, "--", " distortion"), (noise, ":", " noise"))
     series = [
-        curve(
-            f"{name}{what}",
-            response.frequency,
-            factor * _positive(values[:, o, i]),
-            number % PALETTE_SIZE,
-            line,
-        )
+        curve(f"{name}{what}", x, factor * _positive(values[:, o, i]), number % PALETTE_SIZE, line)
         for number, (o, i, name) in enumerate(element_names(response))
         for values, line, what in parts
     ]

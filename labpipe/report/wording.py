@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from labpipe.display import difference_in, shown_unit, unit_label, written
+from labpipe.display import unit_label, written
 from labpipe.distributions import student_tail
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import display_unit
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.study import StudyThreshold
+from labpipe.records.text import parameter_cells
 
 STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
 STARS_EXPLAINED = (
@@ -40,21 +41,24 @@ def rounded(value: float, std_error: float | None) -> str:
     return written(value, std_error)[0]
 
 
+def few(texts: Sequence[str], most: int, mark: str = ", ") -> str:
+    """The first *most* of the texts, and how many more there are."""
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return mark.join(texts[:most]) + more
+
+
 def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, ...]:
     """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor.
 
     *unit*: that of a whole table; by default that which suits the value.
     """
-    unit = unit or shown_unit(parameter.unit, parameter.value, parameter.full_error)
-    error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
-    ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
-    value, uncertainty, *interval = written(to_display(parameter.value, unit), error, *ends)
+    name, value, error, interval, unit, _ = parameter_cells(parameter, unit)
     return (
-        parameter.name,
+        name,
         value,
         legible(unit),
-        uncertainty or "none",
-        " to ".join(interval) or "none",
+        error or "none",
+        interval or "none",
         "" if parameter.t_ratio is None or parameter.derived else f"{parameter.t_ratio:.4g}",
         significance(parameter, dof),
         "" if parameter.vif is None else f"{parameter.vif:.3g}",
@@ -127,11 +131,8 @@ def _beyond_noise(parameter: Parameter) -> float:
     """The standard error by noise and what the residual shows beside it, without what given numbers and the
     scatter of repeats add.
     """
-    full, others = (
-        parameter.std_error_inflated or 0.0,
-        math.hypot(parameter.systematic or 0.0, _repeats_part(parameter)),
-    )
-    return math.sqrt(max(full**2 - others**2, 0.0))
+    others = math.hypot(parameter.systematic or 0.0, _repeats_part(parameter))
+    return math.sqrt(max((parameter.std_error_inflated or 0.0) ** 2 - others**2, 0.0))
 
 
 def interval_text(fit: Fit) -> str:
@@ -145,30 +146,20 @@ def interval_text(fit: Fit) -> str:
             " The residual is not noise and nothing explains it: no standard errors and intervals are "
             "given (model-mismatch above)."
         )
-    widened = [
-        parameter
-        for parameter in fit.parameters
-        if parameter.std_error_inflated is not None and parameter.std_error
-    ]
-    repeated = _times(
-        (p.name, math.hypot(p.std_error or 0.0, _repeats_part(p)) / (p.std_error or 1.0)) for p in widened
-    )
-    between = (
-        (f" The intervals hold the scatter between repeats; they are those of noise alone times: {repeated}.")
-        if repeated
-        else ""
-    )
-    wider = _times((p.name, _beyond_noise(p) / (p.std_error or 1.0)) for p in widened)
+    widened = [(p, p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
+    repeated = _times((p.name, math.hypot(noise, _repeats_part(p)) / noise) for p, noise in widened)
+    held = "The intervals hold the scatter between repeats; they are those of noise alone times:"
+    between = f" {held} {repeated}." if repeated else ""
+    wider = _times((p.name, _beyond_noise(p) / noise) for p, noise in widened)
     # Small given numbers of a floating bearing stay with its noise.
     if not wider or (not mismatch and any(detail.given_in_noise for detail in fit.details)):
         return between
-    reasons = "; ".join(dict.fromkeys(p.reason for p in widened if p.reason))
+    reasons = "; ".join(dict.fromkeys(p.reason for p, _ in widened if p.reason))
     why = f"; the model error is most likely {reasons}" if reasons else ""
-    noise = (
-        f" The residual is not noise (model-mismatch above{why}): errors and intervals are those of "
+    return (
+        f"{between} The residual is not noise (model-mismatch above{why}): errors and intervals are those of "
         f"noise alone times: {wider}."
     )
-    return between + noise
 
 
 def _times(factors: Iterable[tuple[str, float]]) -> str:

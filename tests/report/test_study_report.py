@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.project.study import study_blocks
+from labpipe.project.study import study_blocks, study_sections
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness
+from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification
 from labpipe.records.study import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.figures import matrix_figure, matrix_figures
@@ -108,8 +108,9 @@ def test_a_case_without_results_is_shown_as_such() -> None:
     nothing = replace(
         CASE, failed=500, mean_error=float("nan"), coverage=None, rmse_over_bound=None, parameters=()
     )
-    table = next(block for block in study_blocks(study(cases=(nothing,))) if isinstance(block, Table))
-    assert table.rows[0][6] == "500 of 500" and table.rows[0][8:] == ("", "")
+    (section,) = study_sections((study(cases=(nothing,)),), Identification(()))
+    (table,) = (block for block in section.blocks if isinstance(block, Table))
+    assert table.rows[0][6] == "500 of 500" and table.header[-2:] == ("no result", "success")
 
 
 def test_thresholds_as_sentences() -> None:

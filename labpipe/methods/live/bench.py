@@ -386,9 +386,8 @@ class Bench(Watch):
             level = np.sqrt(np.mean(np.abs(mean[:, list(self.layout.input_columns[0])]) ** 2, axis=0))
             spread = amplitudes[0] - mean
             noise = spread[:, :, None] * spread[:, None, :].conj()
-            spectrum = smoothed_noise(
-                LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size)), self.frf.smooth
-            )
+            raw = LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size))
+            spectrum = smoothed_noise(raw, self.frf.smooth)
             for column, size in zip(self.layout.input_columns[0], level, strict=True):
                 if size >= ACTS * level.max():
                     excited &= excited_lines(spectrum, [column])
@@ -516,12 +515,13 @@ class Bench(Watch):
             if estimate is None:
                 continue
             if not estimate.identifiable:
-                message = "this excitation does not tell the coefficients apart; turn the shaker, or excite "
-                findings.append(Finding("collinear", f"{name}: {message}a second direction"))
+                turn = "turn the shaker, or excite a second direction"
+                message = f"{name}: this excitation does not tell the coefficients apart; {turn}"
+                findings.append(Finding("collinear", message))
             if estimate.misfit and estimate.n >= 3:
-                message = f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model "
-                message += "does not explain the averages within their noise; intervals count that"
-                findings.append(Finding("model-mismatch", message))
+                size = f"chi-square per degree of freedom is {estimate.reduced:.3g}"
+                message = "the model does not explain the averages within their noise; intervals count that"
+                findings.append(Finding("model-mismatch", f"{name}: {size}: {message}"))
             for label, standing in standings.items():
                 owner, _, parameter = label.partition(".")
                 if owner != name or standing.goal is None or standing.reached:

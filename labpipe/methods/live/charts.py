@@ -405,10 +405,7 @@ class Update:
         for name, standing in self.standings.items():
             parameter = standing.parameter
             parameters[name] = {
-                "value": parameter.value,
-                "unit": parameter.unit,
-                "std_error": parameter.std_error,
-                "ci95": None if parameter.ci95 is None else list(parameter.ci95),
+                key: getattr(parameter, key) for key in ("value", "unit", "std_error", "ci95")
             }
             if standing.goal is not None:
                 parameters[name]["goal"] = standing.goal

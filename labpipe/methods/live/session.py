@@ -23,7 +23,7 @@ from labpipe.project.ingest import Calibration, channel_screen
 from labpipe.project.measured import KINDS
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
-from labpipe.records.finding import WARNING, Finding, note
+from labpipe.records.finding import WARNING, Finding, note, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
@@ -147,11 +147,11 @@ class WholeFits(Watch):
             findings = [*measured.findings, *(finding for fit in fits for finding in fit.findings)]
             findings += [s.no_help(label) for label, s in standings.items() if s.held_up]
         wanted = [standing for standing in standings.values() if standing.goal is not None]
-        said = dict.fromkeys(finding for finding in findings if finding.level == WARNING)
+        warnings = dict.fromkeys(of_level(WARNING, findings))
         update = Update(
             self.averages,
             standings=standings,
-            findings=(*self._kept.findings(self.sample_rate), *said),
+            findings=(*self._kept.findings(self.sample_rate), *warnings),
             stop=bool(wanted) and self.averages >= LEAST_WHOLE and all(s.reached for s in wanted),
             seconds=seconds / max(self.averages, 1),
         )
@@ -331,12 +331,11 @@ class Session:
 
 def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
     """What is said at the beginning of a test of a fit that cannot be followed."""
-    instead = (
-        "it is made anew of all samples where a goal is due, at the latest after "
-        f"{100 * (NEXT_LOOK - 1):.0f} % more ({100 * (EARLY_LOOK - 1):.0f} % before average {LEAST_WHOLE})"
-        if whole
-        else "it is made once the test has ended"
-    )
+    instead = "it is made once the test has ended"
+    if whole:
+        more, early = (f"{100 * (look - 1):.0f} %" for look in (NEXT_LOOK, EARLY_LOOK))
+        instead = "it is made anew of all samples where a goal is due, at the latest after "
+        instead += f"{more} more ({early} before average {LEAST_WHOLE})"
     return note("not-followed", f"{fit} cannot be followed average by average: {reason}; {instead}")
 
 

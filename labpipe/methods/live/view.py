@@ -171,10 +171,8 @@ def _course(
                     enough = update.averages
                 left_out += [event for event in update.events if "left out" in event]
     assert bench is not None
-    coefficients = coefficients_of(bench.updates)
-    return [
-        Course(test.name, bench.what, bench.averages, coefficients, settings.until, enough, tuple(left_out))
-    ]
+    what, n, coefficients = bench.what, bench.averages, coefficients_of(bench.updates)
+    return [Course(test.name, what, n, coefficients, settings.until, enough, tuple(left_out))]
 
 
 def course_lines(courses: Courses) -> Iterator[str]:
@@ -387,9 +385,8 @@ class Page:
         token = parse_qs(parts.query).get("token", [""])[0]
         host = (request.headers.get("Host") or "").rpartition(":")[0]
         # Another name for this address is another site's, which may not read the page.
-        if host not in (ADDRESS, "localhost") or not secrets.compare_digest(
-            token.encode(), self.token.encode()
-        ):
+        is_own = host in (ADDRESS, "localhost")
+        if not is_own or not secrets.compare_digest(token.encode(), self.token.encode()):
             request.send_error(HTTPStatus.FORBIDDEN)
         elif parts.path == "/":
             self._send(request, SHELL.encode())

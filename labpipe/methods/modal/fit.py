@@ -4,14 +4,14 @@ likelihood.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
 from labpipe.estimation.measured import Measured, changes_by, matrix_errors, measured_part, select_ports
@@ -65,16 +65,11 @@ from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 
 
-def modal_sources(
-    measured: Measured,
-    terms: ResidualTerms,
-    refined: Refined,
-    parameters: Callable[[Refined], tuple[Parameter, ...]],
-    *,
-    real: bool = False,
+def _sources(
+    settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
 ) -> list[Source]:
-    """Changes of the *parameters* of refined modes by every source in the FRFs' sensors and sums,
-    (n_parameter,) [parameter units] each.
+    """Changes of the parameters (n_parameter,) [parameter units] by the mass and by every source in the FRFs'
+    sensors and sums.
 
     Directions count where two points or more of known direction tell the motion in their plane, likewise two
     forces.
@@ -82,10 +77,12 @@ def modal_sources(
     One step of Gauss-Newton of the output-error fit from its estimate, p - (J^T J)^-1 J^T W dH; no fit is
     repeated. None where the Jacobian is too large to be held in memory.
     """
+    refined, measured = estimate.refined, sides.measured
+    of_mass = mass_source(_parameters(settings, sides, estimate, refined), settings)
     errors = matrix_errors(measured, directions=True)
-    model = ModalReceptance.of(terms, refined, measured, real=real)
+    model = ModalReceptance.of(terms, refined, measured, real=settings.model_settings.shapes == "real")
     if not errors or model.n_parameter * measured.n_equation > MOST_ENTRIES:
-        return []
+        return of_mass
     values = model.joined(refined, measured)
     problem = OutputError(measured, model, _weights(measured))
     jacobian = problem.jacobian(values)
@@ -94,16 +91,14 @@ def modal_sources(
     def changed(change: ComplexArray) -> FloatArray:
         poles, participation, shapes, _ = model.split(values - step @ problem.whitened(change))
         again = replace(refined, poles=poles, participation=participation, shapes=shapes)
-        return np.array([parameter.value for parameter in parameters(again)])
+        return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
 
-    return changes_by(errors, changed)
+    return [*changes_by(errors, changed), *of_mass]
 
 
 def _weights(measured: Measured) -> ComplexArray:
-    if not has_noise(measured):
-        return equal_weights(measured)
     try:
-        return whitener(measured)
+        return whitener(measured) if has_noise(measured) else equal_weights(measured)
     except FitError:
         return equal_weights(measured)
 
@@ -130,37 +125,29 @@ def modal_findings(
     """
     warnings = []
     if not estimate.refined.converged:
-        message = (
-            f"the refinement of the modes did not converge in {estimate.refined.steps} steps; its "
-            "numbers are not a result"
-        )
-        warnings.append(Finding("no-convergence", message))
+        steps = f"the refinement of the modes did not converge in {estimate.refined.steps} steps"
+        warnings.append(Finding("no-convergence", f"{steps}; its numbers are not a result"))
     unstable = estimate.refined.poles[estimate.refined.poles.real >= 0]
     if unstable.size:
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in unstable)
-        warnings.append(
-            Finding(
-                "unphysical",
-                f"the mode at {where} has a negative damping ratio: it is noise, or energy enters the "
-                "structure",
-            )
-        )
-    factor, said = mismatch(estimate), ""
+        mode = f"the mode at {where} has a negative damping ratio"
+        warnings.append(Finding("unphysical", f"{mode}: it is noise, or energy enters the structure"))
+    factor, what = mismatch(estimate), ""
     if factor is not None:
-        said = (
+        what = (
             f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
             f"freedom {estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g})"
         )
     elif unexplained(estimate, p_noise):
-        said = f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g})"
+        what = f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g})"
     elif errors:
         modes = ", ".join(str(number) for number in errors)
-        said = f"the FRFs, filtered for mode {modes} alone, show more than one mode and noise"
-    if said:
-        reasons = dict.fromkeys(f"mode {number}: {error.likely}" for number, error in errors.items())
+        what = f"the FRFs, filtered for mode {modes} alone, show more than one mode and noise"
+    if what:
+        reasons = [f"mode {number}: {error.likely}" for number, error in errors.items()]
         likely = f"Most likely {'; '.join(reasons)}. " if reasons else ""
         message = (
-            f"{said}. {likely}Values and intervals of each mode include what the model leaves unexplained "
+            f"{what}. {likely}Values and intervals of each mode include what the model leaves unexplained "
             "in its band. Name a missing mode in `poles`, or narrow the band"
         )
         warnings.append(Finding("model-mismatch", message))
@@ -171,9 +158,8 @@ def _with_width_findings(fit: Fit, narrow: Mapping[int, float]) -> Fit:
     """The fit with a warning for modes hardly wider than a line."""
     if not narrow:
         return fit
-    places = ", ".join(
-        f"{fit.parameter(f'f_n_{number}').value:.6g} Hz ({width:.2g})" for number, width in narrow.items()
-    )
+    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
+    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
     message = (
         f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
         "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
@@ -187,10 +173,7 @@ def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
     """A warning for every modal mass that is negative by more than its uncertainty: at a driving point no
     structure has one.
     """
-    negative = [
-        parameter for parameter in parameters if parameter.name.startswith("m_") and parameter.is_negative
-    ]
-    modes = [mode.name.removeprefix("m_") for mode in negative]
+    modes = [p.name.removeprefix("m_") for p in parameters if p.name.startswith("m_") and p.is_negative]
     if not modes:
         return ()
     named = f"mode {modes[0]} has" if len(modes) == 1 else f"modes {', '.join(modes)} have"
@@ -208,36 +191,26 @@ def modal_notes(
     forces.
     """
     terms = whole.terms
-    notes = [
-        f"modal: residual terms of every FRF: {terms.lower} for modes below the band, {terms.upper} "
-        "for modes above it, by AIC."
-    ]
-    if estimate.unused:
-        notes.append(f"modal: the measured covariance is not used: {estimate.unused}.")
-    if estimate.chi2_reduced is None:
-        notes.append(
-            "modal: the size of the noise comes from the residual of every FRF, its course along the lines "
-            "from a measured covariance "
-            "(without one it is the same at all lines); the chi-square test of the model is not possible."
-        )
-    if whole.added:
-        notes.append(
-            f"modal: {whole.added} mode(s) were added that the diagram did not show, since the "
-            "residual was not noise."
-        )
-    if n_reference == 1:
-        notes.append(
-            "modal: with one reference a mode with a node there is not seen, and modes of the same "
-            "frequency are one."
-        )
-    if forces_move:
-        notes.append(
-            "modal: the forces are the points of the shapes, the responses the references "
-            "(reciprocity is assumed)."
-        )
-    return tuple(notes)
+    residual = f"{terms.lower} for modes below the band, {terms.upper} for modes above it"
+    without_test = (
+        "the size of the noise comes from the residual of every FRF, its course along the lines from a "
+        "measured covariance (without one it is the same at all lines); the chi-square test of the model is "
+        "not possible"
+    )
+    added = f"{whole.added} mode(s) were added that the diagram did not show"
+    notes = (
+        (True, f"residual terms of every FRF: {residual}, by AIC"),
+        (estimate.unused, f"the measured covariance is not used: {estimate.unused}"),
+        (estimate.chi2_reduced is None, without_test),
+        (whole.added, f"{added}, since the residual was not noise"),
+        (n_reference == 1, SINGLE),
+        (forces_move, TURNED),
+    )
+    return tuple(f"modal: {note}." for holds, note in notes if holds)
 
 
+SINGLE = "with one reference a mode with a node there is not seen, and modes of the same frequency are one"
+TURNED = "the forces are the points of the shapes, the responses the references (reciprocity is assumed)"
 # Share of the band by which lines on either side are looked at as well.
 BEYOND = 0.15
 RECEPTANCE = "receptance"
@@ -284,7 +257,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     are too few.
     """
     if not isinstance(settings.mass, float | str):
-        raise ConfigError("a modal fit takes one mass", hint="for example mass: 0.92 kg", field="mass")
+        raise SettingError("mass", "a modal fit takes one mass", "for example mass: 0.92 kg")
     modal: ModalSettings = settings.model_settings
     form = response.form
     if form not in DERIVATIVES:
@@ -351,14 +324,11 @@ def _at_mean_poles(
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
-    if settings.damping == VISCOUS:
-        return False
-    if modal.shapes == "real":
-        hint = "leave one of `shapes` and `damping` out"
-        raise ConfigError(
-            f"'shapes: real' cannot be combined with {settings.damping} damping", hint=hint, field="shapes"
-        )
-    return True
+    is_hysteretic = settings.damping != VISCOUS
+    if is_hysteretic and modal.shapes == "real":
+        what = f"'shapes: real' cannot be combined with {settings.damping} damping"
+        raise SettingError("shapes", what, "leave one of `shapes` and `damping` out")
+    return is_hysteretic
 
 
 def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -> _Sides:
@@ -381,10 +351,9 @@ def _beyond(
     """The same FRFs in a wider band, the lines around it that a mode must survive: by BEYOND of the band, or
     by the largest half-power width that it does not hold three times.
     """
-    widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, band[1] - band[0])
-    more = max(
-        BEYOND * (band[1] - band[0]), *(2 * width for width in widths if 3 * width > band[1] - band[0]), 0.0
-    )
+    whole = band[1] - band[0]
+    widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, whole)
+    more = max(BEYOND * whole, 2 * float(np.max(widths[3 * widths > whole], initial=0.0)))
     lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
     measured = measured_part(response, rows, columns, lines)
     return _turn(measured) if sides.forces_move else measured
@@ -423,10 +392,8 @@ def _turn(measured: Measured) -> Measured:
 def _highest_order(lines: Lines, modal: ModalSettings) -> int:
     highest = min(modal.order, lines.omega.size // LINES_PER_ORDER)
     if highest < LEAST_ORDER:
-        raise FitError(
-            f"{lines.omega.size} lines are too few for a stabilisation diagram",
-            hint=f"widen the band to {LINES_PER_ORDER * LEAST_ORDER} lines or more",
-        )
+        what = f"{lines.omega.size} lines are too few for a stabilisation diagram"
+        raise FitError(what, "", f"widen the band to {LINES_PER_ORDER * LEAST_ORDER} lines or more")
     return highest
 
 
@@ -438,25 +405,21 @@ def _by_hand(
     if outside.size:
         inside = f"{edges[0] / (2 * np.pi):g} to {edges[1] / (2 * np.pi):g} Hz"
         what = f"the pole {outside[0] / (2 * np.pi):g} Hz lies outside the band"
-        raise ConfigError(what, hint=f"the lines go from {inside}", field="poles")
+        raise SettingError("poles", what, f"the lines go from {inside}")
     return nearest_modes(equations, frequencies, highest)
 
 
 def _check_start(start: Poles, lines: Lines, highest: int) -> None:
     if not start.values.size:
-        raise FitError(
-            f"no pole returns in a quarter of the orders up to {highest}: no mode stands out of the noise "
-            "of this band",
-            hint="choose another band, or name `poles` by hand",
-        )
+        what = f"no pole returns in a quarter of the orders up to {highest}"
+        hint = "choose another band, or name `poles` by hand"
+        raise FitError(f"{what}: no mode stands out of the noise of this band", hint=hint)
     if np.unique(start.values).size < start.values.size:
-        raise FitError(
-            "two of the named poles are one and the same pole of the data", hint="name each mode once"
-        )
+        what = "two of the named poles are one and the same pole of the data"
+        raise FitError(what, hint="name each mode once")
     if lines.omega.size < LINES_PER_ORDER * start.values.size:
-        raise FitError(
-            f"{lines.omega.size} lines cannot hold {start.values.size} modes", hint="widen the band"
-        )
+        what = f"{lines.omega.size} lines cannot hold {start.values.size} modes"
+        raise FitError(what, hint="widen the band")
 
 
 def _parameters(
@@ -464,16 +427,6 @@ def _parameters(
 ) -> tuple[Parameter, ...]:
     mass = settings.mass if isinstance(settings.mass, float) else None
     return modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
-
-
-def _sources(
-    settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
-) -> list[Source]:
-    parameters = partial(_parameters, settings, sides, estimate)
-    of_matrix = modal_sources(
-        sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real"
-    )
-    return [*of_matrix, *mass_source(parameters(estimate.refined), settings)]
 
 
 def _report(
@@ -496,17 +449,16 @@ def _report(
     errors: dict[int, ModelError] = {}
     instead = [mode for mode in moved if mode.instead]
     moved = [mode for mode in moved if not mode.instead]
-    shown = misfit or bool(moved) or settings.model_settings.moving_mass is not None
+    moving = settings.model_settings.moving_mass is not None
+    shown = misfit or bool(moved) or moving
     if refined.converged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
-        moving = settings.model_settings.moving_mass is not None
         errors = model_errors(measured, beyond, estimate, parameters, misfit, moved, moving=moving)
     # Points that differ are no fault of the modes.
     named = errors if misfit or not shown else {}
     if misfit or errors:
         parameters = with_model_errors(parameters, errors, estimate, measured.omega / (2 * np.pi), instead)
-    r2, adjusted = determination(
-        measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof
-    )
+    n_parameter = measured.n_equation - estimate.dof
+    r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, n_parameter)
     return Fit(
         name=settings.name,
         model=settings.model,
@@ -544,25 +496,23 @@ def _curve(
     measured = sides.measured
     frequency = measured.omega / (2 * np.pi)
     away = alignment(1j * measured.omega, moved)
-    fitted, outputs, inputs = estimate.fitted - away, measured.outputs, measured.inputs
+    outputs, inputs = measured.outputs, measured.inputs
     factor = receptance_factor(form, frequency)[:, None, None]
-    variance = None
+    parts: list[Any] = [(matrix - away) * factor for matrix in (measured.matrix, estimate.fitted)]
     if measured.variance is not None:
-        variance = measured.variance.reshape(measured.matrix.shape) * np.abs(factor) ** 2
-    shown, fitted = (measured.matrix - away) * factor, fitted * factor
+        parts.append(measured.variance.reshape(measured.matrix.shape) * np.abs(factor) ** 2)
     if sides.forces_move:
-        shown, fitted, outputs, inputs = shown.swapaxes(1, 2), fitted.swapaxes(1, 2), inputs, outputs
-        variance = None if variance is None else variance.swapaxes(1, 2)
-    if (ports := shown_ports(*shown.shape)) is not None:
+        parts, outputs, inputs = [part.swapaxes(1, 2) for part in parts], inputs, outputs
+    if (ports := shown_ports(*parts[0].shape)) is not None:
         rows, columns = ports
-        shown, fitted = shown[:, rows][:, :, columns], fitted[:, rows][:, :, columns]
-        variance = None if variance is None else variance[:, rows][:, :, columns]
+        parts = [part[:, rows][:, :, columns] for part in parts]
         outputs, inputs = tuple(outputs[row] for row in rows), tuple(inputs[column] for column in columns)
+    shown, fitted, *variance = parts
     return FittedCurve(
         frequency,
         shown,
         fitted,
-        variance=variance,
+        variance=variance[0] if variance else None,
         outputs=tuple(port.label for port in outputs),
         inputs=tuple(port.label for port in inputs),
         form=named,

@@ -79,12 +79,10 @@ class ResidualTerms:
         omega, power = self.lines.omega, self.lines.power
         square = omega**2
         middle, half = (square[-1] + square[0]) / 2, max((square[-1] - square[0]) / 2, np.finfo(float).tiny)
-        upper = np.polynomial.chebyshev.chebvander((square - middle) / half, max(self.upper - 1, 0))[
-            :, : self.upper
-        ]
+        upper = np.polynomial.chebyshev.chebvander((square - middle) / half, max(self.upper - 1, 0))
         lower = (square[0] / square)[:, None] ** np.arange(1, self.lower + 1)
-        columns = np.hstack([lower, upper]) * ((1j * omega / omega[-1]) ** power * self.lines.weight)[:, None]
-        return np.asarray(np.linalg.qr(columns)[0])
+        form = (1j * omega / omega[-1]) ** power * self.lines.weight
+        return np.asarray(np.linalg.qr(np.hstack([lower, upper[:, : self.upper]]) * form[:, None])[0])
 
     def without(self, values: ComplexArray) -> ComplexArray:
         """*values* (n_line, n) [any unit] less what the terms can make of them with complex factors."""
@@ -219,12 +217,8 @@ class _State:
     def at(
         cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool
     ) -> _State:
-        even = np.ones(lines.matrix.shape[1:])
-        return (
-            cls(lines, terms, _sums(lines, terms, poles), poles, participation, even, real)
-            .with_noise()
-            .with_noise()
-        )
+        even, sums = np.ones(lines.matrix.shape[1:]), _sums(lines, terms, poles)
+        return cls(lines, terms, sums, poles, participation, even, real).with_noise().with_noise()
 
     def with_noise(self) -> _State:
         """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that
@@ -232,11 +226,8 @@ class _State:
         """
         psi, _ = self._shapes()
         n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
-        return replace(
-            self,
-            variance=_rss(self.sums, self.participation, psi)
-            / max(self.lines.omega.size - n_per_element, 1.0),
-        )
+        dof = max(self.lines.omega.size - n_per_element, 1.0)
+        return replace(self, variance=_rss(self.sums, self.participation, psi) / dof)
 
     def after(self, step: FloatArray) -> _State | None:
         poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
@@ -301,10 +292,8 @@ class _State:
 def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexArray:
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
     pairs = terms.without(_functions(lines, refined.poles))[:, : 2 * refined.poles.size]
-    return np.asarray(
-        terms.remainder
-        - np.einsum("lf,oif->loi", pairs, _coefficients(refined.participation, refined.shapes))
-    )
+    coefficients = _coefficients(refined.participation, refined.shapes)
+    return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients))
 
 
 def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:

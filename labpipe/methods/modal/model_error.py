@@ -122,17 +122,14 @@ def modal_parameters(
         functions.insert(0, ("m", "kg", weigh))
     strongest = strongest_points(refined, driving)
     ordered = list(enumerate(_ascending(refined), start=1))
-    main = [
-        _value(refined, mode, None, f"{name}_{n}", unit, of, dof)
+    parameters = [
+        replace(_value(refined, mode, None, n, function, dof), derived=False)
         for n, mode in ordered
-        for name, unit, of in _of_pole(refined)
+        for function in _of_pole(refined)
     ]
-    rest = [
-        _value(refined, mode, strongest[n - 1] if strongest else None, f"{name}_{n}", unit, of, dof)
-        for n, mode in ordered
-        for name, unit, of in functions
-    ]
-    parameters = [replace(parameter, derived=False) for parameter in main] + rest
+    for n, mode in ordered:
+        place = strongest[n - 1] if strongest else None
+        parameters += [_value(refined, mode, place, n, function, dof) for function in functions]
     if not refined.converged:
         return tuple(replace(parameter, std_error=None, ci95=None) for parameter in parameters)
     if inflation is None:
@@ -166,16 +163,15 @@ def _value(
     refined: Refined,
     mode: int,
     driving: DrivingPoint | None,
-    name: str,
-    unit: str,
-    function: Function,
+    number: int,
+    named: tuple[str, str, Function],
     dof: int,
 ) -> Parameter:
+    name, unit, function = named
     values, covariance = _pole_and_residue(refined, mode, driving)
     gradient = _gradient(function, values)
-    return derive(
-        name, unit, function(values), float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0))), dof
-    )
+    variance = max(float(gradient @ covariance @ gradient), 0.0)
+    return derive(f"{name}_{number}", unit, function(values), float(np.sqrt(variance)), dof)
 
 
 def _at_driving_point(hysteretic: bool) -> Function:
@@ -213,23 +209,16 @@ def _pole_and_residue(
     if place is not None:
         free = [place, place + 1]
         covariance[4:, 4:] = refined.covariance[np.ix_(free, free)]
-        covariance[4:, :2], covariance[:2, 4:] = (
-            refined.covariance[np.ix_(free, at)],
-            refined.covariance[np.ix_(at, free)],
-        )
+        covariance[4:, :2] = refined.covariance[np.ix_(free, at)]
+        covariance[:2, 4:] = refined.covariance[np.ix_(at, free)]
         covariance[2:4, 4:], covariance[4:, 2:4] = of_shape[:, free], of_shape[:, free].T
     return values, covariance
 
 
 def _gradient(function: Function, x: FloatArray) -> FloatArray:
-    slopes = np.empty(x.size)
-    for number in range(x.size):
-        pair = x[2 * (number // 2) : 2 * (number // 2) + 2]
-        step = STEP * float(np.hypot(*pair))
-        change = np.zeros(x.size)
-        change[number] = step
-        slopes[number] = (function(x + change) - function(x - change)) / (2 * step)
-    return slopes
+    steps = STEP * np.repeat(np.hypot(x[0::2], x[1::2]), 2)
+    changes = np.diag(steps)
+    return np.array([function(x + change) - function(x - change) for change in changes]) / (2 * steps)
 
 
 def _ascending(refined: Refined) -> list[int]:
@@ -275,25 +264,22 @@ def model_errors(
     itself does. Equation (modal-filter).
     """
     refined = estimate.refined
-    order = np.argsort(np.abs(refined.poles))
     values = {parameter.name: parameter.value for parameter in parameters}
+    every = misfit or moving or bool(moved)
+    width = measured.omega[-1] - measured.omega[0]
     errors_by_mode: dict[int, ModelError] = {}
-    for number, mode in enumerate(order, start=1):
-        if not (misfit or moving or moved) and not bool(
-            measured.omega[-1] - measured.omega[0] < 2 * REACH * -2 * refined.poles[mode].real
-        ):
+    for number, mode in enumerate(_ascending(refined), start=1):
+        if not every and width >= 2 * REACH * -2 * refined.poles[mode].real:
             continue
         try:
             scatter = _scatter(measured, estimate, _near(measured, complex(refined.poles[mode])))
-            band, base, mixed = _judge(measured, wide, estimate, int(mode), scatter)
+            band, base, mixed = _judge(measured, wide, estimate, mode, scatter)
         except (FitError, np.linalg.LinAlgError):
             continue
         if mixed.sound < 0.5 or scatter is not None:
-            mixed = settle(mixed, _elsewhere(wide, estimate, int(mode), band, scatter))
+            mixed = settle(mixed, _elsewhere(wide, estimate, mode, band, scatter))
         rows = _rows(base, number, values)
-        if not (misfit or moving or moved) and (
-            mixed.sound > SOUND_SHARE if scatter is None else _survives(mixed)
-        ):
+        if not every and (mixed.sound > SOUND_SHARE if scatter is None else _survives(mixed)):
             continue
         seen, shifted, of_points = band.points()
         for mode_moved in moved:
@@ -337,12 +323,11 @@ def _elsewhere(
     pole, rows = estimate.refined.poles[mode], []
     low, high = float(near.frequency[0]), float(near.frequency[-1])
     f_r, width = abs(pole) / (2 * np.pi), -2 * pole.real / (2 * np.pi)
-    tried: list[tuple[float, int]] = [(factor, TERMS) for factor in OTHER_BANDS]
-    for factor, terms in [*tried, *((1.0, terms) for terms in OTHER_TERMS)]:
+    bands = [(factor, TERMS) for factor in OTHER_BANDS]
+    for factor, terms in [*bands, *((1.0, terms) for terms in OTHER_TERMS)]:
         half = factor * (high - low) / 2
         edges = ((low + high) / 2 - half, (low + high) / 2 + half)
-        far = 2 * half < LEAST_WIDTHS * width or min(f_r - edges[0], edges[1] - f_r) < INSIDE * width
-        if far:
+        if 2 * half < LEAST_WIDTHS * width or min(f_r - edges[0], edges[1] - f_r) < INSIDE * width:
             continue
         try:
             band = near if factor == 1.0 else _Band.of(wide, estimate, mode, scatter, edges)
@@ -365,7 +350,7 @@ def with_model_errors(
     width as one where the noise is that of the residual. An unstable one has no interval. Intervals of poles
     hold those of the modes that may stand *instead* of them.
     """
-    poles = estimate.refined.poles[np.argsort(np.abs(estimate.refined.poles))]
+    poles = estimate.refined.poles[_ascending(estimate.refined)]
     stated: list[Parameter] = []
     for parameter in parameters:
         number = int(parameter.name.rpartition("_")[2])
@@ -416,26 +401,15 @@ class _Band:
         near = _near(measured, pole)
         if edges is not None:
             near = (frequency >= edges[0]) & (frequency <= edges[1])
-        residues = (refined.shapes[:, None, :] * refined.participation.T[None]).reshape(
-            -1, refined.poles.size
-        )
+        residues = refined.shapes[:, None, :] * refined.participation.T
+        flat = residues.reshape(-1, refined.poles.size)
         (a, b), _ = pole_functions((1j * measured.omega[near]), refined.poles, refined.hysteretic)
         a[:, mode] = b[:, mode] = 0.0
-        data = measured.matrix[near].reshape(-1, residues.shape[0]) - np.asarray(
-            a @ residues.T + b @ residues.T.conj()
-        )
-        neighbours = np.flatnonzero(
-            (np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode)
-        )
-        columns = residues[:, np.concatenate([[mode], neighbours])]
-        std = _noise(measured, scatter)[near]
-        return cls(
-            pole,
-            frequency[near],
-            data.reshape(-1, *shape),
-            std.reshape(-1, *shape),
-            columns.reshape(*shape, -1),
-        )
+        others = (a @ flat.T + b @ flat.T.conj()).reshape(-1, *shape)
+        std = _noise(measured, scatter)[near].reshape(-1, *shape)
+        is_near = (np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode)
+        columns = residues[:, :, [mode, *np.flatnonzero(is_near)]]
+        return cls(pole, frequency[near], measured.matrix[near] - others, std, columns)
 
     def curve(self, outputs: slice) -> Curve:
         data, std = (part[:, outputs].reshape(self.frequency.size, -1) for part in (self.data, self.std))
@@ -545,9 +519,8 @@ def narrow_modes(refined: Refined, lines: Lines) -> dict[int, float]:
     """Half-power width -2 Re lambda over the distance of the lines [1] of modes hardly wider than one, by
     number in ascending frequency.
     """
-    width = -2 * refined.poles.real / float(np.mean(np.diff(lines.omega)))
-    by_number = {number: float(width[mode]) for number, mode in enumerate(_ascending(refined), 1)}
-    return {number: of for number, of in by_number.items() if of < LEAST_LINES}
+    widths = (-2 * refined.poles.real / float(np.mean(np.diff(lines.omega))))[_ascending(refined)]
+    return {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
 
 
 def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:

@@ -276,9 +276,8 @@ def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tupl
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
     point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
     solved = [_solve(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
-    return MovedMode(np.array(point_poles)[:, 0], np.array([amounts[0] for amounts, _ in solved])), np.array(
-        [_squares(left) for _, left in solved]
-    )
+    mode = MovedMode(np.array(point_poles)[:, 0], np.array([amounts[0] for amounts, _ in solved]))
+    return mode, np.array([_squares(left) for _, left in solved])
 
 
 def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> MovedMode | None:

@@ -75,10 +75,8 @@ class NormalEquations:
             values = np.asarray(np.log(roots) * (1 if stable_noise else -1) / self.period, np.complex128)
         keep = (values.real < 0) & (values.imag > 0)
         participation = _null_vectors(coefficients, roots[keep]) / self.scale
-        lengths = np.linalg.norm(participation, axis=1, keepdims=True)
-        return Poles(
-            values[keep] + 1j * self.origin, participation / lengths, np.full(int(np.sum(keep)), order)
-        )
+        participation /= np.linalg.norm(participation, axis=1, keepdims=True)
+        return Poles(values[keep] + 1j * self.origin, participation, np.full(len(participation), order))
 
 
 def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> NormalEquations:
@@ -230,10 +228,8 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
     of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
     poles = next((poles for poles in of_orders if poles.values.size), None)
     if poles is None:
-        raise FitError(
-            f"no order up to {order} has a pole: no mode stands out of the noise of this band",
-            hint="choose another band",
-        )
+        what = f"no order up to {order} has a pole: no mode stands out of the noise of this band"
+        raise FitError(what, hint="choose another band")
     distance = np.abs(np.abs(poles.values) - frequencies[:, None])
     index = np.argmin(distance, axis=1)
     apart = frequencies.size <= poles.values.size and np.all(np.diff(np.log(np.sort(frequencies))) > APART)
@@ -284,11 +280,9 @@ def _groups(poles: Poles, counted: list[int]) -> IntArray:
         centre = int(best[np.argmin(np.abs(poles.values[best] - middle))])
         group[near[centre] & (group < 0)] = len(centres)
         centres.append(centre)
-    order = np.argsort(np.abs(poles.values[centres])) if centres else np.empty(0, np.intp)
-    rank = np.empty(len(centres), np.intp)
-    rank[order] = np.arange(len(centres))
-    named = np.where(group >= 0, rank[group] if centres else -1, -1)
-    return named.astype(np.intp)
+    # Numbers of the modes in ascending frequency, and -1 for poles of none, which is the last place.
+    rank = np.append(np.argsort(np.argsort(np.abs(poles.values[centres]))), -1)
+    return np.asarray(rank[group], np.intp)
 
 
 def _least_biased(
@@ -298,35 +292,26 @@ def _least_biased(
     median.
     """
     n_mode = int(group.max(initial=-1)) + 1
-    centre = np.array([_median(poles.values[group == mode]) for mode in range(n_mode)], np.complex128)
-    participation = np.array(
-        [_middle(poles.participation[group == mode], poles.values[group == mode]) for mode in range(n_mode)],
-        np.complex128,
-    ).reshape(n_mode, equations.n_input)
-    if not n_mode:
-        return Poles(centre, participation, np.empty(0, np.intp))
+    centre = np.empty(n_mode, np.complex128)
+    participation = np.empty((n_mode, equations.n_input), np.complex128)
+    for mode in range(n_mode):
+        of_mode = poles.values[group == mode]
+        centre[mode] = _median(of_mode)
+        nearest = np.argmin(np.abs(of_mode - centre[mode]))
+        participation[mode] = poles.participation[group == mode][nearest]
     near_poles: list[list[complex]] = [[] for _ in range(n_mode)]
-    for order in orders:
+    for order in orders if n_mode else ():
         refined = _inside(equations.poles(order, stable_noise=True), (0.9 * band[0], 1.1 * band[1]))
-        alike = _near(refined, centre, participation)
-        for mode in range(n_mode):
-            index = np.flatnonzero(alike[mode])
-            if index.size:
-                near_poles[mode].append(
-                    refined.values[index[np.argmin(np.abs(refined.values[index] - centre[mode]))]]
-                )
-    values = np.array(
-        [_median(np.array(near_poles[mode])) if near_poles[mode] else centre[mode] for mode in range(n_mode)]
-    )
-    return Poles(values, participation, np.full(n_mode, max(orders)))
+        for mode, alike in enumerate(_near(refined, centre, participation)):
+            near = refined.values[alike]
+            if near.size:
+                near_poles[mode].append(near[np.argmin(np.abs(near - centre[mode]))])
+    medians = [_median(np.array(near)) if near else centre[mode] for mode, near in enumerate(near_poles)]
+    return Poles(np.array(medians, np.complex128), participation, np.full(n_mode, max(orders)))
 
 
 def _median(values: ComplexArray) -> complex:
     return complex(np.median(values.real), np.median(values.imag))
-
-
-def _middle(participation: ComplexArray, values: ComplexArray) -> ComplexArray:
-    return np.asarray(participation[np.argmin(np.abs(values - _median(values)))])
 
 
 LAGS = 8
@@ -370,10 +355,8 @@ def _even(flat: ComplexArray) -> ComplexArray:
     """Residuals (n_line, n) relative to the root mean square of the AROUND lines about each."""
     kernel = np.ones(min(AROUND, flat.shape[0]))
     counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
-    around = (
-        np.stack([np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T], axis=1)
-        / counts[:, None]
-    )
+    sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
+    around = np.stack(sums, axis=1) / counts[:, None]
     return np.asarray(flat / np.sqrt(np.maximum(around, np.finfo(float).tiny)))
 
 
@@ -394,9 +377,11 @@ def refine_with_terms(
     terms = ResidualTerms(lines, 1, 1)
     best = refine(lines, terms, poles, participation, TRIAL_STEPS)
     while True:
+        sizes = ((terms.lower + 1, terms.upper), (terms.lower, terms.upper + 1))
         trials = [
             (refine(lines, more, best.poles, best.participation, TRIAL_STEPS), more)
-            for more in _larger(terms)
+            for more in (ResidualTerms(lines, lower, upper) for lower, upper in sizes)
+            if more.lower <= MOST_LOWER and more.upper <= MOST_UPPER
             if more.count + 2 * poles.size < lines.omega.size
         ]
         if not trials:
@@ -417,15 +402,6 @@ def criterion(lines: Lines, refined: Refined, terms: ResidualTerms) -> float:
     _, n_output, n_input = lines.matrix.shape
     n_complex = lines.n_element * terms.count + refined.poles.size * (n_output + n_input)
     return refined.information + 4 * n_complex
-
-
-def _larger(terms: ResidualTerms) -> list[ResidualTerms]:
-    sizes = [(terms.lower + 1, terms.upper), (terms.lower, terms.upper + 1)]
-    return [
-        ResidualTerms(terms.lines, lower, upper)
-        for lower, upper in sizes
-        if lower <= MOST_LOWER and upper <= MOST_UPPER
-    ]
 
 
 MOST_ADDED = 4
@@ -463,7 +439,7 @@ def kept_modes(
     FitError where none stays.
     """
     frequency = np.abs(refined.poles)
-    inside, narrow, seen = _in_band(lines, refined), _narrow(lines, refined), _seen(lines, refined)
+    inside, narrow, seen = _standing(lines, refined)
     keep = inside & narrow & seen
     if np.all(keep):
         return refined, terms, ()
@@ -474,33 +450,25 @@ def kept_modes(
         (inside & narrow & ~seen, "does not stand out of the noise"),
     ):
         if np.any(chosen):
-            notes.append(
-                "modal: the pole at "
-                f"{', '.join(f'{value / (2 * np.pi):.4g}' for value in frequency[chosen])} Hz {why}."
-            )
+            places = ", ".join(f"{value / (2 * np.pi):.4g}" for value in frequency[chosen])
+            notes.append(f"modal: the pole at {places} Hz {why}.")
     if not np.any(keep):
-        raise FitError(
-            f"no mode stays in the refinement: {' '.join(notes)}",
-            hint="widen the band to where the response peaks",
-        )
+        what = f"no mode stays in the refinement: {' '.join(notes)}"
+        raise FitError(what, hint="widen the band to where the response peaks")
     again, more = refine_with_terms(lines, refined.poles[keep], refined.participation[keep])
     again, more, further = kept_modes(lines, again, more)
     return again, more, (*notes, *further)
 
 
-def _in_band(lines: Lines, refined: Refined) -> BoolArray:
-    frequency = np.abs(refined.poles)
-    return (frequency >= lines.omega[0]) & (frequency <= lines.omega[-1])
-
-
-def _narrow(lines: Lines, refined: Refined) -> BoolArray:
-    """The modes narrower than the band, (n_mode,): half-power width -2 Re lambda."""
-    return -2 * refined.poles.real < BROADEST * (lines.omega[-1] - lines.omega[0])
-
-
-def _seen(lines: Lines, refined: Refined) -> BoolArray:
-    spacing = float(np.mean(np.diff(lines.omega)))
-    return (shape_p(refined) < SEEN_P) & (-refined.poles.real > SHARPEST * spacing)
+def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """The modes inside the band, those narrower than it by their half-power width -2 Re lambda, and those
+    that stand out of the noise, (n_mode,) each.
+    """
+    frequency, decay = np.abs(refined.poles), -refined.poles.real
+    low, high, spacing = lines.omega[0], lines.omega[-1], float(np.mean(np.diff(lines.omega)))
+    inside = (frequency >= low) & (frequency <= high)
+    seen = (shape_p(refined) < SEEN_P) & (decay > SHARPEST * spacing)
+    return inside, 2 * decay < BROADEST * (high - low), seen
 
 
 def shape_p(refined: Refined) -> FloatArray:
@@ -562,11 +530,7 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     participation = np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
-    sound = (
-        again.converged
-        and _distinct(again)
-        and np.all(_in_band(lines, again) & _narrow(lines, again) & _seen(lines, again))
-    )
+    sound = again.converged and _distinct(again) and np.all(_standing(lines, again))
     if not sound or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
         return None
     return Completed(again, terms, whiteness(remaining(lines, terms, again), noise), done.added + 1)
@@ -577,7 +541,5 @@ def _distinct(refined: Refined) -> bool:
     to lambda.
     """
     apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
-    is_same = (apart < DISTINCT) & (
-        modal_assurance(refined.participation, refined.participation) > ALIKE_MODES
-    )
-    return bool(np.count_nonzero(is_same) == refined.poles.size)
+    alike = modal_assurance(refined.participation, refined.participation) > ALIKE_MODES
+    return np.count_nonzero((apart < DISTINCT) & alike) == refined.poles.size

@@ -31,6 +31,10 @@ from labpipe.report.wording import fit_title
 # Largest number of points whose names stand below the panels of the shapes.
 MOST_NAMES = 12
 COLUMNS = 3
+HEADER = (
+    "mode", "f [Hz]", "zeta [%]", "largest at", "strongest reference", "phase collinearity", "returns [%]",
+    "m, k, c at",
+)  # fmt: skip
 # Modes whose likeness a sentence says.
 FEW_MODES = 3
 # Limits of 95 % of a standard normal value.
@@ -62,24 +66,13 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
         )
         for n in range(modes.frequency.size)
     )
-    header = (
-        "mode",
-        "f [Hz]",
-        "zeta [%]",
-        "largest at",
-        "strongest reference",
-        "phase collinearity",
-        "returns [%]",
-        "m, k, c at",
-    )
-    return Table(header, rows, f"Modes of {fit_title(fit)}", (1, 2, 5, 6))
+    return Table(HEADER, rows, f"Modes of {fit_title(fit)}", (1, 2, 5, 6))
 
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
-    names = [f"singular value {n + 1}" for n in range(diagram.indicator.shape[1])]
     indicators = [
-        curve(name, diagram.indicator_frequency, diagram.indicator[:, n], *look(n))
-        for n, name in enumerate(names)
+        curve(f"singular value {n + 1}", diagram.indicator_frequency, values, *look(n))
+        for n, values in enumerate(diagram.indicator.T)
     ]
     chosen = diagram.mode >= 0
     poles: list[Series] = [upright(float(frequency), line=":") for frequency in modes.frequency]
@@ -129,15 +122,8 @@ def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
     turned = turned * np.sign(turned[np.argmax(np.abs(turned))])
     spread = TWO_SIGMA * modes.shape_std_errors[:, n] / np.sqrt(2)
     places = np.arange(turned.size, dtype=float)
-    line = curve(
-        "shape",
-        places,
-        turned,
-        0,
-        "-" if not few else "",
-        marker="o" if few else "",
-        bars=(turned - spread, turned + spread),
-    )
+    ends = turned - spread, turned + spread
+    line = curve("shape", places, turned, 0, "" if few else "-", marker="o" if few else "", bars=ends)
     return Panel(axis, Axis("shape"), (level(0.0), line), f"{n + 1}: {modes.frequency[n]:.4g} Hz")
 
 

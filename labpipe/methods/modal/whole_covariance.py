@@ -106,12 +106,8 @@ class ModalReceptance:
         poles, free, shapes, factors = np.split(values, ends)
         participation = np.ones((self.n_mode, self.n_input), np.complex128)
         participation[self._free] = free
-        return (
-            poles,
-            participation,
-            shapes.reshape(self.n_output, -1),
-            factors.reshape(self.n_output, self.n_input, -1),
-        )
+        of_terms = factors.reshape(self.n_output, self.n_input, -1)
+        return poles, participation, shapes.reshape(self.n_output, -1), of_terms
 
     def joined(self, refined: Refined, measured: Measured) -> FloatArray:
         """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the
@@ -120,9 +116,8 @@ class ModalReceptance:
         poles = self._of_modes(refined.poles, refined.participation, refined.shapes, measured.omega)
         rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
         factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
-        values = np.concatenate(
-            [refined.poles, refined.participation[self._free], refined.shapes.ravel(), factors.ravel()]
-        )
+        free = refined.participation[self._free]
+        values = np.concatenate([refined.poles, free, refined.shapes.ravel(), factors.ravel()])
         return np.asarray(np.stack([values.real, values.imag], axis=-1).ravel()[self.free])
 
     @cached_property
@@ -142,9 +137,8 @@ class ModalReceptance:
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H (n_line, n_output, n_input) [m/N]."""
         poles, participation, shapes, factors = self.split(parameters)
-        return self._of_modes(poles, participation, shapes, omega) + np.einsum(
-            "lt,oit->loi", self.basis, factors
-        )
+        of_terms = np.einsum("lt,oit->loi", self.basis, factors)
+        return self._of_modes(poles, participation, shapes, omega) + of_terms
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
@@ -201,13 +195,8 @@ def whole_covariance_fit(
     _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
     reduced = problem.chi2(minimum.values) / dof / uncertainty.excess
     again = _refine(model, minimum, uncertainty.inflation * inverse, refined)
-    return ModalEstimate(
-        again,
-        model.receptance(minimum.values, measured.omega),
-        dof,
-        reduced,
-        uncertainty.p_value(reduced, dof),
-    )
+    fitted = model.receptance(minimum.values, measured.omega)
+    return ModalEstimate(again, fitted, dof, reduced, uncertainty.p_value(reduced, dof))
 
 
 def regular(measured: Measured) -> Measured:

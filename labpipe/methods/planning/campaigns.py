@@ -208,17 +208,15 @@ class _Problem:
         slope = np.sum((1j * amplitudes * spectrum.conj()[:, None]).real, axis=2) / largest / total
         differences = np.zeros((self.n_group, self.n_source - 1))
         np.add.at(differences, self.group, slope[:, 1:])
-        return float(np.log(largest) + np.log(total) / (2 * p)), np.concatenate(
-            [slope.sum(axis=1), differences.reshape(-1)]
-        )
+        slopes = np.concatenate([slope.sum(axis=1), differences.reshape(-1)])
+        return float(np.log(largest) + np.log(total) / (2 * p)), slopes
 
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
         options = {"maxiter": steps, "ftol": SETTLED}
-        return np.asarray(
-            scipy.optimize.minimize(
-                self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options
-            ).x
+        solved = scipy.optimize.minimize(
+            self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options
         )
+        return np.asarray(solved.x)
 
 
 # Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the
@@ -245,9 +243,8 @@ class Limits:
     def __post_init__(self) -> None:
         require_positive(self, "force", "displacement", "crest_factor")
         if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
-            raise SettingError(
-                "crest_factor", "no periodic signal has a crest factor below that of a sine, 1.41"
-            )
+            what = "no periodic signal has a crest factor below that of a sine, 1.41"
+            raise SettingError("crest_factor", what)
 
 
 @dataclass(frozen=True)
@@ -311,10 +308,9 @@ class Rig:
 
     def rate(self, test: Multisines) -> FloatArray:
         """Information per second, (n_coefficient, n_coefficient) [1/s], of relative coefficients."""
-        forces = test.forces @ self.directions
-        return np.asarray(
-            vector_information(sensitivities(self.model, self.noise, self.omega(test)), forces).sum(axis=0)
-        )
+        sensitivity = sensitivities(self.model, self.noise, self.omega(test))
+        information = vector_information(sensitivity, test.forces @ self.directions)
+        return np.asarray(information.sum(axis=0))
 
 
 def running_shakers(test: Multisines) -> BoolArray:
@@ -439,9 +435,8 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
         whitened = residual_whitener(rig.model, rig.noise, omega) @ forced
         sensitivity = sensitivities(rig.model, rig.noise, omega)
         responses = np.einsum("lnij,lj->lni", sensitivity, test.forces @ rig.directions)
-        shifts.append(
-            -time * np.linalg.solve(total, np.einsum("lni,lis->ns", responses.conj(), whitened).real)
-        )
+        change = np.einsum("lni,lis->ns", responses.conj(), whitened).real
+        shifts.append(-time * np.linalg.solve(total, change))
     return Settling(np.array(shifts), np.array(begins), expm(free / rig.spacing))
 
 
@@ -475,16 +470,14 @@ class Campaign:
 
         Equation (plan-earlier).
         """
-        return relative_errors(
-            self.rate * duration if self.known is None else self.rate * duration + self.known.information
-        )
+        known = 0.0 if self.known is None else self.known.information
+        return relative_errors(self.rate * duration + known)
 
 
 def with_shares(rig: Rig, tests: Sequence[Multisines], shares: FloatArray) -> Campaign:
     """The tests with *shares* (n_test,) [1] of the time."""
-    return Campaign(
-        tuple(tests), shares, np.tensordot(shares, np.stack([rig.rate(test) for test in tests]), 1), rig.known
-    )
+    rates = np.stack([rig.rate(test) for test in tests])
+    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.known)
 
 
 def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
@@ -499,9 +492,8 @@ def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: Float
         return equal_times(rig, tests)
     wanted = np.isfinite(goals)
     weight = 1 / np.where(wanted, goals, 1.0)
-    design = optimum(
-        criterion, (rates + rig.known_rate) / np.outer(weight, weight), np.eye(wanted.size)[wanted]
-    )
+    relative = (rates + rig.known_rate) / np.outer(weight, weight)
+    design = optimum(criterion, relative, np.eye(wanted.size)[wanted])
     shares = np.maximum(design.shares, 0.02)
     shares = shares / shares.sum()
     return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.known)

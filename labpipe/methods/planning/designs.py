@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -164,10 +165,8 @@ def _check_regular(information: FloatArray) -> None:
     total = information.mean(axis=0)
     root = np.sqrt(np.diagonal(total))
     if np.any(root == 0) or np.linalg.cond(total / np.outer(root, root)) > 1e13:
-        raise FitError(
-            "no excitation of these lines and directions determines all coefficients",
-            hint="more lines or directions of force",
-        )
+        what = "no excitation of these lines and directions determines all coefficients"
+        raise FitError(what, hint="more lines or directions of force")
 
 
 def _sum(shares: FloatArray, information: FloatArray) -> FloatArray:
@@ -216,24 +215,15 @@ def _least_smooth(
         if criterion == D:
             return -float(np.linalg.slogdet(design)[1]), -_scores(inverse, information)
         weights = weights_of(inverse, np.ones(len(wanted)), wanted)
-        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -_scores(
-            weights, information
-        ) / scale
+        total = float(np.einsum("wi,ij,wj->", wanted, inverse, wanted))
+        return total / scale, -_scores(weights, information) / scale
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}
-    solved = scipy.optimize.minimize(
-        value,
-        begin,
-        jac=True,
-        method="SLSQP",
-        bounds=[(0, 1)] * begin.size,
-        constraints=[sums],
-        options=_OPTIONS,
-    )
-    return np.asarray(solved.x)
+    bounds = [(0, 1)] * begin.size
+    return np.asarray(scipy.optimize.minimize(value, begin, bounds=bounds, constraints=[sums], **_BY_SQP).x)
 
 
-_OPTIONS = {"maxiter": 200, "ftol": 1e-12}
+_BY_SQP: dict[str, Any] = {"jac": True, "method": "SLSQP", "options": {"maxiter": 200, "ftol": 1e-12}}
 
 
 def _least_largest(
@@ -264,12 +254,6 @@ def _least_largest(
     bounds = [(0, 1)] * begin.size + [(None, None)]
     begun = np.append(begin, 0.0)
     solved = scipy.optimize.minimize(
-        lambda unknowns: (unknowns[-1], unit),
-        begun,
-        jac=True,
-        method="SLSQP",
-        bounds=bounds,
-        constraints=[below, sums],
-        options=_OPTIONS,
+        lambda unknowns: (unknowns[-1], unit), begun, bounds=bounds, constraints=[below, sums], **_BY_SQP
     )
     return np.asarray(solved.x[:-1])

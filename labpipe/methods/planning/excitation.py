@@ -183,9 +183,8 @@ def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
 
 def _fit(evaluation: Evaluation) -> dict[str, Any]:
     settings = evaluation.settings
-    number = dict(settings.uncertainties).get("mass") or (
-        None if settings.mass is None else Uncertain(settings.mass)
-    )
+    known = None if settings.mass is None else Uncertain(settings.mass)
+    number = dict(settings.uncertainties).get("mass") or known
     if not evaluation.side_by_side:
         return {"model": settings.model, "mass": "estimate" if number is None else uncertain_text(number)}
     entries = {"form": "kcm" if evaluation.with_masses else "kc"}
@@ -320,9 +319,7 @@ def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
     kept = [number for number, p in enumerate(estimated) if _is_coefficient(p) and p.name not in typed]
     names = tuple(estimated[number].name for number in kept)
     by_noise = {} if fit.budget is None else dict(zip(fit.budget.names, fit.budget.random, strict=True))
-    errors = np.array(
-        [by_noise.get(p.name, np.nan if p.full_error is None else p.full_error) for p in estimated], float
-    )
+    errors = np.array([by_noise.get(p.name, p.full_error) for p in estimated], float)
     # A form with constraints reports more coefficients than it estimates.
     of_all = np.shape(fit.correlation) == (len(estimated),) * 2
     correlation = np.asarray(fit.correlation) if of_all else np.eye(len(estimated))
@@ -330,9 +327,8 @@ def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
     if fit.budget is None:
         return Earlier(names, noise)
     columns = [fit.budget.names.index(name) for name in names]
-    return Earlier(
-        names, noise, tuple(source.source for source in fit.budget.sources), fit.budget.changes[:, columns]
-    )
+    sources = tuple(source.source for source in fit.budget.sources)
+    return Earlier(names, noise, sources, fit.budget.changes[:, columns])
 
 
 def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
@@ -344,22 +340,17 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
     else:
         bearing = open_bearing(folder / theory.bearing)
         for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
-            if value is not None and name not in settings_of(bearing.kind.settings):
-                raise SettingError(
-                    "theory",
-                    f"a file of a {bearing.kind_name} has no '{name}'",
-                    "state it in the bearing file",
-                )
-            if value is not None:
-                set_entry(bearing.tree, f"{name}={value!r} {unit}")
+            if value is None:
+                continue
+            if name not in settings_of(bearing.kind.settings):
+                what = f"a file of a {bearing.kind_name} has no '{name}'"
+                raise SettingError("theory", what, "state it in the bearing file")
+            set_entry(bearing.tree, f"{name}={value!r} {unit}")
         (whole,) = bearing.coefficients([bearing.settings()])
         coefficients = whole.lateral(*bearing.kind.lateral)
     if not np.any(coefficients.damping):
-        raise SettingError(
-            "theory",
-            "this theory has no damping",
-            "a journal or a magnetic bearing has; or state all under `expected`",
-        )
+        hint = "a journal or a magnetic bearing has; or state all under `expected`"
+        raise SettingError("theory", "this theory has no damping", hint)
     matrices = {"k": coefficients.stiffness, "c": coefficients.damping}
     return {
         f"{letter}_{AXES[i]}{AXES[j]}": float(matrix[i, j])

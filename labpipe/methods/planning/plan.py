@@ -148,11 +148,9 @@ def make_plan(
     budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
     plan = _plan(question, design, timed, periods, skip)
     if settings.skip is None and skip > 1:
-        said = (
-            f"Every test begins with {skip} periods, {skip * settings.period:.4g} s, that are skipped: "
-            "motion takes so long to die away."
-        )
-        plan = replace(plan, notes=(*plan.notes, said))
+        skipped = f"{skip} periods, {skip * settings.period:.4g} s, that are skipped"
+        waiting = f"Every test begins with {skipped}: motion takes so long to die away."
+        plan = replace(plan, notes=(*plan.notes, waiting))
     if budget is not None:
         plan = _with_budget(plan, question, timed, budget, expected.earlier)
     if expected.earlier is not None:
@@ -194,9 +192,8 @@ def _scheme(settings: PlanSettings) -> str:
     if len(forces) != 1 or len(settings.shakers) == 1 or len(settings.kind.axes) == 1:
         return settings.scheme
     if settings.scheme not in (BEST, ONE_BY_ONE):
-        raise SettingError(
-            "scheme", "the rig has one force", f"scheme: {ONE_BY_ONE}, or a force for every shaker"
-        )
+        hint = f"scheme: {ONE_BY_ONE}, or a force for every shaker"
+        raise SettingError("scheme", "the rig has one force", hint)
     return ONE_BY_ONE
 
 
@@ -235,10 +232,8 @@ def _over_draws(
         return replace(plan, notes=(*plan.notes, NO_ERRORS))
     if not np.any(covariance):
         return plan
-    limits = wanted.goals / plan.factor
-    drawn = spread(
-        rig, timed, question.flats[LEAST_CREST], covariance, limits, wanted.criterion, plan.duration
-    )
+    limits, least = wanted.goals / plan.factor, question.flats[LEAST_CREST]
+    drawn = spread(rig, timed, least, covariance, limits, wanted.criterion, plan.duration)
     ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in drawn.errors.T]
     pairs = zip(plan.coefficients, ranges, strict=True)
     errors = np.array([c.error for c in plan.coefficients])
@@ -256,9 +251,8 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     low, high = settings.band
     if (high - low) * settings.period > MOST_LINES or settings.sample_rate * settings.period > MOST_SAMPLES:
         what = f"a period of {settings.period:g} s has {(high - low) * settings.period:.3g} lines in the band"
-        raise SettingError(
-            "period", what, f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period"
-        )
+        hint = f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period"
+        raise SettingError("period", what, hint)
     lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
     frequency = lines / settings.period
     kept = np.ones(lines.size, bool)
@@ -270,11 +264,8 @@ def planned_lines(settings: PlanSettings) -> IntArray:
         nearest = np.maximum(np.round(frequency / settings.mains), 1) * settings.mains
         kept &= np.abs(frequency - nearest) > MAINS_WIDTH
     if np.count_nonzero(kept) < 2:
-        raise SettingError(
-            "band",
-            f"{np.count_nonzero(kept)} lines are left in the band",
-            "widen `band` or lengthen `period`",
-        )
+        what = f"{np.count_nonzero(kept)} lines are left in the band"
+        raise SettingError("band", what, "widen `band` or lengthen `period`")
     return np.asarray(lines[kept])
 
 
@@ -292,21 +283,18 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
     """
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
-        raise SettingError(
-            "shakers", f"{len(names)} shakers for {model.n_dof} directions", "one or two, x and y"
-        )
+        what = f"{len(names)} shakers for {model.n_dof} directions"
+        raise SettingError("shakers", what, "one or two, x and y")
     directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
         raise SettingError("shakers", "both shakers push in one direction", "x and y")
-    if settings.noise_density is not None:
-        density = settings.noise_density
+    density = settings.noise_density
+    if density is not None:
         noise = Noise(density.force, density.displacement, density.acceleration)
     else:
         assert settings.noise is not None
-        sampled = settings.noise
-        noise = Noise.of_samples(
-            sampled.force, sampled.displacement, sampled.acceleration, settings.sample_rate
-        )
+        sampled, rate = settings.noise, settings.sample_rate
+        noise = Noise.of_samples(sampled.force, sampled.displacement, sampled.acceleration, rate)
     limits = Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
     return Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 
@@ -317,31 +305,26 @@ def _direction(name: str) -> tuple[float, float]:
         try:
             angle = parse_value(name, "rad")
         except UnitError:
-            raise SettingError(
-                "shakers", f"'{name}' is no direction", "x, y, or an angle from x such as 45 deg"
-            ) from None
+            hint = "x, y, or an angle from x such as 45 deg"
+            raise SettingError("shakers", f"'{name}' is no direction", hint) from None
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 
 def _check_identifiable(rig: Rig, lines: IntArray) -> None:
-    identified = identifiability(
-        rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions)
-    )
+    excitation = Excitation.of_directions(rig.spacing * lines, rig.directions)
+    identified = identifiability(rig.model, rig.noise, excitation)
     if not identified.full:
-        raise SettingError(
-            "shakers", f"with forces along {', '.join(rig.shakers)} {identified.words}", identified.remedy
-        )
+        what = f"with forces along {', '.join(rig.shakers)} {identified.words}"
+        raise SettingError("shakers", what, identified.remedy)
 
 
-def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
+def _periods(settings: PlanSettings, design: Campaign) -> tuple[int, ...]:
     whole = settings.duration / settings.period
-    periods = tuple(int(share * whole + 0.5) for share in found.shares)
+    periods = tuple(int(share * whole + 0.5) for share in design.shares)
     if min(periods) < FEWEST_PERIODS:
-        needed = ceil(FEWEST_PERIODS / float(found.shares.min())) * settings.period
-        what = (
-            f"{settings.duration:g} s leave {min(periods)} periods for a test, the noise is known from "
-            f"{FEWEST_PERIODS} or more"
-        )
+        needed = ceil(FEWEST_PERIODS / float(design.shares.min())) * settings.period
+        left = f"{settings.duration:g} s leave {min(periods)} periods for a test"
+        what = f"{left}, the noise is known from {FEWEST_PERIODS} or more"
         raise SettingError("duration", what, f"a duration of {needed:g} s, or a shorter period")
     return periods
 
@@ -379,42 +362,40 @@ def settling_notes(rig: Rig, timed: Campaign, periods: tuple[int, ...], skip: in
 
 
 def _plan(
-    question: _Question, found: Candidate, timed: Campaign, periods: tuple[int, ...], skip: int
+    question: _Question, design: Candidate, timed: Campaign, periods: tuple[int, ...], skip: int
 ) -> Plan:
     settings, rig, wanted = question.settings, question.rig, question.wanted
     duration = sum(periods) * settings.period
-    of_spectra = rig.model.stator_mass > 0 or any(
-        np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests
-    )
-    factor = weighting_factor(min(periods), of_spectra)
-    planned_score = score(timed.information, wanted.criterion, wanted.goals)
-    gains = tuple(
-        (phases, score(flat.information, wanted.criterion, wanted.goals) / planned_score)
-        for phases, flat in question.flats.items()
-    )
-    certificate = found.certificate or reference(rig, question.lines, wanted).certificate
+    at_once = any(np.count_nonzero(running_shakers(test)) > 1 for test in design.campaign.tests)
+    factor = weighting_factor(min(periods), rig.model.stator_mass > 0 or at_once)
+    planned = _poor(timed, wanted)
+    gains = tuple((phases, _poor(flat, wanted) / planned) for phases, flat in question.flats.items())
+    certificate = design.certificate or reference(rig, question.lines, wanted).certificate
     return Plan(
         title=question.title,
         model=rig.model.kind,
         criterion=wanted.criterion,
-        scheme=found.scheme,
-        design=found.criterion,
-        floor=found.floor,
+        scheme=design.scheme,
+        design=design.criterion,
+        floor=design.floor,
         period=settings.period,
         sample_rate=settings.sample_rate,
         duration=duration,
         efficiency=certificate.efficiency,
         factor=factor,
         coefficients=tuple(_coefficients(question, timed, factor, duration)),
-        tests=tuple(
-            planned_test(rig, test, number, skip) for test, number in zip(timed.tests, periods, strict=True)
-        ),
+        tests=tuple(planned_test(rig, test, n, skip) for test, n in zip(timed.tests, periods, strict=True)),
         gains=gains,
         needed=_needed(question, timed, wanted.goals / factor, duration) if question.goals.any else None,
         mass=settings.mass,
-        notes=(*_notes(rig, question.lines, found, wanted), *settling_notes(rig, timed, periods, skip)),
+        notes=(*_notes(rig, question.lines, design, wanted), *settling_notes(rig, timed, periods, skip)),
         combined=rig.known is not None,
     )
+
+
+def _poor(tests: Campaign, wanted: Wanted) -> float:
+    """How poor the tests are, by what is wanted."""
+    return score(tests.information, wanted.criterion, wanted.goals)
 
 
 def _coefficients(
@@ -473,19 +454,16 @@ def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> Planned
     )
 
 
-def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple[str, ...]:
+def _notes(rig: Rig, lines: IntArray, design: Candidate, wanted: Wanted) -> tuple[str, ...]:
     notes = []
-    if found.criterion == "flat":
+    if design.criterion == "flat":
         notes.append(FLAT_IS_BEST)
-    elif found.floor == 0:
+    elif design.floor == 0:
         notes.append(NO_FLOOR)
     if len(rig.shakers) < rig.model.n_dof:
         both = Rig(rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing)
-        other = score(flat(both, lines, ONE_BY_ONE).information, wanted.criterion, wanted.goals)
-        ratio = score(found.campaign.information, wanted.criterion, wanted.goals) / other
+        ratio = _poor(design.campaign, wanted) / _poor(flat(both, lines, ONE_BY_ONE), wanted)
         if ratio > MUCH_WORSE:
-            notes.append(
-                f"Forces along {rig.shakers[0]} alone leave errors {ratio:.2g} times those of a "
-                "flat multisine in x, then in y."
-            )
+            alone = f"Forces along {rig.shakers[0]} alone leave errors {ratio:.2g} times those"
+            notes.append(f"{alone} of a flat multisine in x, then in y.")
     return tuple(notes)

@@ -71,13 +71,8 @@ def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
 
 def _sort_theory(node: Marked) -> None:
     entries = node.content if isinstance(node.content, dict) else {}
-    expected = entries.get("expected")
-    if (
-        expected is not None
-        and isinstance(expected.content, dict)
-        and "theory" not in entries
-        and {"bearing", "rotor"} & set(expected.content)
-    ):
+    content = entries["expected"].content if "expected" in entries and "theory" not in entries else None
+    if isinstance(content, dict) and {"bearing", "rotor"} & set(content):
         entries["theory"] = entries.pop("expected")
 
 
@@ -102,15 +97,7 @@ def write_plan(path: Path, plan: Plan | RunPlan) -> None:
     write_digested(path, {"schema": SCHEMAS[type(plan)], "labpipe": __version__, **entry_of(plan)})
 
 
-def read_plan(path: Path) -> Plan:
-    """The plan of an excitation from its plan.json; DataError when the file is none."""
-    plan = read_any_plan(path)
-    if not isinstance(plan, Plan):
-        raise DataError("plans runs, not an excitation", path)
-    return plan
-
-
-def read_any_plan(path: Path) -> Plan | RunPlan:
+def read_plan(path: Path) -> Plan | RunPlan:
     """The plan of a plan.json, of whatever kind; DataError when the file is none."""
     try:
         entries = read_digested(path, "plan")
@@ -121,9 +108,8 @@ def read_any_plan(path: Path) -> Plan | RunPlan:
     except FileNotFoundError:
         raise DataError("no such file", path, "run `labpipe plan` first") from None
     except RECORD_FAULTS as error:
-        raise DataError(
-            f"is not a readable plan ({cut(str(error))})", path, "run `labpipe plan` again"
-        ) from None
+        what = f"is not a readable plan ({cut(str(error))})"
+        raise DataError(what, path, "run `labpipe plan` again") from None
     return plan
 
 
@@ -142,11 +128,9 @@ def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputF
 
 def write_settings(files: Mapping[str, Any], output: OutputFolder) -> None:
     for name, content in files.items():
-        text = (
-            content
-            if isinstance(content, str)
-            else yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
-        )
+        text = content
+        if not isinstance(content, str):
+            text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
         output.write_path(name).write_text(text, encoding="utf-8")
 
 

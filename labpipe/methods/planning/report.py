@@ -21,10 +21,9 @@ from labpipe.report.chart import Axis, Panel, dots, look, stack
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 HEADER = (
-    "coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods",
-    "flat multisine", "gain",
+    "coefficient", "expected", "goal", "std. error, noise known", "over draws of the expected values (95 %)",
+    "std. error, weights from the periods", "flat multisine", "gain",
 )  # fmt: skip
-RANGE = "over draws of the expected values (95 %)"
 BUDGET = (
     "coefficient", "goal, expanded", "random", "systematic", "combined", "expanded",
     "largest shares of the variance",
@@ -126,27 +125,22 @@ COMBINED = (
 
 
 def _coefficients(plan: Plan) -> Table:
-    ranged = any(c.error_range is not None for c in plan.coefficients)
+    open_end = NOT_DETERMINED if any(c.error_range is not None for c in plan.coefficients) else ""
     rows = tuple(
         (
             c.name,
             _expected(c),
             "" if c.goal is None else per_cent(c.goal),
             per_cent(c.error),
-            *([_range(c.error_range)] if ranged else []),
+            " to ".join(map(per_cent, c.error_range or ())) or open_end,
             per_cent(c.error_weighted),
             per_cent(c.flat),
             f"{c.flat / c.error:.2f}",
         )
         for c in plan.coefficients
     )
-    header = (*HEADER[:4], *([RANGE] if ranged else []), *HEADER[4:])
-    numeric = tuple(range(1, len(header)))
-    return Table(header, rows, "Relative standard errors, at the expected values", numeric)
-
-
-def _range(ends: tuple[float, float] | None) -> str:
-    return NOT_DETERMINED if ends is None else f"{per_cent(ends[0])} to {per_cent(ends[1])}"
+    numeric = tuple(range(1, len(HEADER)))
+    return Table(HEADER, rows, "Relative standard errors, at the expected values", numeric)
 
 
 def _uncertainty(plan: Plan) -> Iterator[Section]:
@@ -164,10 +158,8 @@ def _uncertainty(plan: Plan) -> Iterator[Section]:
         )
         for c in stated
     )
-    yield Section(
-        "Predicted uncertainty",
-        (Table(BUDGET, rows, "Relative uncertainties", (1, 2, 3, 4, 5)), Paragraph(BUDGETED)),
-    )
+    table = Table(BUDGET, rows, "Relative uncertainties", (1, 2, 3, 4, 5))
+    yield Section("Predicted uncertainty", (table, Paragraph(BUDGETED)))
 
 
 def _expected(coefficient: PlannedCoefficient) -> str:
@@ -206,10 +198,9 @@ def _spectrum(plan: Plan) -> Figure:
         for number, (shaker, amplitude) in enumerate(zip(test.shakers, test.amplitude, strict=True)):
             shown = [(f, a) for f, a in zip(test.frequency, amplitude, strict=True) if a > 0]
             colour, _ = look(number)
-            series.append(dots(shaker, [f for f, _ in shown], [a for _, a in shown], colour, marker="."))
-        panels.append(
-            Panel(Axis("frequency", "Hz"), Axis(f"force, {test.name}", "N", logarithmic=True), tuple(series))
-        )
+            series.append(dots(shaker, [f for f, _ in shown], [a for _, a in shown], colour))
+        force = Axis(f"force, {test.name}", "N", logarithmic=True)
+        panels.append(Panel(Axis("frequency", "Hz"), force, tuple(series)))
     caption = "Amplitude of every line, 0-to-peak, by shaker; tests below each other."
     return Figure(stack(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
 
@@ -267,11 +258,10 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     total = sum(run.count for run in plan.runs)
     aimed = [number for number in plan.numbers if number.goal is not None and number.error is not None]
     worst = max(aimed, key=lambda number: (number.error or 0.0) / (number.goal or 1.0)) if aimed else None
-    determined = (
-        (f" determine {worst.name}, the tightest against its goal, to {error_text(worst, worst.error)}:")
-        if worst
-        else " are"
-    )
+    determined = " are"
+    if worst:
+        reached = error_text(worst, worst.error)
+        determined = f" determine {worst.name}, the tightest against its goal, to {reached}:"
     yield (
         f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions "
         f"({_time(plan.duration)}){determined} {plan.gain:.2f} times better by {CRITERIA[plan.criterion]} "
@@ -279,9 +269,9 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     )
     if aimed:
         met = plan.needed is not None and plan.needed <= plan.duration * (1 + 1e-9)
-        needed = (
-            "no time meets them" if plan.needed is None else (f"they need {_time(plan.needed)} of such runs")
-        )
+        needed = "no time meets them"
+        if plan.needed is not None:
+            needed = f"they need {_time(plan.needed)} of such runs"
         yield f"The goals are {'met' if met else 'NOT met'}: {needed}, {_time(plan.duration)} are planned."
     if plan.undetermined:
         helps = f"; {' or '.join(plan.remedies)} would determine all" if plan.remedies else ""

@@ -98,16 +98,17 @@ def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
         unbalance=candidate.unbalance,
         shaker=candidate.shaker,
     )
-    response = (
-        rig.excited(unit).response(*as_matrices(expected.coefficients(candidate.load, speed))).reshape(shape)
-    )
+    matrices = as_matrices(expected.coefficients(candidate.load, speed))
+    response = rig.excited(unit).response(*matrices).reshape(shape)
     reading = expected.reading
     floor = reading.displacement / np.abs(response)
-    errors = np.hypot(reading.amplitude, floor) * np.abs(response), np.hypot(reading.phase, floor)
     threshold = expected.threshold(candidate.load) if candidate.to_threshold else None
-    measured = None if threshold is None else Uncertain(threshold, reading.threshold * threshold)
     return replace(
-        unit, response=response, amplitude_error=errors[0], phase_error=errors[1], threshold=measured
+        unit,
+        response=response,
+        amplitude_error=np.hypot(reading.amplitude, floor) * np.abs(response),
+        phase_error=np.hypot(reading.phase, floor),
+        threshold=None if threshold is None else Uncertain(threshold, reading.threshold * threshold),
     )
 
 
@@ -126,9 +127,8 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
         row = measured.residual(expected.family, expected.values)[1]()
         matrix = matrix + row.T @ row
     elif candidate.to_threshold:
-        raise FitError(
-            f"no threshold is expected under {candidate.load:.4g} N", hint="leave to_threshold out"
-        )
+        what = f"no threshold is expected under {candidate.load:.4g} N"
+        raise FitError(what, hint="leave to_threshold out")
     return np.asarray(matrix)
 
 
@@ -143,9 +143,8 @@ def allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limit
     if limits.displacement is not None:
         good &= np.all(largest_displacement(run.response) <= limits.displacement, axis=1)
     if limits.journal is not None:
-        good &= (
-            largest_displacement(expected.rig.excited(run).journal(stiffness, damping)[0]) <= limits.journal
-        )
+        journal = expected.rig.excited(run).journal(stiffness, damping)[0]
+        good &= largest_displacement(journal) <= limits.journal
     return np.asarray(good)
 
 

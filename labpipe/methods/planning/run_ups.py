@@ -67,9 +67,8 @@ class TrialSettings(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.unbalance) == bool(self.shaker):
-            raise ConfigError(
-                "a trial has an unbalance or a shaker", hint="unbalance: {disc 1: 50 g.mm at 0 deg}"
-            )
+            hint = "unbalance: {disc 1: 50 g.mm at 0 deg}"
+            raise ConfigError("a trial has an unbalance or a shaker", hint=hint)
         if min(self.force, self.ratio) <= 0:
             raise ConfigError("force and ratio of a shaker are positive")
 
@@ -139,13 +138,11 @@ class RunUpPlanSettings(Settings):
     def __post_init__(self) -> None:
         self._check_signs()
         if len(self.omega) < 2 * max(self.stretches, 1):
-            raise SettingError(
-                "stretches", f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more"
-            )
+            what = f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more"
+            raise SettingError("stretches", what)
         if not self.trials:
-            raise SettingError(
-                "trials", "there is no way to excite the rotor", "{trial-1: {unbalance: {disc 1: 50 g.mm}}}"
-            )
+            hint = "{trial-1: {unbalance: {disc 1: 50 g.mm}}}"
+            raise SettingError("trials", "there is no way to excite the rotor", hint)
         for field, names in (("known", self.known), ("expected", tuple(dict(self.expected)))):
             for name in names:
                 if name not in PARAMETERS:
@@ -171,11 +168,8 @@ class RunUpPlanSettings(Settings):
         if len(values) != 1 or (name not in EXPONENTS and values[0] <= 0):
             raise SettingError("expected", f"{name} is one factor above zero", f"{name}: 0.9")
         if abs(logarithm(name, values[0])) > BOUND[PARAMETERS.index(name)]:
-            raise SettingError(
-                "expected",
-                f"{name} of {values[0]:g} is beyond what a joint fit looks for",
-                "change the rotor file",
-            )
+            what = f"{name} of {values[0]:g} is beyond what a joint fit looks for"
+            raise SettingError("expected", what, "change the rotor file")
 
     def _check_goals(self) -> None:
         names = (*PARAMETERS, *(SPEEDS if self.at_load else ()))
@@ -193,9 +187,8 @@ class RunUpPlanSettings(Settings):
     def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
         for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
             if plane not in rig.plane_names:
-                raise SettingError(
-                    "trials", f"trial {name}: no plane '{plane}'", nearest(plane, rig.plane_names)
-                )
+                what = f"trial {name}: no plane '{plane}'"
+                raise SettingError("trials", what, nearest(plane, rig.plane_names))
 
     @property
     def omega(self) -> FloatArray:
@@ -207,10 +200,9 @@ class RunUpPlanSettings(Settings):
         """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] where none is
         given.
         """
-        given = dict(earlier) | {name: value for name, (value,) in self.expected}
-        return np.array(
-            [logarithm(name, given.get(name, 0.0 if name in EXPONENTS else 1.0)) for name in PARAMETERS]
-        )
+        values = {name: 0.0 if name in EXPONENTS else 1.0 for name in PARAMETERS}
+        values |= {**earlier, **{name: value for name, (value,) in self.expected}}
+        return np.array([logarithm(name, values[name]) for name in PARAMETERS])
 
 
 def logarithm(name: str, value: float) -> float:
@@ -261,9 +253,8 @@ def _earlier(file: PlanFile) -> dict[str, float]:
     result = read_identification(path).sections.get("run_ups")
     methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
     if not methods:
-        raise SettingError(
-            "earlier", f"{path.name} holds no joint fit of run-ups", "run_ups: {methods: [joint]}"
-        )
+        what = f"{path.name} holds no joint fit of run-ups"
+        raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
     return {parameter.name: parameter.value for parameter in methods[0].parameters}
 
 
@@ -318,12 +309,8 @@ def _candidates(
                 stem += f"-{number}" if settings.stretches > 1 else ""
                 candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), _shaker(trial))
                 yield candidate
-                if (
-                    settings.to_threshold
-                    and number == settings.stretches
-                    and not trial.shaker
-                    and expected.threshold(load) is not None
-                ):
+                may_go_on = settings.to_threshold and number == settings.stretches and not trial.shaker
+                if may_go_on and expected.threshold(load) is not None:
                     yield replace(candidate, name=f"{stem}-threshold", to_threshold=True)
 
 
@@ -342,16 +329,10 @@ def _admit(
         full = allowed is not None and allowed.speed.size == candidate.speed.size
         cut, whole = cut + (not full), whole + full
     if not kept:
-        raise SettingError(
-            "trials",
-            "no run keeps within the limits and above the noise",
-            "other trial unbalances, or other speeds",
-        )
-    words = (
-        f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable, beyond "
-        "the limits or within the noise."
-    )
-    return kept, [words] if cut else []
+        what = "no run keeps within the limits and above the noise"
+        raise SettingError("trials", what, "other trial unbalances, or other speeds")
+    words = f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable"
+    return kept, [f"{words}, beyond the limits or within the noise."] if cut else []
 
 
 def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: RunCandidate) -> Condition:
@@ -421,14 +402,12 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
             goal = None if name not in goals else goals[name] * value
             yield Quantity(name, "rad/s", value, row, goal, value)
         elif name in goals:
-            raise SettingError(
-                "goal", f"no {name} is expected under {settings.at_load:g} N", "leave its goal out"
-            )
+            what = f"no {name} is expected under {settings.at_load:g} N"
+            raise SettingError("goal", what, "leave its goal out")
     if settings.at_speed is not None:
         place = np.array([2 * np.pi * settings.at_speed])
-        eight, slopes = expected.family.coefficients_and_slopes(
-            expected.values, np.array([settings.at_load]), place
-        )
+        load = np.array([settings.at_load])
+        eight, slopes = expected.family.coefficients_and_slopes(expected.values, load, place)
         sizes = scales(eight)[0]
         for number, name in enumerate(COEFFICIENTS):
             unit = "N/m" if name.startswith("k") else "N.s/m"
@@ -444,10 +423,8 @@ def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, Fl
 
     try:
         value = speed(expected.values)
-        ends = [
-            [speed(expected.values + sign * STEP * unit) for sign in (1, -1)]
-            for unit in np.eye(len(PARAMETERS))
-        ]
+        units = STEP * np.eye(len(PARAMETERS))
+        ends = [[speed(expected.values + sign * unit) for sign in (1, -1)] for unit in units]
     except FitError:
         return None
     if value is None or any(end is None for pair in ends for end in pair):

@@ -79,14 +79,11 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     """
     shortest = float(choices.cost.min())
     if shortest > duration:
-        raise SettingError(
-            "duration", f"no run fits into {duration:g} s", f"a duration of {shortest:.4g} s or more"
-        )
+        hint = f"a duration of {shortest:.4g} s or more"
+        raise SettingError("duration", f"no run fits into {duration:g} s", hint)
     if duration > MOST_RUNS * shortest:
-        what = (
-            f"{duration:g} s have room for {duration / shortest:.3g} runs of {shortest:.3g} s; a plan "
-            f"lists {MOST_RUNS} at most"
-        )
+        room = f"{duration:g} s have room for {duration / shortest:.3g} runs of {shortest:.3g} s"
+        what = f"{room}; a plan lists {MOST_RUNS} at most"
         raise SettingError("duration", what, "a shorter duration, or longer runs")
     whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
     separate = _separate(criterion, whole, choices, wanted)
@@ -94,19 +91,14 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     begun = np.floor(design.shares * duration / choices.cost + 1e-9).astype(int)
     if separate:
         begun = _one_each(choices, begun, duration)
-    counts = _exchange(
-        criterion, choices, duration, wanted, _fill(criterion, choices, duration, wanted, begun)
-    )
+    counts = _fill(criterion, choices, duration, wanted, begun)
+    counts = _exchange(criterion, choices, duration, wanted, counts)
     information = choices.of(counts)
-    poor = (
-        _values(criterion, information[None], wanted)[0]
-        / _values(criterion, design.information[None], wanted)[0]
-    )
-    if not np.isfinite(poor):
+    value, best = _values(criterion, np.stack([information, design.information]), wanted)
+    if not np.isfinite(value / best):
         raise FitError("no runs of that time determine what is wanted", hint="a longer duration")
-    return RunDesign(
-        counts, information, design.shares, min(design.certificate.efficiency / float(poor), 1.0)
-    )
+    efficiency = min(design.certificate.efficiency / float(value / best), 1.0)
+    return RunDesign(counts, information, design.shares, efficiency)
 
 
 def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: FloatArray) -> Design | None:
@@ -132,9 +124,8 @@ def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: Fl
         if np.linalg.matrix_rank(information[block], hermitian=True) < len(information[block]):
             return None
         v = variances(information[block], wanted[of_run[:, number]][:, owner == number])
-        sizes[number] = {D: float(len(information[block])), A: float(np.sqrt(v.sum()))}.get(
-            criterion, float(v.max())
-        )
+        by_criterion = {D: len(information[block]), A: np.sqrt(v.sum())}
+        sizes[number] = by_criterion.get(criterion, v.max())
     shares = sizes / sizes.sum()
     together = np.tensordot(shares, whole, 1)
     return Design(shares, together, certificate(criterion, whole, together, wanted))
@@ -148,11 +139,9 @@ def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArra
     while float(counts @ choices.cost) > duration * (1 + 1e-9) and counts.max() > 1:
         counts[int(counts.argmax())] -= 1
     if float(counts @ choices.cost) > duration * (1 + 1e-9):
-        what = (
-            f"{len(counts)} kinds of runs, each of which alone determines something, do not fit into "
-            f"{duration:g} s"
-        )
-        raise SettingError("duration", what, f"a duration of {float(choices.cost.sum()):.4g} s or more")
+        kinds = f"{len(counts)} kinds of runs, each of which alone determines something"
+        hint = f"a duration of {float(choices.cost.sum()):.4g} s or more"
+        raise SettingError("duration", f"{kinds}, do not fit into {duration:g} s", hint)
     return np.asarray(counts)
 
 
@@ -222,9 +211,8 @@ def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
     if unseen.size == 0:
         return np.zeros(len(wanted))
     involved = wanted @ unseen
-    return np.where(
-        np.any(np.abs(involved) > 1e-6, axis=1), _errors(unseen.T @ choices.prior @ unseen, involved), 0.0
-    )
+    errors = _errors(unseen.T @ choices.prior @ unseen, involved)
+    return np.where(np.any(np.abs(involved) > 1e-6, axis=1), errors, 0.0)
 
 
 def undetermined(choices: RunChoices) -> FloatArray:
@@ -252,13 +240,9 @@ def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(information / np.outer(root, root))
     parts = np.abs((wanted / root) @ vectors)
     poor = values <= SINGULAR * values[-1]
-    return np.asarray(
-        np.where(
-            np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1),
-            np.inf,
-            np.sqrt(np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1)),
-        )
-    )
+    left_open = np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1)
+    errors = np.sqrt(np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1))
+    return np.asarray(np.where(left_open, np.inf, errors))
 
 
 def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) -> float:
@@ -374,13 +358,9 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
     quantities = question.quantities
     aimed = [quantity for quantity in quantities if quantity.goal is not None] or list(quantities)
     rows = np.stack([quantity.row * question.units for quantity in quantities])
-    wanted = np.stack(
-        [
-            row / (quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0)
-            for quantity, row in zip(quantities, rows, strict=True)
-            if quantity in aimed
-        ]
-    )
+    pairs = [(row, quantity) for row, quantity in zip(rows, quantities, strict=True) if quantity in aimed]
+    sizes = [quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0 for row, quantity in pairs]
+    wanted = np.stack([row for row, _ in pairs]) / np.array(sizes)[:, None]
     _check_open(question, choices, aimed, wanted)
     design = best_runs(question.criterion, choices, question.duration, wanted)
     flat = question.duration / choices.cost / len(choices.cost)
@@ -414,11 +394,10 @@ def _check_open(
     beyond += [quantity.name for quantity, error in pairs if not np.isfinite(error)]
     if not beyond:
         return
+    names = ", ".join(dict.fromkeys(beyond))
     unseen = "; ".join(_words(question.parameters, choices, question.units))
-    what = (
-        f"however many runs there are, they do not determine {', '.join(dict.fromkeys(beyond))} to the "
-        f"goal: no run tells {unseen}"
-    )
+    never = f"however many runs there are, they do not determine {names} to the goal"
+    what = f"{never}: no run tells {unseen}"
     remedies = _remedies(question)
     hint = f"{' or '.join(remedies)} would determine all" if remedies else "another kind of run"
     raise SettingError("goal", what, hint)
@@ -449,9 +428,9 @@ def _gain(
         levels = [float(np.linalg.slogdet(choices.of(counts))[1]) for counts in (design.counts, flat)]
         return float(np.exp((levels[0] - levels[1]) / (2 * len(choices.prior))))
     planned, other = (errors_after(choices, counts, wanted) for counts in (design.counts, flat))
-    return float(
-        np.sqrt(np.sum(other**2) / np.sum(planned**2)) if criterion == A else other.max() / planned.max()
-    )
+    if criterion == A:
+        return float(np.sqrt(np.sum(other**2) / np.sum(planned**2)))
+    return float(other.max() / planned.max())
 
 
 def _numbers(

@@ -77,10 +77,8 @@ class TheorySettings(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.bearing) == bool(self.rotor):
-            raise ConfigError(
-                "a bearing file or a rotor file is needed",
-                hint="{bearing: FILE, load: 2 kN, speed: 3000 rpm}",
-            )
+            hint = "{bearing: FILE, load: 2 kN, speed: 3000 rpm}"
+            raise ConfigError("a bearing file or a rotor file is needed", hint=hint)
         if self.rotor and self.load is not None:
             raise SettingError("load", "the load follows from the rotor", "leave it out")
         require_positive(self, "load", "speed")
@@ -168,26 +166,21 @@ class PlanSettings(Settings):
         require_positive(self, "period", "sample_rate", "duration", "force_limit", "displacement_limit")
         require_positive(self, "mass", "speed", "mains")
         if (self.noise is None) == (self.noise_density is None):
-            raise SettingError(
-                "noise",
-                "one of 'noise' and 'noise_density' is needed",
-                "noise: {force: 20 mN, displacement: 0.3 um}",
-            )
+            hint = "noise: {force: 20 mN, displacement: 0.3 um}"
+            raise SettingError("noise", "one of 'noise' and 'noise_density' is needed", hint)
         for name, _ in self.uncertainties:
             if name != "mass":
-                raise SettingError(
-                    name, f"an uncertainty of '{name}' is not planned with", "the mass may carry one"
-                )
+                what = f"an uncertainty of '{name}' is not planned with"
+                raise SettingError(name, what, "the mass may carry one")
         self._check_expected()
         check_relative(self.goal)
         if 2 * self.band[1] >= self.sample_rate:
-            raise SettingError(
-                "sample_rate", f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate"
-            )
-        if abs(self.sample_rate * self.period - round(self.sample_rate * self.period)) > 1e-6:
-            raise SettingError(
-                "period", "a period holds no whole number of samples", "change `period` or `sample_rate`"
-            )
+            what = f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate"
+            raise SettingError("sample_rate", what)
+        n_sample = self.sample_rate * self.period
+        if abs(n_sample - round(n_sample)) > 1e-6:
+            what = "a period holds no whole number of samples"
+            raise SettingError("period", what, "change `period` or `sample_rate`")
 
     @property
     def kind(self) -> PlannedKind:
@@ -200,6 +193,5 @@ class PlanSettings(Settings):
         if self.combine_earlier and not self.earlier:
             raise SettingError("combine_earlier", "there is no earlier result to combine", "earlier: FILE")
         if self.theory is not None and len(self.kind.axes) == 1:
-            raise SettingError(
-                "theory", "theory gives matrices", "state k and c of the pedestal under `expected`"
-            )
+            hint = "state k and c of the pedestal under `expected`"
+            raise SettingError("theory", "theory gives matrices", hint)

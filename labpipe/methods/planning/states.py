@@ -114,11 +114,8 @@ class StatePlanSettings(Settings):
         if self.changeover < 0 or self.duration <= 0:
             raise SettingError("duration", "times are positive")
         if self.periods < FEWEST_PERIODS:
-            raise SettingError(
-                "run",
-                f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}",
-                f"a run of {FEWEST_PERIODS * self.period:g} s or more",
-            )
+            what = f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}"
+            raise SettingError("run", what, f"a run of {FEWEST_PERIODS * self.period:g} s or more")
         for name, _ in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
                 allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
@@ -199,10 +196,9 @@ def state_test(settings: StatePlanSettings, state: BearingState) -> StateTest:
     scales = np.outer(state.model.scales, state.model.scales)
     information = campaign.rate * settings.periods * settings.period / factor**2 / scales
     planned = planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
-    notes = tuple(
-        f"{state.name}: {note}" for note in settling_notes(rig, campaign, (settings.periods,), settings.skip)
-    )
-    return StateTest(state, rig, campaign.tests[0], planned, information, notes)
+    notes = settling_notes(rig, campaign, (settings.periods,), settings.skip)
+    named = tuple(f"{state.name}: {note}" for note in notes)
+    return StateTest(state, rig, campaign.tests[0], planned, information, named)
 
 
 def question_of(
@@ -225,10 +221,8 @@ def question_of(
         units = np.concatenate([test.state.model.scales for test in tests])
         prior = np.zeros((len(parameters),) * 2)
     conditions = tuple(_condition(settings, test, slope) for test, slope in zip(tests, slopes, strict=True))
-    quantities = tuple(_quantities(settings, tests, slopes, common))
-    return RunQuestion(
-        parameters, units, prior, conditions, quantities, settings.duration, settings.criterion
-    )
+    quantities, duration = tuple(_quantities(settings, tests, slopes, common)), settings.duration
+    return RunQuestion(parameters, units, prior, conditions, quantities, duration, settings.criterion)
 
 
 def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray) -> Condition:
@@ -300,9 +294,8 @@ def plan_states(
     bearing = open_bearing(folder / settings.bearing)
     for name in ("load", "speed"):
         if name not in settings_of(bearing.kind.settings):
-            raise SettingError(
-                "bearing", f"a file of a {bearing.kind_name} has no '{name}'", "a journal bearing has"
-            )
+            what = f"a file of a {bearing.kind_name} has no '{name}'"
+            raise SettingError("bearing", what, "a journal bearing has")
     common = [_common(bearing, name) for name in settings.estimate]
     tests = [state_test(settings, state) for state in _states(settings, bearing, common)]
     answered = plan_runs(question_of(settings, tests, common), title, settings.model)
@@ -314,12 +307,11 @@ def plan_states(
 
 def _common(bearing: BearingFile, name: str) -> Common:
     declared = settings_of(bearing.kind.settings)
-    if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
-        values = (key for key, (declaration, _) in declared.items() if declaration.kind == "value")
-        numbers = tuple(key for key in values if key not in ("load", "speed"))
-        raise SettingError(
-            "estimate", f"'{name}' is no number of a {bearing.kind_name}", nearest(name, numbers)
-        )
+    values = (key for key, (declaration, _) in declared.items() if declaration.kind == "value")
+    numbers = tuple(key for key in values if key not in ("load", "speed"))
+    if name not in numbers:
+        what = f"'{name}' is no number of a {bearing.kind_name}"
+        raise SettingError("estimate", what, nearest(name, numbers))
     value = getattr(bearing.settings(), name)
     if not value:
         raise SettingError("estimate", f"the bearing file gives no {name}", "state it there")
@@ -332,10 +324,8 @@ def _states(
     settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]
 ) -> list[BearingState]:
     points = [(load, speed) for load in settings.loads for speed in settings.speeds]
-    changes: list[tuple[Common, float] | None] = [
-        None,
-        *((number, sign) for number in common for sign in (1.0, -1.0)),
-    ]
+    moves = ((number, sign) for number in common for sign in (1.0, -1.0))
+    changes: list[tuple[Common, float] | None] = [None, *moves]
     wanted = [_settings(bearing, load, speed, change) for load, speed in points for change in changes]
     eights = [_eight(bearing, state) for state in bearing.coefficients(wanted)]
     values = np.array(eights).reshape(len(points), len(changes), -1)
@@ -351,9 +341,8 @@ def _states(
 
 
 def _settings(bearing: BearingFile, load: float, speed: float, change: tuple[Common, float] | None) -> Any:
-    entries = [("load", load, "N"), ("speed", speed, "Hz")]
-    for name, value, unit in entries:
-        set_entry(bearing.tree, f"{name}={value!r} {unit}")
+    set_entry(bearing.tree, f"load={load!r} N")
+    set_entry(bearing.tree, f"speed={speed!r} Hz")
     if change is None:
         return bearing.settings()
     number, sign = change
@@ -376,14 +365,9 @@ def _pipeline(
     listed, entries = [], {}
     for run, evaluation in evaluations.items():
         entries, state = pipeline_entries(evaluation, folder), tests[run.name].state
-        listed.append(
-            {
-                "name": run.name,
-                "recordings": [f"recordings/{name}.csv" for name in run_names(run)],
-                "conditions": {"load": f"{state.load!r} N", "speed": f"{state.speed!r} Hz"},
-                "frf": entries["frf"],
-            }
-        )
+        files = [f"recordings/{name}.csv" for name in run_names(run)]
+        at = {"load": f"{state.load!r} N", "speed": f"{state.speed!r} Hz"}
+        listed.append({"name": run.name, "recordings": files, "conditions": at, "frf": entries["frf"]})
     same = {name: entries[name] for name in ("frf", "identify")}
     return {"title": title, "rig": RIG, "tests": listed, **same}
 

@@ -106,10 +106,9 @@ def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -
     ranked = _rank(model, noise, excitation)
     if ranked.full:
         return ranked
-    remedies = tuple(
-        words for words, changed, other in _changes(model, excitation) if _rank(changed, noise, other).full
-    )
-    return Identifiability(ranked.rank, ranked.n_coefficient, ranked.undetermined, remedies)
+    changes = _changes(model, excitation)
+    remedies = tuple(words for words, changed, other in changes if _rank(changed, noise, other).full)
+    return replace(ranked, remedies=remedies)
 
 
 def _rank(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
@@ -265,28 +264,25 @@ def _rate(rig: Rig, truth: Rig, campaign: Campaign) -> FloatArray:
     return np.asarray(with_shares(truth, campaign.tests, campaign.shares).rate * np.outer(ratio, ratio))
 
 
-def spread_notes(found: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
+def spread_notes(drawn: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
     """What the uncertainty of the expectation means for the plan.
 
     *predicted* (n,) [1] errors, *gain* [1] over flat.
     """
     notes = []
-    low, high = found.gain
-    if low < LEAST_GAIN * gain or np.any(found.errors[1] > MOST_ERROR * predicted):
+    low, high = drawn.gain
+    if low < LEAST_GAIN * gain or np.any(drawn.errors[1] > MOST_ERROR * predicted):
         notes.append(
             "The earlier result does not know the rig well enough for this plan: over draws from its "
             f"covariance the gain is {low:.2g} to {high:.2g}, where {gain:.2g} is predicted. Spend a fifth "
             "of the time on a flat multisine, and plan the rest from its result."
         )
-    if with_goals and found.met < 1:
-        notes.append(
-            f"All goals are met in {100 * found.met:.0f} % of the draws from the earlier result's covariance."
-        )
-    if found.peak > 1 + 1e-6 and not np.isclose(found.peak, 1.0, rtol=0.01):
-        notes.append(
-            f"In 2.5 % of the draws a signal exceeds its limit by {100 * (found.peak - 1):.0f} % or more: "
-            "raise the level step by step."
-        )
+    if with_goals and drawn.met < 1:
+        share = f"{100 * drawn.met:.0f} % of the draws"
+        notes.append(f"All goals are met in {share} from the earlier result's covariance.")
+    if drawn.peak > 1 + 1e-6 and not np.isclose(drawn.peak, 1.0, rtol=0.01):
+        beyond = f"a signal exceeds its limit by {100 * (drawn.peak - 1):.0f} % or more"
+        notes.append(f"In 2.5 % of the draws {beyond}: raise the level step by step.")
     return tuple(notes)
 
 
@@ -305,15 +301,10 @@ def rehearse(
     highest: line of all tests, which have one sampling rate. ConfigError for a response whose noise the plan
     does not state.
     """
-    density = {
-        "force": rig.noise.force,
-        "displacement": rig.noise.displacement,
-        "acceleration": rig.noise.acceleration,
-    }
     mean = np.stack([_amplitudes(rig, test, channel) for channel in channels], axis=1)
     n_period, n_channel = len(channels) + SPARE, len(channels)
     n_sample = fft.next_fast_len(int(SAMPLES * highest) + 8, real=True)
-    densities = np.array([density[channel.quantity] for channel in channels])
+    densities = np.array([getattr(rig.noise, channel.quantity) for channel in channels])
     size = densities * np.sqrt(2 / seconds * (n_period - 1))
     number = np.arange(1, n_channel + 1)
     periods = []
@@ -377,9 +368,8 @@ def goals_of(settings: PlanSettings, model: PlannedModel) -> Goals:
     for name, (value,) in settings.goal:
         coefficient = name.removesuffix(EXPANDED)
         if coefficient not in model.names:
-            raise SettingError(
-                "goal", f"the model has no coefficient {coefficient}", nearest(coefficient, model.names)
-            )
+            what = f"the model has no coefficient {coefficient}"
+            raise SettingError("goal", what, nearest(coefficient, model.names))
         goals[name.endswith(EXPANDED)][model.names.index(coefficient)] = value
     return Goals(goals[False], goals[True])
 
@@ -449,9 +439,8 @@ def with_uncertainty(
     """The coefficients with systematic, combined and expanded uncertainty, relative to their scales, and the
     share of every source.
     """
-    columns = zip(
-        coefficients, budget.systematic, budget.combined, factors(budget, len(coefficients)), strict=True
-    )
+    of_all = factors(budget, len(coefficients))
+    columns = zip(coefficients, budget.systematic, budget.combined, of_all, strict=True)
     return tuple(
         replace(
             c,
@@ -476,10 +465,8 @@ def lasting_notes(coefficients: Sequence[PlannedCoefficient]) -> Iterator[str]:
             largest = max((part for part in c.budget if part.source != "noise"), key=lambda part: part.share)
             by_source.setdefault(largest.source, []).append(f"{c.name} ({100 * largest.share:.0f} %)")
     for source, names in by_source.items():
-        yield (
-            f"Longer measuring hardly helps {', '.join(names)}: the share in brackets of the variance is "
-            f"that of {source}."
-        )
+        share = f"the share in brackets of the variance is that of {source}"
+        yield f"Longer measuring hardly helps {', '.join(names)}: {share}."
 
 
 def unreachable(goals: Goals, allowed: FloatArray) -> BoolArray:
@@ -504,11 +491,8 @@ def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: 
         what = f"{name} to {100 * goals.expanded[number]:.2g} % expanded is not met however long one measures"
         if rest > 0:
             source = budget.sources[largest]
-            share = float(np.sqrt(rest)) / changes[largest]
-            yield (
-                f"{what}: {source.source} is known to {_size(source, 1.0)} and must be known to "
-                f"{_size(source, share)}."
-            )
+            now, then = (_size(source, share) for share in (1.0, float(np.sqrt(rest)) / changes[largest]))
+            yield f"{what}: {source.source} is known to {now} and must be known to {then}."
         else:
             share = float(np.sqrt(left / np.sum(changes**2)))
             yield f"{what}: {_listing(budget, changes)} must all be known {1 / share:.2g} times better."

@@ -50,9 +50,8 @@ class WearNoise(Settings):
 
     def __post_init__(self) -> None:
         if self.displacement <= 0 or self.force < 0:
-            raise ConfigError(
-                "the noise of the displacement is positive", hint="for example displacement: 1 um"
-            )
+            what = "the noise of the displacement is positive"
+            raise ConfigError(what, hint="for example displacement: 1 um")
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,8 @@ class WearGoal(Settings):
 
     def __post_init__(self) -> None:
         if any(value is not None and value <= 0 for value in (self.depth, self.angle)):
-            raise ConfigError(
-                "a goal is a positive standard error", hint="for example {depth: 0.2 um, angle: 1 deg}"
-            )
+            hint = "for example {depth: 0.2 um, angle: 1 deg}"
+            raise ConfigError("a goal is a positive standard error", hint=hint)
 
 
 @dataclass(frozen=True)
@@ -130,18 +128,12 @@ class WearPlanSettings(Settings):
         if self.run < 2 * self.block or self.changeover < 0:
             raise SettingError("run", "a run holds two blocks or more, and no time between tests is negative")
         if self.expected.depth < 0 or abs(self.expected.angle) > self.angle_limit:
-            raise SettingError(
-                "expected",
-                "the expected wear is beyond its limits",
-                "a depth of zero or more, within angle_limit",
-            )
+            hint = "a depth of zero or more, within angle_limit"
+            raise SettingError("expected", "the expected wear is beyond its limits", hint)
         for name, given in self.nuisances.items():
             if not given.std_error > 0:
-                raise SettingError(
-                    name,
-                    f"{name} has no uncertainty",
-                    "90 um +- 2 %; what is certain belongs into the rotor file",
-                )
+                hint = "90 um +- 2 %; what is certain belongs into the rotor file"
+                raise SettingError(name, f"{name} has no uncertainty", hint)
         if self.rig is not None:
             worn_place(self.rig, self.bearing)
             self.rig.rotor.check_node(self.node, "load_node")
@@ -236,11 +228,8 @@ class ExpectedWear:
         if not place.is_film:
             fixed = place.bearing.at(OperatingPoint(load, self.rig.omega, self.rig.omega))
             return VaryingSupport(Support(place.node, fixed.stiffness, fixed.damping), *slopes)
-        names = [
-            name
-            for name in self.values
-            if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))
-        ]
+        others = ("beta",) if place.name == self.bearing else ("beta", DEPTH, ANGLE)
+        names = [name for name in self.values if name not in others]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
         film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
         for name, slope in film_slopes(film, names).items():
@@ -342,26 +331,17 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
     assert settings.rig is not None
     bearing = settings.rig.place(settings.bearing).name
     expected = _expected(settings, bearing, settings.expected)
-    density = float(np.sqrt(2 / settings.sample_rate))
-    exclude = tuple(
-        (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
-    )
-    noise = settings.noise
-    testing = ResponseTest(
-        settings.force,
-        settings.run,
-        1 / settings.block,
-        noise.displacement * density,
-        noise.force * density,
-        exclude,
-    )
+    beside = BESIDE / settings.block
+    exclude = tuple((speed - beside, speed + beside) for speed in settings.speeds)
+    density, noise = float(np.sqrt(2 / settings.sample_rate)), settings.noise
+    displacement, force = density * noise.displacement, density * noise.force
+    testing = ResponseTest(settings.force, settings.run, 1 / settings.block, displacement, force, exclude)
     points = tuple(_points(settings))
-    conditions = _conditions(settings, expected, testing, points)
     question = RunQuestion(
         parameters=tuple(expected.values),
         units=_units(settings, expected),
         prior=_prior(settings),
-        conditions=conditions,
+        conditions=_conditions(settings, expected, testing, points),
         quantities=tuple(_quantities(settings, expected)),
         duration=settings.duration,
         criterion=settings.criterion,
@@ -454,11 +434,9 @@ def _alike_notes(expected: ExpectedWear, answered: Answered) -> Iterator[str]:
     for first in range(len(names)):
         for second in range(first):
             if abs(correlation[first, second]) > ALIKE:
-                pair = f"{names[second]} and {names[first]}"
-                yield (
-                    f"{pair} can hardly be separated (correlation {correlation[first, second]:+.3f}): an "
-                    "error of one is made good by the other."
-                )
+                pair = f"{names[second]} and {names[first]} can hardly be separated"
+                alike = f"(correlation {correlation[first, second]:+.3f})"
+                yield f"{pair} {alike}: an error of one is made good by the other."
 
 
 def _term_notes(
@@ -469,14 +447,12 @@ def _term_notes(
     answered: Answered,
 ) -> Iterator[str]:
     counts = {run.name: run.count for run in answered.plan.runs}
-    for terms in PLACES:
-        if terms == "full":
-            continue
+    chosen = [point for point in points if point.name in counts]
+    for terms in (terms for terms in PLACES if terms != "full"):
         total = _prior(settings)
-        for point in points:
-            if point.name in counts:
-                at = expected.at(point.speed, settings.node, point.force)
-                total = total + counts[point.name] * information(at, testing, point.band, terms)
+        for point in chosen:
+            at = expected.at(point.speed, settings.node, point.force)
+            total = total + counts[point.name] * information(at, testing, point.band, terms)
         scale = _units(settings, expected)
         errors = np.sqrt(np.diagonal(np.linalg.pinv(total * np.outer(scale, scale))))
         yield f"From the {terms} terms alone: depth to {errors[0]:.2g} um, angle to {errors[1]:.2g} deg."
@@ -511,19 +487,11 @@ def pipeline_entries(planned: WearPlanned, settings: WearPlanSettings) -> dict[s
         wear: dict[str, Any] = {"rotor": _rotor_name(run), "bearing": planned.expected.bearing}
         if last:
             wear |= {"prior": last, "same_wear": True}
-        else:
-            wear |= {
-                name: f"{given.value!r} {UNITS[name]} +- {given.std_error!r} {UNITS[name]}"
-                for name, given in settings.nuisances.items()
-            }
+        for name, given in settings.nuisances.items() if not last else ():
+            wear[name] = f"{given.value!r} {UNITS[name]} +- {given.std_error!r} {UNITS[name]}"
         wear["angle_limit"] = f"{settings.angle_limit!r} rad"
-        last = f"wear-{run.name}"
-        fits[last] = {
-            "model": settings.model,
-            "test": run.name,
-            "band": f"{point.band[0]!r}-{point.band[1]!r} Hz",
-            "wear": wear,
-        }
+        last, band = f"wear-{run.name}", f"{point.band[0]!r}-{point.band[1]!r} Hz"
+        fits[last] = {"model": settings.model, "test": run.name, "band": band, "wear": wear}
     ends = [end for run in planned.plan.runs for end in planned.points[run.name].band]
     frf = {
         "excitation": "random",

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import linearised, minimise, sum_of_squares
@@ -71,9 +71,8 @@ def travel(time: FloatArray, first: float, omega: float, rest: float, slope: flo
     linear = first * time * _relative(rest * omega * time)
     bent = slope * omega * linear
     safe = np.where(np.abs(bent) < 1e-9, 1.0, bent)
-    return np.asarray(
-        linear * np.where(np.abs(bent) < 1e-9, 1.0, np.log1p(np.maximum(safe, -0.999999)) / safe)
-    )
+    share = np.where(np.abs(bent) < 1e-9, 1.0, np.log1p(np.maximum(safe, -0.999999)) / safe)
+    return np.asarray(linear * share)
 
 
 class _Problem:
@@ -86,25 +85,19 @@ class _Problem:
         self.omega = abs(self.pole)
         self.zeta = -self.pole.real / self.omega
         self.pieces, self.deviation = pieces, np.sqrt(fitted.variance[:, output])
-        self.amplitudes: ComplexArray = np.array(
-            [solved.amplitudes[mode, output] for solved in fitted.pieces]
-        )
+        amplitudes = [solved.amplitudes[mode, output] for solved in fitted.pieces]
+        self.amplitudes: ComplexArray = np.array(amplitudes)
         self.largest = float(np.max(np.abs(self.amplitudes)))
         self.ranges = [np.linalg.qr(piece.nuisance)[0] for piece in pieces]
-        self.targets = [
-            self._target(piece, number, fitted, mode, output) for number, piece in enumerate(pieces)
-        ]
-        self.size = float(
-            np.sqrt(sum(np.sum((t / d) ** 2) for t, d in zip(self.targets, self.deviation, strict=True)))
-        )
-
-    def _target(self, piece: Piece, number: int, fitted: Decayed, mode: int, output: int) -> FloatArray:
+        self.targets = []
         others = np.arange(fitted.poles.size) != mode
-        course = (
-            np.exp(piece.time[:, None] * fitted.poles_of(number)[others])
-            @ fitted.pieces[number].amplitudes[others, output]
-        )
-        return self._free(number, piece.rows[:, output] - piece.project(course.real[:, None])[:, 0])
+        for number, piece in enumerate(pieces):
+            course = np.exp(piece.time[:, None] * fitted.poles_of(number)[others])
+            course = (course @ fitted.pieces[number].amplitudes[others, output]).real
+            rows = piece.rows[:, output] - piece.project(course[:, None])[:, 0]
+            self.targets.append(self._free(number, rows))
+        parts = [target / d for target, d in zip(self.targets, self.deviation, strict=True)]
+        self.size = float(np.sqrt(sum(np.sum(part**2) for part in parts)))
 
     def _free(self, number: int, rows: FloatArray) -> FloatArray:
         range_ = self.ranges[number]
@@ -131,9 +124,8 @@ class _Problem:
         first, piece = float(np.exp(min(log_first, 700.0))), self.pieces[number]
         size = amplitude(piece.time, first, omega, rest, slope)
         angle = omega * piece.time + turn * travel(piece.time, first, omega, rest, slope) + phase
-        return (
-            self._free(number, piece.project((size * np.cos(angle))[:, None])[:, 0]) / self.deviation[number]
-        )
+        rows = piece.project((size * np.cos(angle))[:, None])[:, 0]
+        return self._free(number, rows) / self.deviation[number]
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         pairs = zip(self.targets, self.deviation, strict=True)
@@ -149,9 +141,8 @@ class _Problem:
                 step = STEP * self.zeta if column == SHARED - 1 else STEP
                 change = np.zeros(parameters.size)
                 change[column] = step
-                block[:, column] = (
-                    self.course(number, parameters + change) - self.course(number, parameters - change)
-                ) / (2 * step)
+                above, below = (self.course(number, parameters + sign * change) for sign in (1, -1))
+                block[:, column] = (above - below) / (2 * step)
             blocks.append(block)
         return np.concatenate(blocks)
 
@@ -176,9 +167,8 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     parts = np.split(problem.residual(minimum.values), ends)
     series = [piece.series(part[:, None]) for piece, part in zip(pieces, parts, strict=True)]
     p_value = portmanteau(series, all(piece.lines is None for piece in pieces))
-    return FittedLaw(
-        AmplitudeLaw(omega, rest, slope, turn, p_value), covariance, minimum.converged, float(linear.chi2)
-    )
+    law = AmplitudeLaw(omega, rest, slope, turn, p_value)
+    return FittedLaw(law, covariance, minimum.converged, float(linear.chi2))
 
 
 # Stretches of one decay at most, periods of one at least, and amplitudes over their standard error below
@@ -203,12 +193,8 @@ def stretches(piece: Piece, fitted: Decayed, number: int, mode: int, output: int
     """
     solved, pole = fitted.pieces[number], fitted.poles_of(number)[mode]
     n = piece.time.size
-    count = int(
-        min(
-            MOST_STRETCHES,
-            n * pole.imag / (2 * np.pi * LEAST_PERIODS) * (piece.time[-1] / n if n > 1 else 0.0),
-        )
-    )
+    periods = n * pole.imag / (2 * np.pi * LEAST_PERIODS) * (piece.time[-1] / n if n > 1 else 0.0)
+    count = int(min(MOST_STRETCHES, periods))
     # The residual in time: of a band without what lies outside it.
     left = _in_time(piece, solved.residual[:, output])
     amplitude = solved.amplitudes[mode, output]
@@ -344,16 +330,13 @@ def missing_mode(
     for mode, law in laws.items():
         output = strongest[mode][1]
         count = sum(piece.rows.shape[0] for piece in pieces)
-        left = sum(
-            (float(np.sum(solved.residual[:, output] ** 2)) / float(fitted.variance[n, output]))
-            for n, solved in enumerate(richer.pieces)
-        )
+        squares = [np.sum(solved.residual[:, output] ** 2) for solved in richer.pieces]
+        left = float(np.sum(np.array(squares) / fitted.variance[:, output]))
         better = count * float(np.log(law.squares / left)) - 2 * len(pieces) * float(np.log(count))
         if better > STRONG and (white or left < LEFT * law.squares):
-            near = np.argsort(np.abs(richer.poles - fitted.poles[mode]))[:2]
-            return MissingMode(
-                mode, tuple(sorted(float(abs(richer.poles[n])) / (2 * np.pi) for n in near)), better, white
-            )
+            near = richer.poles[np.argsort(np.abs(richer.poles - fitted.poles[mode]))[:2]]
+            frequencies = np.sort(np.abs(near)) / (2 * np.pi)
+            return MissingMode(mode, tuple(frequencies.tolist()), better, white)
     return None
 
 
@@ -393,10 +376,10 @@ def jump_of(
             if place not in tried and FIRST * count < place < LAST * count:
                 tried[place] = _part(decays, columns, fitted, band, place)
     place = _best(tried)
-    found = tried[place]
-    if found is None:
+    best = tried[place]
+    if best is None:
         return None
-    parts, pieces, parted = found
+    parts, pieces, parted = best
     free = (2 * fitted.poles.size + 1) * len(columns) + 1
     gain = fitted.misfit - parted.misfit - free * np.log(count * len(columns))
     left = judge(pieces, parted, decays.sample_rate)
@@ -424,7 +407,7 @@ def _part(
 
 
 def _best(tried: dict[int, Parted | None]) -> int:
-    return min(tried, key=lambda place: np.inf if (found := tried[place]) is None else found[2].misfit)
+    return min(tried, key=lambda place: np.inf if (part := tried[place]) is None else part[2].misfit)
 
 
 def _finding(parted: Decayed, parts: tuple[FreeDecay, ...], rate: float) -> Finding:
@@ -477,28 +460,18 @@ def decay_findings(
     """
     warnings = []
     if not fitted.converged:
-        message = (
-            f"the fit of the decay did not converge in {fitted.steps} steps; its numbers are not a result"
-        )
-        warnings.append(Finding("no-convergence", message))
-    lasting = _lasting(fitted)
+        steps = f"the fit of the decay did not converge in {fitted.steps} steps"
+        warnings.append(Finding("no-convergence", f"{steps}; its numbers are not a result"))
+    decay, errors = -fitted.poles.real, np.sqrt(np.diag(fitted.covariance)[0::2])
+    lasting = _places(fitted, (decay > 0) & (decay < 2 * errors))
     if lasting:
-        where = ", ".join(f"{frequency:.4g} Hz" for frequency in lasting)
-        what = (
-            f"the damping ratio at {where} cannot be told from zero at 95 %: hum, an excitation that "
-            "goes on, or too short a decay"
-        )
-        warnings.append(Finding("insignificant", what))
-    growing = fitted.poles[fitted.poles.real >= 0]
-    if growing.size:
-        where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in growing)
-        warnings.append(
-            Finding(
-                "unphysical",
-                f"the oscillation at {where} does not decay: energy enters the structure, or it is an "
-                "excitation",
-            )
-        )
+        what = f"the damping ratio at {lasting} cannot be told from zero at 95 %"
+        cause = "hum, an excitation that goes on, or too short a decay"
+        warnings.append(Finding("insignificant", f"{what}: {cause}"))
+    growing = _places(fitted, decay <= 0)
+    if growing:
+        cause = "energy enters the structure, or it is an excitation"
+        warnings.append(Finding("unphysical", f"the oscillation at {growing} does not decay: {cause}"))
     beats = missing.mode if missing is not None else None
     of_amplitude = [
         _over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None)
@@ -533,10 +506,9 @@ def _mismatch(tested: Judged) -> tuple[Finding, ...]:
     return (Finding("model-mismatch", message),)
 
 
-def _lasting(fitted: Decayed) -> list[float]:
-    errors = np.sqrt(np.diag(fitted.covariance)[0::2])
-    lasting = (fitted.poles.real < 0) & (-fitted.poles.real < 2 * errors)
-    return [float(abs(pole) / (2 * np.pi)) for pole in fitted.poles[lasting]]
+def _places(fitted: Decayed, chosen: BoolArray) -> str:
+    """The frequencies of the chosen modes, in words."""
+    return ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[chosen])
 
 
 def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: MissingMode | None) -> Finding:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
@@ -49,7 +49,6 @@ from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import Port
 from labpipe.records.settings import Settings, setting
 from labpipe.records.spectra import FreeDecays
-from labpipe.records.uncertain import Uncertainty
 from labpipe.spectra.settings import DECAYS
 
 MOST_MODES = 8
@@ -69,7 +68,7 @@ class DecaySettings(Settings):
 
     def __post_init__(self) -> None:
         if not 1 <= self.modes <= MOST_MODES:
-            raise ConfigError(f"'modes' is {self.modes}", hint=f"1 to {MOST_MODES}", field="modes")
+            raise SettingError("modes", f"'modes' is {self.modes}", f"1 to {MOST_MODES}")
 
 
 DECAY = ModelKind(
@@ -141,15 +140,16 @@ def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...
             estimated(name + suffix, unit, value, _error(gradient, block), fitted.dof, None)
             for name, unit, value, gradient in _frequency_and_damping(pole)
         )
+        parameters += [f_n, zeta]
         gradient = 2 * np.pi * np.array([-1 / pole.imag, pole.real / pole.imag**2])
-        decrement = float(-2 * np.pi * pole.real / pole.imag)
-        parameters.extend(
-            (f_n, zeta, derive("log_decrement" + suffix, "1", decrement, _error(gradient, block), fitted.dof))
-        )
+        derived = [("log_decrement" + suffix, "1", -2 * np.pi * pole.real / pole.imag, gradient)]
         if mass is not None:
-            parameters.extend(
-                _support(pole, block, mass, "" if fitted.poles.size == 1 else suffix, fitted.dof)
-            )
+            end = "" if fitted.poles.size == 1 else suffix
+            towards = np.array([pole.real, pole.imag])
+            derived.append(("k" + end, "N/m", mass * abs(pole) ** 2, 2 * mass * towards))
+            derived.append(("c" + end, "N.s/m", -2 * mass * pole.real, np.array([-2 * mass, 0.0])))
+        for name, unit, value, gradient in derived:
+            parameters.append(derive(name, unit, float(value), _error(gradient, block), fitted.dof))
     if not fitted.converged:
         return tuple(without_interval(parameter) for parameter in parameters)
     return tuple(parameters)
@@ -161,16 +161,6 @@ def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatA
     towards = np.array([pole.real, pole.imag]) / (2 * np.pi * size)
     turned = np.array([-(pole.imag**2), pole.real * pole.imag]) / size**3
     return ("f_n", "Hz", float(size / (2 * np.pi)), towards), ("zeta", "1", float(-pole.real / size), turned)
-
-
-def _support(
-    pole: complex, block: FloatArray, mass: float, suffix: str, dof: int
-) -> tuple[Parameter, Parameter]:
-    stiffness, damping = float(mass * abs(pole) ** 2), float(-2 * mass * pole.real)
-    k = derive(
-        "k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof
-    )
-    return k, derive("c" + suffix, "N.s/m", damping, _error(np.array([-2 * mass, 0.0]), block), dof)
 
 
 def _error(gradient: FloatArray, covariance: FloatArray) -> float:
@@ -237,18 +227,12 @@ def law_parameters(
     """Damping ratio at rest, its slope and that of the frequency over the amplitude [unit] of the mode of
     this number from 0.
     """
-    law, errors = fitted.law, np.sqrt(np.diag(fitted.covariance))
-    per = f"1/{unit}" if "/" not in unit else f"1/({unit})"
+    law, (rest, slope, turn, _) = fitted.law, np.sqrt(np.diag(fitted.covariance)).tolist()
+    per, number, hertz = f"/({unit})" if "/" in unit else f"/{unit}", mode + 1, 1 / (2 * np.pi)
     return (
-        derive(f"zeta_rest_{mode + 1}", "1", law.zeta_rest, float(errors[0]), dof),
-        derive(f"zeta_slope_{mode + 1}", per, law.zeta_slope, float(errors[1]), dof),
-        derive(
-            f"f_slope_{mode + 1}",
-            f"Hz{per[1:]}",
-            law.frequency_slope / (2 * np.pi),
-            float(errors[2]) / (2 * np.pi),
-            dof,
-        ),
+        derive(f"zeta_rest_{number}", "1", law.zeta_rest, rest, dof),
+        derive(f"zeta_slope_{number}", f"1{per}", law.zeta_slope, slope, dof),
+        derive(f"f_slope_{number}", f"Hz{per}", law.frequency_slope * hertz, turn * hertz, dof),
     )
 
 
@@ -263,27 +247,16 @@ def decay_sources(
 
     An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large.
     """
-    uncertainties: dict[str, Uncertainty] = {}
-    changes: dict[str, FloatArray] = {}
+    sources: dict[str, Source] = {}
     for mode, port in ports.items():
-        scaled = np.array(
-            [
-                parameter.value if parameter.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0
-                for parameter in parameters
-            ]
-        )
+        names = [f"{name}_{mode + 1}" for name in PER_AMPLITUDE]
+        scaled = np.array([p.value if p.name in names else 0.0 for p in parameters])
         for calibration in port.uncertainties:
             if calibration.effect == "gain":
-                source = calibration.uncertainty.source
-                uncertainties.setdefault(source, calibration.uncertainty)
-                changes[source] = (
-                    changes.get(source, np.zeros(len(parameters)))
-                    + calibration.uncertainty.std_error * scaled
-                )
-    return [
-        *mass_source(parameters, settings),
-        *((uncertainties[source], change) for source, change in changes.items()),
-    ]
+                gain = calibration.uncertainty
+                first, change = sources.get(gain.source, (gain, np.zeros(len(parameters))))
+                sources[gain.source] = first, change + gain.std_error * scaled
+    return [*mass_source(parameters, settings), *sources.values()]
 
 
 # Rows for each parameter of the poles below which intervals are not those of a large sample.
@@ -310,22 +283,21 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     _check(settings, alone)
     if alone:
         repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
+    n_mode, rate = decay_settings.modes, decays.sample_rate
     if repeated is None:
-        fitted = most_likely(
-            decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes
-        )
+        fitted = most_likely(decays.decays, columns, pieces, rate, settings.band, n_mode)
     else:
         fitted, places = repeated.joined, repeated.places
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
         pieces = tuple(pieces[place] for place in places)
     _check_fitted(pieces, fitted)
-    tested, jump = judge(pieces, fitted, decays.sample_rate), None
+    tested, jump = judge(pieces, fitted, rate), None
     if repeated is None and min(tested.amplitude, tested.white) < MISMATCH_P:
         jump = jump_of(decays, columns, fitted, settings.band)
     if jump is not None:
         decays, pieces, fitted = jump.decays, jump.pieces, jump.fitted
-        tested = judge(pieces, fitted, decays.sample_rate)
-    strongest = {mode: _strongest(fitted, mode) for mode in range(decay_settings.modes)}
+        tested = judge(pieces, fitted, rate)
+    strongest = {mode: _strongest(fitted, mode) for mode in range(n_mode)}
     laws = _laws(pieces, fitted, tested, strongest)
     missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
     laws = {} if missing and missing.white else _explaining(pieces, laws)
@@ -345,29 +317,21 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     fit = _report(decays, settings, pieces, fitted, parameters)
     ports = {mode: decays.outputs[columns[output]] for mode, (_, output) in strongest.items()}
     fit = with_sources(fit, decay_sources(parameters, settings, ports))
-    return replace(
-        fit,
-        findings=(
-            *(() if jump is None else (jump.finding,)),
-            *findings,
-            *short,
-            *(() if repeated is None else (*repeated.failed, *drift_findings(repeated))),
-            *decays.findings,
-        ),
-        notes=(
-            *(() if repeated is None else repeat_notes(repeated, units)),
-            *_notes(decays, columns, pieces, fitted, tested),
-        ),
-        details=(_ring_down(decays, columns, pieces, fitted, strongest, curves),),
-    )
+    findings = (*(() if jump is None else (jump.finding,)), *findings, *short)
+    notes = _notes(decays, columns, pieces, fitted, tested)
+    if repeated is not None:
+        findings = (*findings, *repeated.failed, *drift_findings(repeated))
+        notes = (*repeat_notes(repeated, units), *notes)
+    details = (_ring_down(decays, columns, pieces, fitted, strongest, curves),)
+    return replace(fit, findings=(*findings, *decays.findings), notes=notes, details=details)
 
 
 def _check(settings: FitSettings, each: bool) -> None:
     if not isinstance(settings.mass, (float, str)):
-        raise ConfigError("a decay takes one mass", hint="for example mass: 0.92 kg", field="mass")
+        raise SettingError("mass", "a decay takes one mass", "for example mass: 0.92 kg")
     if settings.repeat_groups and not each:
         what = "'repeat_groups' needs several decays, of which each is fitted alone"
-        raise ConfigError(what, hint="leave it out", field="repeat_groups")
+        raise SettingError("repeat_groups", what, "leave it out")
 
 
 def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
@@ -377,18 +341,14 @@ def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
     as if there were MORE_LINES times as many.
     """
     if fitted.dof < FEW_DOF:
-        raise FitError(
-            f"the decays leave {fitted.dof} degrees of freedom",
-            hint="a longer decay, fewer `modes`, or a wider `band`",
-        )
+        hint = "a longer decay, fewer `modes`, or a wider `band`"
+        raise FitError(f"the decays leave {fitted.dof} degrees of freedom", hint=hint)
     rows = sum(piece.rows.size for piece in pieces)
     weak = energies(pieces, fitted) < 2 * np.log(MORE_LINES * rows / MISMATCH_P)
     if np.any(weak):
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[weak])
-        raise FitError(
-            f"what would be a mode at {where} is noise",
-            hint="fewer `modes`, another `band`, or stronger hits",
-        )
+        hint = "fewer `modes`, another `band`, or stronger hits"
+        raise FitError(f"what would be a mode at {where} is noise", hint=hint)
 
 
 def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
@@ -410,12 +370,8 @@ def _laws(
 
 
 def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int, FittedLaw]:
-    rows = sum(piece.rows.shape[0] for piece in pieces)
-    return {
-        mode: law
-        for mode, law in laws.items()
-        if law.law.p_value >= MISMATCH_P or law.squares < EXPLAINED * rows
-    }
+    most = EXPLAINED * sum(piece.rows.shape[0] for piece in pieces)
+    return {mode: law for mode, law in laws.items() if law.law.p_value >= MISMATCH_P or law.squares < most}
 
 
 def _missing(
@@ -429,13 +385,12 @@ def _missing(
 ) -> MissingMode | None:
     if not laws or fitted.poles.size == MOST_MODES:
         return None
+    rate = decays.sample_rate
     try:
-        richer = most_likely(
-            decays.decays, columns, pieces, decays.sample_rate, settings.band, fitted.poles.size + 1
-        )
+        richer = most_likely(decays.decays, columns, pieces, rate, settings.band, fitted.poles.size + 1)
     except FitError:
         return None
-    white = judge(pieces, richer, decays.sample_rate).white >= MISMATCH_P
+    white = judge(pieces, richer, rate).white >= MISMATCH_P
     return missing_mode(pieces, fitted, richer, laws, strongest, white=white)
 
 
@@ -451,14 +406,9 @@ def _parameters(
     parameters = mode_parameters(fitted, mass)
     if repeated is not None:
         parameters = with_repeats(parameters, repeated, fitted.dof, mass)
-    return (
-        *parameters,
-        *(
-            parameter
-            for mode, law in laws.items()
-            for parameter in law_parameters(law, mode, units[mode], fitted.dof)
-        ),
-    )
+    for mode, law in laws.items():
+        parameters += law_parameters(law, mode, units[mode], fitted.dof)
+    return parameters
 
 
 def _report(
@@ -469,9 +419,8 @@ def _report(
     parameters: tuple[Parameter, ...],
 ) -> Fit:
     equations = sum(piece.rows.size for piece in pieces)
-    r2 = 1 - _square_sum(solved.residual for solved in fitted.pieces) / _square_sum(
-        _free_of_nuisance(piece) for piece in pieces
-    )
+    left = _square_sum(solved.residual for solved in fitted.pieces)
+    r2 = 1 - left / _square_sum(_free_of_nuisance(piece) for piece in pieces)
     adjusted = 1 - (1 - r2) * equations / fitted.dof
     n = fitted.poles.size
     slopes = np.zeros((2 * n, 2 * n))
@@ -508,10 +457,10 @@ def _free_of_nuisance(piece: Piece) -> FloatArray:
 def _notes(
     decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], fitted: Decayed, tested: Judged
 ) -> tuple[str, ...]:
+    deviations = np.sqrt(np.mean(fitted.variance, axis=0))
     noise = ", ".join(
-        f"{decays.outputs[column].label} {np.sqrt(np.mean(fitted.variance[:, number])):.3g} "
-        f"{decays.units[column]}"
-        for number, column in enumerate(columns)
+        f"{decays.outputs[column].label} {deviation:.3g} {decays.units[column]}"
+        for column, deviation in zip(columns, deviations, strict=True)
     )
     notes = [
         f"decay: standard deviation of the residual: {noise}. Chance of such a residual in white noise "
@@ -524,19 +473,22 @@ def _notes(
         centred = samples - _offset(pieces[number], fitted, number, output)
         read = peak_decrement(centred, decays.sample_rate, pole.imag / (2 * np.pi))
         if read is not None:
-            by_fit = -2 * np.pi * pole.real / pole.imag
-            notes.append(
-                f"decay: the peaks alone would give the logarithmic decrement {read:.4g} (here "
-                f"{by_fit:.4g}); noise makes it too small."
-            )
+            both = f"{read:.4g} (here {-2 * np.pi * pole.real / pole.imag:.4g})"
+            what = f"decay: the peaks alone would give the logarithmic decrement {both}"
+            notes.append(f"{what}; noise makes it too small.")
     return tuple(notes)
 
 
 def _offset(piece: Piece, fitted: Decayed, number: int, output: int) -> float:
     """The fitted offset of an output: the mean of what neither the modes nor the residual are."""
-    solved = fitted.pieces[number]
-    modes = (np.exp(piece.time[:, None] * fitted.poles_of(number)) @ solved.amplitudes[:, output]).real
-    return float(np.mean(piece.rows[:, output] - solved.residual[:, output] - modes))
+    left = fitted.pieces[number].residual[:, output]
+    return float(np.mean(piece.rows[:, output] - left - _course(piece, fitted, number, output)))
+
+
+def _course(piece: Piece, fitted: Decayed, number: int, output: int) -> FloatArray:
+    """All modes together (n_sample,) [unit of the output]."""
+    course = np.exp(piece.time[:, None] * fitted.poles_of(number))
+    return np.asarray((course @ fitted.pieces[number].amplitudes[:, output]).real)
 
 
 def _ring_down(
@@ -553,22 +505,9 @@ def _ring_down(
     )
     decay, piece = decays.decays[number], pieces[number]
     samples = decay.samples[:, columns[output]]
-    modes = (
-        np.exp(piece.time[:, None] * fitted.poles_of(number)) @ fitted.pieces[number].amplitudes[:, output]
-    ).real
-    offset = (
-        float(np.mean(samples - modes)) if piece.lines is not None else _offset(piece, fitted, number, output)
-    )
-    time, measured, shown, left = trace(
-        piece.time + decay.start, samples, modes + offset, samples - modes - offset
-    )
-    return RingDown(
-        decay.recording,
-        decays.outputs[columns[output]].label,
-        decays.units[columns[output]],
-        time,
-        measured,
-        shown,
-        left,
-        curves,
-    )
+    modes = _course(piece, fitted, number, output)
+    offset = _offset(piece, fitted, number, output) if piece.lines is None else np.mean(samples - modes)
+    shown = modes + offset
+    time, measured, shown, left = trace(piece.time + decay.start, samples, shown, samples - shown)
+    label, unit = decays.outputs[columns[output]].label, decays.units[columns[output]]
+    return RingDown(decay.recording, label, unit, time, measured, shown, left, curves)

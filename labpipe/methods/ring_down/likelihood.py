@@ -147,9 +147,8 @@ class Solved:
 def solve(piece: Piece, poles: ComplexArray) -> Solved:
     """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]. Equation (decay-model)."""
     # Poles far from any solution may grow beyond all numbers on the way.
-    course = np.exp(
-        np.minimum((piece.time[:, None] * poles.real), 50.0) + 1j * piece.time[:, None] * poles.imag
-    )
+    time = piece.time[:, None]
+    course = np.exp(np.minimum(time * poles.real, 50.0) + 1j * time * poles.imag)
     n_mode = poles.size
     modes = piece.project(np.concatenate([course.real, course.imag], axis=1))
     range_, triangle = np.linalg.qr(np.concatenate([modes, piece.nuisance], axis=1))
@@ -157,7 +156,7 @@ def solve(piece: Piece, poles: ComplexArray) -> Solved:
     if np.min(np.abs(np.diag(triangle))) <= 1e-14 * np.max(np.abs(np.diag(triangle))):
         raise FitError("two modes of the decay became one")
     factors = solve_triangular(triangle, shares)
-    moments = piece.time[:, None] * course
+    moments = time * course
     tangent = piece.project(np.concatenate([moments.real, moments.imag], axis=1))
     return Solved(
         factors[:n_mode] - 1j * factors[n_mode : 2 * n_mode],
@@ -226,12 +225,10 @@ def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
 def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     """Sum of squares (n_mode,) [1] of every mode over all pieces, each relative to its noise."""
     total = np.zeros(fitted.poles.size)
-    for number, (piece, solved, variance) in enumerate(
-        zip(pieces, fitted.pieces, fitted.variance, strict=True)
-    ):
+    for number, (piece, solved) in enumerate(zip(pieces, fitted.pieces, strict=True)):
         course = np.exp(piece.time[:, None] * fitted.poles_of(number))
-        for amplitudes, variance_of_output in zip(solved.amplitudes.T, variance, strict=True):
-            total += np.sum(piece.project((course * amplitudes).real) ** 2, axis=0) / variance_of_output
+        for amplitudes, variance in zip(solved.amplitudes.T, fitted.variance[number], strict=True):
+            total += np.sum(piece.project((course * amplitudes).real) ** 2, axis=0) / variance
     return total
 
 
@@ -240,39 +237,28 @@ def _decay(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps
     variance = _variances(solved, poles.size)
     information, _ = _normal_equations(solved, variance)
     covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
-    places = np.concatenate([order, order + poles.size]).reshape(2, -1).T.reshape(-1)
+    places = np.stack([order, order + poles.size], axis=1).reshape(-1)
     equations = sum(part.residual.size for part in solved)
     linear = sum(part.range_.shape[1] * part.residual.shape[1] for part in solved)
-    return Decayed(
-        poles[order],
-        covariance[np.ix_(places, places)],
-        variance,
-        equations - linear - 2 * poles.size,
-        tuple(_sort(part, order) for part in solved),
-        converged,
-        steps,
+    columns = np.concatenate([order, order + poles.size])
+    ordered = tuple(
+        replace(part, amplitudes=part.amplitudes[order], tangent=part.tangent[:, columns]) for part in solved
     )
-
-
-def _sort(solved: Solved, order: IntArray) -> Solved:
-    tangent = solved.tangent[:, np.concatenate([order, order + order.size])]
-    return Solved(solved.amplitudes[order], solved.residual, solved.range_, tangent)
+    dof = equations - linear - 2 * poles.size
+    covariance = covariance[np.ix_(places, places)]
+    return Decayed(poles[order], covariance, variance, dof, ordered, converged, steps)
 
 
 def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
     """Noise variance (n_piece, n_output) of one row; the poles count as parameters in equal shares."""
     n_series = sum(part.residual.shape[1] for part in solved)
-    rows = [
-        np.sum(part.residual**2, axis=0)
-        / max(part.residual.shape[0] - part.range_.shape[1] - 2 * n_mode / n_series, 1.0)
-        for part in solved
-    ]
-    # Decays without noise leave rounding, which has a size as well.
-    floor = [
-        np.finfo(float).eps ** 2 * np.sum(np.abs(part.amplitudes) ** 2, axis=0) + np.finfo(float).tiny
-        for part in solved
-    ]
-    return np.maximum(rows, floor)
+    variances, real = [], np.finfo(float)
+    for part in solved:
+        dof = max(part.residual.shape[0] - part.range_.shape[1] - 2 * n_mode / n_series, 1.0)
+        # Decays without noise leave rounding, which has a size as well.
+        floor = real.eps**2 * np.sum(np.abs(part.amplitudes) ** 2, axis=0) + real.tiny
+        variances.append(np.maximum(np.sum(part.residual**2, axis=0) / dof, floor))
+    return np.array(variances)
 
 
 def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -336,9 +322,8 @@ def most_likely(
     n_mode: int,
 ) -> Decayed:
     """The most likely fit from all starts; FitError where none leads to *n_mode* modes."""
-    strongest = sorted(
-        decays, key=lambda decay: -float(np.max(np.var(decay.samples[:, list(columns)], axis=0)))
-    )
+    columns = list(columns)
+    strongest = sorted(decays, key=lambda decay: -float(np.max(np.var(decay.samples[:, columns], axis=0))))
     series = [decay.samples[:, column] for decay in strongest for column in columns][:MOST_SERIES]
     thinned, slower = _decimate(series, rate, band, n_mode)
     fits: list[Decayed] = []
@@ -354,10 +339,9 @@ def most_likely(
             break
         fits.append(fit)
     if not fits:
-        what = f"no {n_mode} decaying oscillation(s) stand out of the noise" + (
-            f" in {band[0]:g}-{band[1]:g} Hz" if band else ""
-        )
-        raise FitError(what, hint="fewer `modes`, another `band`, or a decay that begins earlier")
+        what = f"no {n_mode} decaying oscillation(s) stand out of the noise"
+        where = f" in {band[0]:g}-{band[1]:g} Hz" if band else ""
+        raise FitError(what + where, hint="fewer `modes`, another `band`, or a decay that begins earlier")
     return min(fits, key=lambda fit: (not fit.converged, fit.misfit))
 
 
@@ -385,21 +369,16 @@ def pencil_poles(
     """
     rows = min(samples.size for samples in series) // 3
     if rows <= rank + 1:
-        raise FitError(
-            f"the decay is {3 * rows} samples of its highest frequency long",
-            hint="a longer decay, or a wider `band`",
-        )
-    hankel = np.concatenate(
-        [np.lib.stride_tricks.sliding_window_view(samples, rows).T for samples in series], axis=1
-    )
+        what = f"the decay is {3 * rows} samples of its highest frequency long"
+        raise FitError(what, hint="a longer decay, or a wider `band`")
+    windows = [np.lib.stride_tricks.sliding_window_view(samples, rows).T for samples in series]
+    hankel = np.concatenate(windows, axis=1)
     vectors = np.linalg.eigh(hankel @ hankel.T)[1][:, -rank:]
     turns = np.linalg.eigvals(np.linalg.lstsq(vectors[:-1], vectors[1:], rcond=None)[0])
     turns = turns[(turns.imag > 1e-9) & (np.abs(turns) > 0)]
     poles = np.asarray(np.log(turns) * rate, np.complex128)
-    low, high = band or (0.0, np.inf)
-    poles = poles[
-        (poles.imag > 2 * np.pi * low) & (poles.imag < 2 * np.pi * high) & (np.abs(poles.real) < poles.imag)
-    ]
+    low, high = 2 * np.pi * np.array(band or (0.0, np.inf))
+    poles = poles[(poles.imag > low) & (poles.imag < high) & (np.abs(poles.real) < poles.imag)]
     if poles.size < n_mode:
         return None
     return np.asarray(poles[np.argsort(-_energy(series, poles / rate))[:n_mode]])
@@ -450,10 +429,8 @@ def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None,
         return band[1]
     power = np.abs(fft.rfft(samples)) ** 2
     inner = power[1:-1]
-    peaks = (
-        np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:]) & (inner > STANDS_OUT * np.median(power)))
-        + 1
-    )
+    is_peak = (inner >= power[:-2]) & (inner >= power[2:]) & (inner > STANDS_OUT * np.median(power))
+    peaks = np.flatnonzero(is_peak) + 1
     strongest = peaks[np.argsort(-power[peaks])][: 2 * n_mode]
     return 1.2 * max((int(np.max(strongest)) if strongest.size else power.size - 1), 1) * rate / samples.size
 
@@ -492,28 +469,20 @@ class Judged:
 
 def judge(pieces: Sequence[Piece], fitted: Decayed, rate: float) -> Judged:
     """The residuals of all *pieces* at *rate* [Hz] together."""
-    rows = [(piece, solved) for piece, solved in zip(pieces, fitted.pieces, strict=True)]
-    residuals = [(piece, piece.series(solved.residual)) for piece, solved in rows]
-    line, strongest = _strongest_line(residuals, rate)
-    return Judged(
-        _next_terms(rows, fitted.poles),
-        min(1.0, 2 * min(portmanteau([part for _, part in residuals], _real(pieces)), line)),
-        strongest,
-        _ending([part for _, part in residuals]),
-    )
+    rows = list(zip(pieces, fitted.pieces, strict=True))
+    series = [piece.series(solved.residual) for piece, solved in rows]
+    line, strongest = _strongest_line(list(zip(pieces, series, strict=True)), rate)
+    alike = portmanteau(series, all(piece.lines is None for piece in pieces))
+    white = min(1.0, 2 * min(alike, line))
+    return Judged(_next_terms(rows, fitted.poles), white, strongest, _ending(series))
 
 
 def _ending(residuals: Sequence[ComplexArray]) -> float:
-    thirds = [
-        [float(np.mean(np.abs(part) ** 2)) for part in np.array_split(series / np.std(series, axis=0), 3)]
-        for series in residuals
-    ]
-    first, last = (sum(one[place] for one in thirds) for place in (0, 2))
-    return last / first if first > 0 else 1.0
-
-
-def _real(pieces: Sequence[Piece]) -> bool:
-    return all(piece.lines is None for piece in pieces)
+    squares = np.zeros(3)
+    for series in residuals:
+        thirds = np.array_split(series / np.std(series, axis=0), 3)
+        squares += [float(np.mean(np.abs(part) ** 2)) for part in thirds]
+    return float(squares[2] / squares[0]) if squares[0] > 0 else 1.0
 
 
 def _next_terms(rows: Sequence[tuple[Piece, Solved]], poles: ComplexArray) -> float:

@@ -84,9 +84,7 @@ def repeated_decays(
     failed = []
     for number, (decay, piece) in enumerate(zip(decays.decays, pieces, strict=True)):
         try:
-            fitted = most_likely(
-                [decays.decays[number]], columns, [piece], decays.sample_rate, settings.band, n_mode
-            )
+            fitted = most_likely([decay], columns, [piece], decays.sample_rate, settings.band, n_mode)
             if not fitted.converged:
                 raise FitError("its fit does not converge")
             if np.any(fitted.poles.real >= 0):
@@ -109,17 +107,12 @@ def repeated_decays(
     sizes = np.array([np.max(np.abs(fit.pieces[0].amplitudes), axis=1) for fit in own])[used]
     means, at = [], np.full(n_mode, np.nan)
     for mode in range(n_mode):
-        pair, at[mode] = _means(
-            logs[used][:, [mode, n_mode + mode]],
-            variances[used][:, [mode, n_mode + mode]],
-            sizes[:, mode],
-            groups,
-        )
+        of_mode = [mode, n_mode + mode]
+        pair, at[mode] = _means(logs[used][:, of_mode], variances[used][:, of_mode], sizes[:, mode], groups)
         means.append(pair)
-    failed.extend(_outliers(decays, numbers, kept, logs, n_mode))
-    return RepeatedDecays(
-        len(pieces), numbers, own, tuple(failed), kept, tuple(means), at, settings.repeat_groups
-    )
+    left_out = (*failed, *_outliers(decays, numbers, kept, logs, n_mode))
+    total, named = len(pieces), settings.repeat_groups
+    return RepeatedDecays(total, numbers, own, left_out, kept, tuple(means), at, named)
 
 
 def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
@@ -139,18 +132,15 @@ def _means(
     logs: FloatArray, variances: FloatArray, sizes: FloatArray, groups: Sequence[str]
 ) -> tuple[tuple[RepeatMean, RepeatMean], float]:
     scales = (PRIOR_SCALE * float(np.exp(np.median(logs[:, 1]))), PRIOR_SCALE)
+    both = list(zip(logs.T, variances.T, scales, strict=True))
     if len(set(groups)) > 1:
-        frequency, damping = (
-            mean_of_groups(logs[:, which], variances[:, which], groups, scales[which]) for which in (0, 1)
-        )
+        frequency, damping = (mean_of_groups(x, variance, groups, scale) for x, variance, scale in both)
         return (frequency, damping), np.nan
     middle = float(np.median(sizes))
     covariate = (sizes - middle) / middle
-    is_course = any(follows(logs[:, which], variances[:, which], covariate) for which in (0, 1))
+    is_course = any(follows(x, variance, covariate) for x, variance, _ in both)
     chosen = covariate if is_course else None
-    frequency, damping = (
-        repeat_mean(logs[:, which], variances[:, which], scales[which], chosen) for which in (0, 1)
-    )
+    frequency, damping = (repeat_mean(x, variance, scale, chosen) for x, variance, scale in both)
     return (frequency, damping), middle if is_course else np.nan
 
 
@@ -166,27 +156,18 @@ def _outliers(
     findings = []
     for place in np.flatnonzero(~kept.used).tolist():
         decay = decays.decays[numbers[place]]
-        f, zeta = np.exp(logs[place, :n_mode]), np.exp(logs[place, n_mode:])
-        values = ", ".join(
-            f"{frequency:.6g} Hz and {ratio:.3g}" for frequency, ratio in zip(f, zeta, strict=True)
-        )
+        modes = np.exp(logs[place].reshape(2, n_mode)).T
+        values = ", ".join(f"{frequency:.6g} Hz and {ratio:.3g}" for frequency, ratio in modes)
         where = f"decay {numbers[place] + 1} ('{decay.recording}', {decay.start:.3f} s)"
-        findings.append(
-            note(
-                "repeat-left-out",
-                f"{where} is left out: its frequency and damping ratio, {values}, stand out",
-            )
-        )
+        what = f"{where} is left out: its frequency and damping ratio, {values}, stand out"
+        findings.append(note("repeat-left-out", what))
     return findings
 
 
 def drift_findings(repeated: RepeatedDecays) -> list[Finding]:
     """A note where neighbours in time are alike."""
-    modes = [
-        str(number)
-        for number, pair in enumerate(repeated.means, start=1)
-        if pair[0].ordered or pair[1].ordered
-    ]
+    pairs = enumerate(repeated.means, start=1)
+    modes = [str(number) for number, (f_n, zeta) in pairs if f_n.ordered or zeta.ordered]
     if not modes:
         return []
     message = (

@@ -4,14 +4,12 @@ frequency over amplitude.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.records.fit_details import AmplitudeLaw, FitDetailKind, OverAmplitude, RingDown
 from labpipe.records.identification import Fit
-from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, curve, level, stack
+from labpipe.report.chart import GREY, Axis, Panel, curve, level, stack
 from labpipe.report.document import Figure
 from labpipe.report.figures import scale_of
 from labpipe.report.wording import fit_title, unit_text
@@ -19,8 +17,6 @@ from labpipe.report.wording import fit_title, unit_text
 TWO_SIGMA = 1.96
 LAW_POINTS = 60
 MODE_HEIGHT = 3.4
-
-Law = Callable[[AmplitudeLaw, FloatArray], FloatArray]
 
 
 def ring_down_figures(fit: Fit, shown: RingDown) -> list[Figure]:
@@ -34,21 +30,12 @@ def ring_down_figures(fit: Fit, shown: RingDown) -> list[Figure]:
 
 def decay_figure(fit: Fit, shown: RingDown) -> Figure:
     time, factor, unit = Axis("time in the recording", "s"), scale_of(shown.unit), unit_text(shown.unit)
+    measured = curve("measured", shown.time, factor * shown.measured, 0)
+    fitted = curve("fitted", shown.time, factor * shown.fitted, 1, "--", width=0.8)
+    residual = curve("residual", shown.time, factor * shown.residual, GREY, width=0.8)
     panels = (
-        Panel(
-            time,
-            Axis(shown.output, unit),
-            (
-                curve("measured", shown.time, factor * shown.measured, 0),
-                curve("fitted", shown.time, factor * shown.fitted, 1, "--", width=0.8),
-            ),
-            share=2.0,
-        ),
-        Panel(
-            time,
-            Axis("residual", unit),
-            (curve("residual", shown.time, factor * shown.residual, GREY, width=0.8), level(0.0)),
-        ),
+        Panel(time, Axis(shown.output, unit), (measured, fitted), share=2.0),
+        Panel(time, Axis("residual", unit), (residual, level(0.0))),
     )
     caption = (
         f"{fit_title(fit)}: free decay of {shown.output} in recording '{shown.recording}', the largest of "
@@ -60,55 +47,26 @@ def decay_figure(fit: Fit, shown: RingDown) -> Figure:
 
 def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmplitude) -> Figure:
     across = Axis("amplitude", unit_text(shown.unit), logarithmic=True)
-    amplitude = scale_of(shown.unit) * mode.amplitude
-    panels = (
-        _over(
-            across,
-            Axis(f"damping ratio {number}", "%"),
-            amplitude,
-            100 * mode.damping,
-            100 * mode.damping_std_error,
-            mode,
-            _damping,
-        ),
-        _over(
-            across,
-            Axis(f"frequency {number}", "Hz"),
-            amplitude,
-            mode.frequency,
-            mode.frequency_std_error,
-            mode,
-            _frequency,
-        ),
+    factor, law = scale_of(shown.unit), mode.law
+    amplitudes = np.geomspace(mode.amplitude[0], mode.amplitude[-1], LAW_POINTS)
+    rows = (
+        (f"damping ratio {number}", "%", 100 * mode.damping, 100 * mode.damping_std_error, _damping),
+        (f"frequency {number}", "Hz", mode.frequency, mode.frequency_std_error, _frequency),
     )
-    law = " The line is the fitted law of both." if mode.law is not None else ""
+    panels = []
+    for title, unit, values, std_errors, course in rows:
+        ends = values - TWO_SIGMA * std_errors, values + TWO_SIGMA * std_errors
+        series = [curve("stretches", factor * mode.amplitude, values, 0, "", marker="o", bars=ends)]
+        if law is not None:
+            series.append(curve("law", factor * amplitudes, course(law, amplitudes), 1))
+        panels.append(Panel(across, Axis(title, unit), tuple(series)))
+    line = " The line is the fitted law of both." if law is not None else ""
     caption = (
         f"{fit_title(fit)}: mode {number} stretch by stretch, with 95 % intervals. Level: the mode is linear "
-        f"over the amplitudes of the decay.{law}"
+        f"over the amplitudes of the decay.{line}"
     )
-    return Figure(
-        Chart(panels, 2, 1, (WIDTH, MODE_HEIGHT), "x"),
-        caption,
-        f"Mode {number} of fit {fit_title(fit)} over amplitude",
-    )
-
-
-def _over(
-    across: Axis,
-    along: Axis,
-    x: FloatArray,
-    y: FloatArray,
-    spread: FloatArray,
-    mode: OverAmplitude,
-    course: Law,
-) -> Panel:
-    ends = (y - TWO_SIGMA * spread, y + TWO_SIGMA * spread)
-    series = [curve("stretches", x, y, 0, "", marker="o", bars=ends)]
-    if mode.law is not None:
-        amplitudes = np.geomspace(mode.amplitude[0], mode.amplitude[-1], LAW_POINTS)
-        factor = x[0] / mode.amplitude[0]
-        series.append(curve("law", factor * amplitudes, course(mode.law, amplitudes), 1))
-    return Panel(across, along, tuple(series))
+    chart = stack(panels, MODE_HEIGHT)
+    return Figure(chart, caption, f"Mode {number} of fit {fit_title(fit)} over amplitude")
 
 
 def _damping(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:

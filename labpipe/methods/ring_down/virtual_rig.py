@@ -10,7 +10,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.settings import Settings, quantity, require_positive, setting
 from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
@@ -47,13 +47,12 @@ class DecayRig(Settings):
 
     def __post_init__(self) -> None:
         if not self.frequencies or len(self.frequencies) != len(self.damping_ratios):
-            raise ConfigError("'damping_ratios' needs one value for every frequency", field="damping_ratios")
-        if not all(0 < frequency < self.sample_rate / 2 for frequency in self.frequencies):
-            raise ConfigError(
-                f"frequencies must lie between 0 and {self.sample_rate / 2:g} Hz", field="frequencies"
-            )
+            raise SettingError("damping_ratios", "'damping_ratios' needs one value for every frequency")
+        highest = self.sample_rate / 2
+        if not all(0 < frequency < highest for frequency in self.frequencies):
+            raise SettingError("frequencies", f"frequencies must lie between 0 and {highest:g} Hz")
         if not all(0 <= ratio < 1 for ratio in self.damping_ratios):
-            raise ConfigError("damping ratios must lie between 0 and 100 %", field="damping_ratios")
+            raise SettingError("damping_ratios", "damping ratios must lie between 0 and 100 %")
         require_positive(self, "mass", "amplitude", "hits", "interval", "weaker", "sample_rate")
 
 
@@ -105,14 +104,9 @@ def _slipping(rig: DecayRig, time: FloatArray, strength: float) -> FloatArray:
 def truth(rig: DecayRig, names: Sequence[str] = RUNS) -> dict[str, float]:
     modes = len(rig.frequencies) if "beating" in names else 1
     entries: dict[str, float] = {}
-    for n, (frequency, ratio) in enumerate(
-        zip(rig.frequencies[:modes], rig.damping_ratios[:modes], strict=True), start=1
-    ):
-        entries |= {
-            f"f_n_{n}": frequency,
-            f"zeta_{n}": ratio,
-            f"log_decrement_{n}": 2 * np.pi * ratio / float(np.sqrt(1 - ratio**2)),
-        }
+    for n, frequency, ratio in zip(range(1, modes + 1), rig.frequencies, rig.damping_ratios, strict=False):
+        entries |= {f"f_n_{n}": frequency, f"zeta_{n}": ratio}
+        entries[f"log_decrement_{n}"] = 2 * np.pi * ratio / float(np.sqrt(1 - ratio**2))
     omega = 2 * np.pi * rig.frequencies[0]
     entries |= {"mass": rig.mass, "k": rig.mass * omega**2, "c": 2 * rig.damping_ratios[0] * rig.mass * omega}
     if "joint" in names:

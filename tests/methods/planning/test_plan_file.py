@@ -8,7 +8,7 @@ import pytest
 
 from labpipe.artefacts.json_file import write_digested
 from labpipe.errors import ConfigErrors, DataError
-from labpipe.methods.planning.plan_file import load_plan, read_any_plan, read_plan, write_plan
+from labpipe.methods.planning.plan_file import load_plan, read_plan, write_plan
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest, RunPlan
 
 LINES = (60.0, 61.0, 64.0, 64.5)
@@ -27,23 +27,21 @@ PLAN = Plan(
 
 def test_a_plan_comes_back(tmp_path: Path) -> None:
     write_plan(tmp_path / "plan.json", PLAN)
-    assert read_plan(tmp_path / "plan.json") == PLAN == read_any_plan(tmp_path / "plan.json")
+    assert read_plan(tmp_path / "plan.json") == PLAN
 
 
 def test_planned_runs_are_no_planned_excitation(tmp_path: Path) -> None:
     runs = RunPlan("Planned", "run-ups", "D", 60.0, 1.0, 1.0, 3, (), ())
     write_plan(tmp_path / "plan.json", runs)
-    assert read_any_plan(tmp_path / "plan.json") == runs
-    with pytest.raises(DataError, match="plans runs, not an excitation"):
-        read_plan(tmp_path / "plan.json")
+    assert read_plan(tmp_path / "plan.json") == runs
 
 
 def test_what_is_no_plan_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no such file"):
-        read_any_plan(tmp_path / "plan.json")
+        read_plan(tmp_path / "plan.json")
     write_digested(tmp_path / "plan.json", {"schema": "labpipe-sketch-1"})
     with pytest.raises(DataError, match="not a readable plan"):
-        read_any_plan(tmp_path / "plan.json")
+        read_plan(tmp_path / "plan.json")
 
 
 def test_an_unknown_key_gets_the_one_whose_meaning_begins_with_it(tmp_path: Path) -> None:

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from labpipe.errors import DataError
-from labpipe.methods.planning.plan_file import load_plan, read_any_plan, read_plan
+from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
 from labpipe.methods.planning.run_ups import EXPONENTS, expected_run, plan_run_ups
@@ -73,10 +72,8 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     ended = labpipe("plan", _write(tmp_path), "-o", folder)
     assert ended.code == 0, ended.err
     assert "The goals are" in ended.out and "times better by the largest error" in ended.out
-    plan = read_any_plan(folder / "plan.json")
+    plan = read_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan) and plan.efficiency > 0.9 and plan.gain > 1 and plan.duration <= 300
-    with pytest.raises(DataError, match="plans runs, not an excitation"):
-        read_plan(folder / "plan.json")
     assert "Runs to make" in (folder / "report.html").read_text("utf-8")
     assert len((folder / "runs.csv").read_text("utf-8").splitlines()) == len(plan.runs) + 1
     assert labpipe("verify", folder).code == 0
@@ -86,7 +83,7 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
 def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, tmp_path: Path) -> None:
     folder = tmp_path / "planned"
     assert labpipe("plan", _write(tmp_path), "-o", folder).code == 0
-    plan = read_any_plan(folder / "plan.json")
+    plan = read_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan)
     rng = np.random.default_rng(5)
     (folder / "recordings").mkdir()
@@ -111,7 +108,7 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
     # What was found is what is expected of the next runs.
     ended = labpipe("plan", _write(tmp_path, earlier="out/identification.json"), "-o", tmp_path / "second")
     assert ended.code == 0, ended.err
-    again = {number.name: number.expected for number in read_any_plan(tmp_path / "second/plan.json").numbers}
+    again = {number.name: number.expected for number in read_plan(tmp_path / "second/plan.json").numbers}
     assert again["viscosity"] == pytest.approx(found["viscosity"]["value"])
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import yaml
 
 from labpipe.artefacts.writing import output_folder
-from labpipe.methods.planning.plan_file import read_any_plan, write_runs
+from labpipe.methods.planning.plan_file import read_plan, write_runs
 from labpipe.methods.planning.records import PlannedNumber, PlannedRun, RunPlan
 
 RUN = PlannedRun("5 N", 2, 30.0, 1.0, (("load", "5 N"),))
@@ -26,7 +26,7 @@ def test_settings_are_readable_and_text_stays_as_it_is(tmp_path: Path) -> None:
     written = tmp_path / "out"
     assert names == ["plan.json", "report.html", "runs.csv", "runs.md", "pipeline.yaml", "rotor.yaml"]
     assert {path.name for path in written.iterdir()} == set(names)
-    assert read_any_plan(written / "plan.json") == PLAN
+    assert read_plan(written / "plan.json") == PLAN
     text = (written / "pipeline.yaml").read_text("utf-8")
     assert list(yaml.safe_load(text).items()) == [("title", title), ("a", 1)]
     assert 100 < max(len(line) for line in text.splitlines()) <= 123

@@ -16,7 +16,7 @@ import yaml
 
 from labpipe.methods.floating_bearing.virtual_rig import Condition, FloatingRig, coefficients, motions
 from labpipe.methods.journal_bearing.kind import JournalSettings
-from labpipe.methods.planning.plan_file import load_plan, read_any_plan
+from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
 from labpipe.methods.planning.states import COEFFICIENTS, plan_states
@@ -58,7 +58,7 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     ended = labpipe("plan", write(tmp_path, **common), "-o", folder)
     assert ended.code == 0, ended.err
     assert "runs of the floating bearing under" in ended.out and "The goals are met" in ended.out
-    plan = read_any_plan(folder / "plan.json")
+    plan = read_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan) and plan.candidates == 2 and plan.efficiency > 0.5
     names = [number.name for number in plan.numbers]
     assert names[:3] == ["clearance", "viscosity", "k_xx[2000N-3000rpm]"] and len(names) == 18
@@ -174,6 +174,6 @@ def _check_what_states_have_in_common(folder: Path, fits: dict[str, Any]) -> Non
 
 
 def _plan_of(folder: Path) -> RunPlan:
-    plan = read_any_plan(folder / "planned" / "plan.json")
+    plan = read_plan(folder / "planned" / "plan.json")
     assert isinstance(plan, RunPlan)
     return plan

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from labpipe.methods.planning.plan_file import read_any_plan
+from labpipe.methods.planning.plan_file import read_plan
 from labpipe.methods.planning.records import RunPlan
 from tests.conftest import Command
 
@@ -47,7 +47,7 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     assert ended.code == 0, ended.err
     assert "frequency responses of the worn rotor under" in ended.out
     assert "The goals are met" in ended.out and "From the cross terms alone: depth to" in ended.out
-    plan = read_any_plan(folder / "plan.json")
+    plan = read_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan) and plan.duration == 192 and plan.efficiency > 0.8
     assert {number.name for number in plan.numbers} == {"wear_depth", "wear_angle", "clearance"}
     pipeline = yaml.safe_load((folder / "pipeline.yaml").read_text("utf-8"))
@@ -112,7 +112,7 @@ def test_tests_made_as_planned_end_within_the_predicted_errors(labpipe: Command,
     folder = tmp_path / "planned"
     small = {"bands": ["60-100 Hz"], "duration": "200 s", "force": "2 N", "clearance": None}
     assert labpipe("plan", _write(tmp_path, **small, criterion="D"), "-o", folder).code == 0
-    plan = read_any_plan(folder / "plan.json")
+    plan = read_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan)
     for run in plan.runs:
         ended = labpipe(

@@ -16,7 +16,7 @@ from labpipe.records.identification import Fit, FittedCurve, Goodness, Identific
 from labpipe.report.build import build
 from labpipe.report.document import Figure
 from labpipe.report.figures import tuning_figure
-from labpipe.report.fits import _blocks_of_details, fit_figures
+from labpipe.report.fits import blocks_of_details, fit_figures
 
 TURN = np.linspace(0, 2 * np.pi, 12, endpoint=False)
 OUTLINE = np.column_stack([22e-6 + 0.3e-6 * np.cos(TURN), np.deg2rad(11 + 0.5 * np.sin(TURN))])
@@ -115,7 +115,7 @@ def test_tuning_shows_measured_before_and_after_in_one_panel_per_term() -> None:
     ("region", "before", "count"), [(None, False, 0), (REGION, False, 1), (None, True, 1), (REGION, True, 2)]
 )
 def test_a_fit_has_the_figures_it_has_something_for(region: Region | None, before: bool, count: int) -> None:
-    regions = list(_blocks_of_details(fit(region, before)))
+    regions = list(blocks_of_details(fit(region, before)))
     tunings = len(fit_figures(fit(region, before))) - len(fit_figures(fit(region, False)))
     assert len(regions) + tunings == count
 
