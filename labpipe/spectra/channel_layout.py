@@ -18,37 +18,38 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
 from labpipe.records.spectra import UncertainFactor
 from labpipe.records.uncertain import COURSES, MatrixError, Uncertainty
-from labpipe.spectra.channels import calibration_factors, turned_channels, uncertain_numbers
-from labpipe.spectra.ports import Layout, Parts, sensor_response
+from labpipe.spectra.channels import (
+    DerivedRecording,
+    calibration_factors,
+    columns_of,
+    turned_channels,
+    uncertain_numbers,
+)
+from labpipe.spectra.ports import Layout, Parts, at_columns, sensor_response
 from labpipe.spectra.settings import FrfSettings
 
 # A recording whose outputs are other channels than those that its rig names.
 
 
-class WithRoles:
+class WithRoles(DerivedRecording):
     """The source with the named channels as its only outputs; its forces stay. Satisfies SampleSource."""
 
     def __init__(self, source: SampleSource, outputs: Collection[str]) -> None:
-        self._source = source
-        self.channels = tuple(_with_role(channel, channel.name in outputs) for channel in source.channels)
-        self.sample_rate, self.n_sample = source.sample_rate, source.n_sample
-        self.name = source.name
-        self.findings: tuple[Finding, ...] = ()
+        super().__init__(source)
+        self.channels = tuple(
+            channel
+            if channel.role == "input"
+            else replace(channel, role="output" if channel.name in outputs else "reference")
+            for channel in source.channels
+        )
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks (n, n_channel) [SI] of at most *n_sample* samples."""
-        return self._source.blocks(n_sample)
-
-
-def _with_role(channel: Channel, is_output: bool) -> Channel:
-    if channel.role == "input":
-        return channel
-    return replace(channel, role="output" if is_output else "reference")
+        return self.source.blocks(n_sample)
 
 
 Estimate = Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]
@@ -209,7 +210,7 @@ class ChannelLayout:
     @property
     def inputs(self) -> list[int]:
         """Numbers of the forces among the channels."""
-        return [number for number, channel in enumerate(self.channels) if channel.role == "input"]
+        return columns_of(self.channels, "input")
 
     def transform(self, frequency: FloatArray) -> ComplexArray:
         """T (n_line, n_channel, n_recorded) [SI] at *frequency* (n_line,) [Hz]: the vector of all channels is
@@ -236,13 +237,7 @@ class ChannelLayout:
         """*values* (..., n_channel) [any unit] of a recording, its last *axes* axes as the recorded channels;
         zero for an absent force.
         """
-        columns = np.array(self.columns[recording])
-        for axis in range(values.ndim - axes, values.ndim):
-            values = np.take(values, np.maximum(columns, 0), axis=axis)
-            shape = [1] * values.ndim
-            shape[axis] = columns.size
-            values = values * (columns >= 0).reshape(shape)
-        return values
+        return at_columns(values, self.columns[recording], axes)
 
     def factors(self) -> tuple[UncertainFactor, ...]:
         """The numbers with an uncertainty in the sums and the calibrations of channels, with their effect on

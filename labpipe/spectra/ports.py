@@ -20,7 +20,7 @@ from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port, StoredCovariance
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import EDGE, lines_in
-from labpipe.spectra.channels import check_in_time
+from labpipe.spectra.channels import check_in_time, columns_of
 from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.settings import FrfSettings
 
@@ -87,16 +87,21 @@ class Layout:
 
         Zero for an absent force.
         """
-        columns = np.array([*self.input_columns[recording], *self.output_columns[recording]])
-        if np.array_equal(columns, np.arange(values.shape[-1])):
-            return values
-        present = columns >= 0
-        for axis in range(values.ndim - axes, values.ndim):
-            values = np.take(values, np.maximum(columns, 0), axis=axis)
-            shape = [1] * values.ndim
-            shape[axis] = columns.size
-            values = values * present.reshape(shape)
+        columns = (*self.input_columns[recording], *self.output_columns[recording])
+        return at_columns(values, columns, axes)
+
+
+def at_columns(values: ComplexArray, columns: Sequence[int], axes: int) -> ComplexArray:
+    """*values* (..., n_channel) [any unit] at *columns* of its last *axes* axes; zero for a column -1."""
+    chosen = np.array(columns)
+    if np.array_equal(chosen, np.arange(values.shape[-1])):
         return values
+    for axis in range(values.ndim - axes, values.ndim):
+        values = np.take(values, np.maximum(chosen, 0), axis=axis)
+        shape = [1] * values.ndim
+        shape[axis] = chosen.size
+        values = values * (chosen >= 0).reshape(shape)
+    return values
 
 
 def find_layout(sources: Sequence[SampleSource]) -> Layout:
@@ -104,20 +109,10 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
 
     DataError when a recording lacks an output or quantities differ.
     """
-    forces = [_of_role(source, "input") for source in sources]
-    responses = [_of_role(source, "output") for source in sources]
-    inputs = _distinct(forces)
-    outputs = _distinct(responses)
-    _check_complete(sources, responses, outputs)
-    return Layout(
-        inputs=_ports(inputs, _sensors(forces, inputs)),
-        outputs=_ports(outputs, _sensors(responses, outputs)),
-        input_columns=tuple(_columns(channels, inputs) for channels in forces),
-        output_columns=tuple(_columns(channels, outputs) for channels in responses),
-        form=_form(forces, responses),
-        input_sensors=_sensors(forces, inputs),
-        output_sensors=_sensors(responses, outputs),
-    )
+    inputs, input_columns, input_sensors = _ports_of(sources, "input")
+    outputs, output_columns, output_sensors = _ports_of(sources, "output")
+    form = _form(input_sensors, output_sensors)
+    return Layout(inputs, outputs, input_columns, output_columns, form, input_sensors, output_sensors)
 
 
 def response_ports(
@@ -128,14 +123,7 @@ def response_ports(
     DataError as find_layout.
     """
     check_rates(sources)
-    responses = [_of_role(source, "output") for source in sources]
-    outputs = _distinct(responses)
-    _check_complete(sources, responses, outputs)
-    return (
-        _ports(outputs, _sensors(responses, outputs)),
-        tuple(_columns(channels, outputs) for channels in responses),
-        _sensors(responses, outputs),
-    )
+    return _ports_of(sources, "output")
 
 
 def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
@@ -170,43 +158,43 @@ def _key(channel: Channel) -> Key:
     return (channel.name, channel.dof, channel.angle, channel.delay, channel.response)
 
 
-def _sensors(channels: list[list[tuple[int, Channel]]], keys: list[Key]) -> tuple[Channel, ...]:
-    by_key = {_key(channel): channel for members in channels for _, channel in members}
-    return tuple(by_key[key] for key in keys)
+def _ports_of(
+    sources: Sequence[SampleSource], role: str
+) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
+    """Ports of the channels of a *role*, their columns in each recording, and the channels."""
+    columns = [_columns_of(source, role) for source in sources]
+    if role == "output":
+        _check_complete(sources, columns)
+    keys = list(dict.fromkeys(key for members in columns for key in members))
+    by_key = {key: s.channels[n] for s, of in zip(sources, columns, strict=True) for key, n in of.items()}
+    sensors = tuple(by_key[key] for key in keys)
+    places = tuple(tuple(members.get(key, -1) for key in keys) for members in columns)
+    return _ports(sensors), places, sensors
 
 
-def _of_role(source: SampleSource, role: str) -> list[tuple[int, Channel]]:
-    channels = [(number, channel) for number, channel in enumerate(source.channels) if channel.role == role]
-    if not channels:
+def _columns_of(source: SampleSource, role: str) -> dict[Key, int]:
+    """The columns of a recording's channels of a *role*; DataError without any."""
+    numbers = columns_of(source.channels, role)
+    if not numbers:
         what = "force (role: input)" if role == "input" else "response (role: output)"
         raise DataError(f"recording '{source.name}' has no {what}", hint="see the channels of the rig file")
-    check_in_time(source, [channel for _, channel in channels])
-    return channels
+    check_in_time(source, [source.channels[number] for number in numbers])
+    return {_key(source.channels[number]): number for number in numbers}
 
 
-def _distinct(channels: list[list[tuple[int, Channel]]]) -> list[Key]:
-    return list(dict.fromkeys(_key(channel) for members in channels for _, channel in members))
-
-
-def _columns(channels: list[tuple[int, Channel]], keys: list[Key]) -> tuple[int, ...]:
-    index = {_key(channel): number for number, channel in channels}
-    return tuple(index.get(key, -1) for key in keys)
-
-
-def _ports(keys: list[Key], sensors: tuple[Channel, ...]) -> tuple[Port, ...]:
+def _ports(sensors: Sequence[Channel]) -> tuple[Port, ...]:
     """Ports labelled by channel where that is unique, else by dof, else by both."""
-    names = [key[0] for key in keys]
-    dofs = [key[1] for key in keys]
+    names, dofs = [sensor.name for sensor in sensors], [sensor.dof for sensor in sensors]
     ports = []
-    for (name, dof, angle, *_), sensor in zip(keys, sensors, strict=True):
+    for sensor in sensors:
+        name, dof = sensor.name, sensor.dof
         unique = name if names.count(name) == 1 else dof if dofs.count(dof) == 1 else f"{name}@{dof}"
-        ports.append(Port(unique, name, dof, angle, sensor.uncertainties))
+        ports.append(Port(unique, name, dof, sensor.angle, sensor.uncertainties))
     return tuple(ports)
 
 
-def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[int, Channel]]]) -> str:
-    causes = {channel.quantity for members in forces for _, channel in members}
-    effects = {channel.quantity for members in responses for _, channel in members}
+def _form(forces: Sequence[Channel], responses: Sequence[Channel]) -> str:
+    causes, effects = ({channel.quantity for channel in channels} for channels in (forces, responses))
     if len(effects) > 1:
         hint = (
             "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), or "
@@ -218,16 +206,13 @@ def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[in
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
 
 
-def _check_complete(
-    sources: Sequence[SampleSource], responses: list[list[tuple[int, Channel]]], outputs: list[Key]
-) -> None:
+def _check_complete(sources: Sequence[SampleSource], columns: Sequence[dict[Key, int]]) -> None:
     """DataError when a recording lacks a response that another has."""
-    for source, channels in zip(sources, responses, strict=True):
-        missing = [key[0] for key in outputs if key not in [_key(channel) for _, channel in channels]]
+    outputs = dict.fromkeys(key for members in columns for key in members)
+    for source, members in zip(sources, columns, strict=True):
+        missing = ", ".join(key[0] for key in outputs if key not in members)
         if missing:
-            raise DataError(
-                f"recording '{source.name}' lacks the response {', '.join(missing)} of another recording"
-            )
+            raise DataError(f"recording '{source.name}' lacks the response {missing} of another recording")
 
 
 def check_rates(sources: Sequence[SampleSource]) -> None:
