@@ -22,7 +22,13 @@ from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_periodic, joined_response
 from labpipe.spectra.feedback import feedback_of_periods
-from labpipe.spectra.joint import check_references, covariance_by_neighbours, open_loop_note
+from labpipe.spectra.joint import (
+    check_references,
+    covariance_by_neighbours,
+    open_loop_estimate,
+    open_loop_note,
+)
+from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import (
     LineSpectrum,
     PeriodAverage,
@@ -84,7 +90,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         for number, port in enumerate(layout.inputs):
             check_moved(snr[:, number], frequency, settings.reference, [port.label])
         covariance = covariance_by_neighbours(frequency, matrix, mean, noises)
-        open_loop = _open_loop(spectra, mean, noise, n_input)
+        power = np.tensordot([spectrum.n_period for spectrum in spectra], noise, axes=1)
+        open_loop = open_loop_estimate(mean @ hermitian(mean) + power, n_input)
         findings.append(open_loop_note(frequency, matrix, covariance, open_loop))
     else:
         covariance = None if noise is None else covariance_of_periodic(matrix, inverse, noise)
@@ -152,20 +159,6 @@ def _injected_lines(
             hint="inject the same lines into every axis, one by one",
         )
     return injected
-
-
-def _open_loop(
-    spectra: Sequence[LineSpectrum], mean: ComplexArray, noise: ComplexArray, n_input: int
-) -> ComplexArray:
-    """H1 = S_yu S_uu^-1 of all periods as if the loop were open, (n_line, n_output, n_input).
-
-    *mean* (n_line, n_channel, n_recording).
-    """
-    power = mean @ mean.conj().swapaxes(1, 2)
-    power = power + np.tensordot([spectrum.n_period for spectrum in spectra], noise, axes=1)
-    return np.asarray(
-        power[:, n_input:, :n_input] @ np.linalg.pinv(power[:, :n_input, :n_input], hermitian=True)
-    )
 
 
 def _change(

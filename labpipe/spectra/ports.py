@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
@@ -355,42 +355,49 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     inputs = _joined_ports([port for response in responses for port in response.inputs])
     rows, columns = ({port.label: number for number, port in enumerate(ports)} for ports in (outputs, inputs))
     _check_all_joined(responses, rows, columns)
-    whole = {name: _place(responses, name, rows, columns) for name in ("matrix", *QUALITIES)}
+    places = [
+        (np.array([rows[o.label] for o in part.outputs])[:, None], [columns[i.label] for i in part.inputs])
+        for part in responses
+    ]
+    shape = len(rows), len(columns)
+    whole = {name: _place(responses, name, places, shape) for name in ("matrix", *QUALITIES)}
     windows = {response.line_correlation for response in responses}
     return FrequencyResponse(
         frequency=first.frequency,
         outputs=outputs,
         inputs=inputs,
         form=first.form,
-        covariance=_covariance(responses, rows, columns),
+        covariance=_covariance(responses, places, shape),
         covariance_dof=min(response.covariance_dof for response in responses),
         averages=min(response.averages for response in responses),
         line_correlation=windows.pop() if len(windows) == 1 else (),
         blocks=first.blocks if all(response.blocks == first.blocks for response in responses) else None,
-        errors=_errors(responses, rows, columns),
+        errors=_errors(responses, places, shape),
         findings=tuple(dict.fromkeys(finding for response in responses for finding in response.findings)),
         conditions=first.conditions,
         **whole,
     )
 
 
+# Rows (n, 1) and columns of a response in the joined matrix.
+Place = tuple[IntArray, list[int]]
+
+
 def _place(
-    responses: Sequence[FrequencyResponse], name: str, rows: dict[str, int], columns: dict[str, int]
+    responses: Sequence[FrequencyResponse], name: str, places: Sequence[Place], shape: tuple[int, int]
 ) -> Any:
     """An array by output and input, its last two dimensions, of all responses; None where one has none."""
     parts = [getattr(response, name) for response in responses]
     if any(part is None for part in parts):
         return None
-    whole = np.zeros((*parts[0].shape[:-2], len(rows), len(columns)), parts[0].dtype)
-    for response, part in zip(responses, parts, strict=True):
-        o = np.array([rows[port.label] for port in response.outputs])[:, None]
-        i = np.array([columns[port.label] for port in response.inputs])
-        whole[..., o, i] = part
+    whole = np.zeros((*parts[0].shape[:-2], *shape), parts[0].dtype)
+    for (row, column), part in zip(places, parts, strict=True):
+        whole[..., row, column] = part
     return whole
 
 
 def _covariance(
-    responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]
+    responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> StoredCovariance:
     """Covariance (n_frequency, n, n) [unit^2] of all elements, a block for every response where they are
     alike; None where one has none.
@@ -400,21 +407,18 @@ def _covariance(
     ]
     if len(covariances) < len(responses):
         return None
-    places = [
-        np.array([rows[o.label] * len(columns) + columns[i.label] for o in part.outputs for i in part.inputs])
-        for part in responses
-    ]
-    if len({place.size for place in places}) == 1:
-        return BlockCovariance(np.array(places), np.stack(covariances, axis=1))
-    n = len(rows) * len(columns)
+    elements = [(row * shape[1] + column).ravel() for row, column in places]
+    if len({element.size for element in elements}) == 1:
+        return BlockCovariance(np.array(elements), np.stack(covariances, axis=1))
+    n = shape[0] * shape[1]
     whole = np.zeros((responses[0].n_frequency, n, n), np.complex128)
-    for place, covariance in zip(places, covariances, strict=True):
-        whole[:, place[:, None], place] = covariance
+    for element, covariance in zip(elements, covariances, strict=True):
+        whole[:, element[:, None], element] = covariance
     return whole
 
 
 def _errors(
-    responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]
+    responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> tuple[MatrixError, ...]:
     """The systematic errors of all responses; one of several responses is one error in all of them."""
     uncertainties = {
@@ -422,13 +426,11 @@ def _errors(
     }
     errors = []
     for source, uncertainty in uncertainties.items():
-        whole = np.zeros((responses[0].n_frequency, len(rows), len(columns)), np.complex128)
-        for response in responses:
-            o = np.array([rows[port.label] for port in response.outputs])[:, None]
-            i = np.array([columns[port.label] for port in response.inputs])
+        whole = np.zeros((responses[0].n_frequency, *shape), np.complex128)
+        for response, (row, column) in zip(responses, places, strict=True):
             for error in response.errors:
                 if error.uncertainty.source == source:
-                    whole[:, o, i] += error.change
+                    whole[:, row, column] += error.change
         errors.append(MatrixError(uncertainty, whole))
     return tuple(errors)
 
@@ -474,10 +476,9 @@ def _check_alike(response: FrequencyResponse, first: FrequencyResponse) -> None:
 def _joined_ports(ports: Sequence[Port]) -> tuple[Port, ...]:
     """Distinct ports, 2x before 10x."""
     distinct = {port.label: port for port in reversed(ports)}
-    return tuple(distinct[label] for label in sorted(distinct, key=_natural))
-
-
-def _natural(label: str) -> list[tuple[int, int, str]]:
-    return [
-        (1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", label) if part
-    ]
+    parts = {label: [part for part in re.split(r"(\d+)", label) if part] for label in distinct}
+    natural = {
+        label: [(1, int(part), "") if part.isdigit() else (0, 0, part) for part in split]
+        for label, split in parts.items()
+    }
+    return tuple(distinct[label] for label in sorted(distinct, key=natural.__getitem__))
