@@ -101,12 +101,13 @@ def _feedback(
             continue
         name, lag = ", ".join(source.channels[column].name for column in driving), 0
         before, after = samples[:, driving], samples[:, responses]
-        chances[name] = min(chance_of_order(before, after) * len(sources), 1.0)
-        if references and forces and chances[name] < LEVEL:
+        chance = min(chance_of_order(before, after) * len(sources), 1.0)
+        if references and forces and chance < LEVEL:
             lag = lag_of_reference(before, samples[:, forces], after)
         if lag:
-            del chances[name]
             late[name] = lag / source.sample_rate
+        else:
+            chances[name] = min(chance, chances.get(name, 1.0))
     return (*_findings(chances, reference), *_lag_findings(late))
 
 
