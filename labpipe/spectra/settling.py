@@ -17,6 +17,7 @@ from scipy import special
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
+from labpipe.spectra.channels import columns_of
 
 # Groups of lines, the least lines of one, and the differences from which on something can be told.
 GROUPS, GROUP_LINES, FEWEST = 16, 4, 4
@@ -99,14 +100,12 @@ class Differences:
         )
         time = np.arange(n) - (n - 1) / 2
         slope = np.tensordot(time, logs, 1) / np.sum(time**2)
+        rest = logs - logs.mean(axis=0) - time[:, None, None] * slope
         dof = n - 2 + EXPECTED_DOF
-        spread = (
-            np.sum((logs - logs.mean(axis=0) - time[:, None, None] * slope) ** 2, axis=0) + scatter
-        ) / dof
+        spread = (np.sum(rest**2, axis=0) + scatter) / dof
         even = -slope * np.sqrt(np.sum(time**2) / spread) > -special.stdtrit(dof, CHANCE / logs[0].size)
-        return np.asarray(
-            (first | (even & (-slope * n > LEAST_FALL))) & np.all(logs[0] > logs[1:half], axis=0)
-        )
+        falls = first | (even & (-slope * n > LEAST_FALL))
+        return np.asarray(falls & np.all(logs[0] > logs[1:half], axis=0))
 
 
 def is_unsettled(findings: Iterable[Finding]) -> bool:
@@ -118,8 +117,7 @@ def settling_finding(
     differences: Differences, channels: Sequence[Channel], name: str, skip: int
 ) -> tuple[Finding, ...]:
     """A warning where the responses of the recording *name* have not settled after *skip* periods."""
-    outputs = [number for number, channel in enumerate(channels) if channel.role == "output"]
-    further = differences.further(outputs)
+    further = differences.further(columns_of(channels, "output"))
     if not further:
         return ()
     more, decay = max(further.values())
