@@ -47,15 +47,8 @@ def relative_change(name: str, log: float, log_error: float, quantile: float) ->
     """exp(log) - 1 with its interval: a relative difference."""
     factor = from_log(name, "1", log, log_error, quantile)
     assert factor.ci95 is not None
-    low, high = factor.ci95
-    return Parameter(
-        name,
-        factor.value - 1,
-        "1",
-        std_error=factor.std_error,
-        ci95=(low - 1, high - 1),
-        significant=not low <= 1 <= high,
-    )
+    low, high = (end - 1 for end in factor.ci95)
+    return replace(factor, value=factor.value - 1, ci95=(low, high), significant=not low <= 0 <= high)
 
 
 def chance(name: str, p_value: float | None) -> Parameter:
@@ -92,16 +85,13 @@ def with_budget(
         return tuple(amounts), None
     kept = [number for number, row in enumerate(counted) if np.any(row)] or list(range(len(sources)))
     budget = replace(whole, sources=tuple(sources[number] for number in kept), changes=counted[kept])
-    stated = contribute(with_systematic(amounts, budget), budget, INTERVAL)
-    return tuple(_as_factor(amount) if amount.name in logarithmic else amount for amount in stated), budget
-
-
-def _as_factor(amount: Parameter) -> Parameter:
-    """The amount with the interval of its logarithm."""
-    if amount.combined is None or amount.coverage_factor is None or not amount.value > 0:
-        return amount
-    reach = float(np.exp(amount.coverage_factor * amount.combined / amount.value))
-    return replace(amount, ci95=(amount.value / reach, amount.value * reach))
+    stated = list(contribute(with_systematic(amounts, budget), budget, INTERVAL))
+    for number, amount in enumerate(stated):
+        factor, error = amount.coverage_factor, amount.combined
+        if amount.name in logarithmic and factor is not None and error is not None and amount.value > 0:
+            reach = float(np.exp(factor * error / amount.value))
+            stated[number] = replace(amount, ci95=(amount.value / reach, amount.value * reach))
+    return tuple(stated), budget
 
 
 # Errors that tests have in common: the uncertainty of one sensor, one mass, which no repetition shows and
