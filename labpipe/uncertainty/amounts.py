@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.estimation.budget import contribute
+from labpipe.estimation.budget import contribute, full_errors
 from labpipe.estimation.derived import INTERVAL, with_systematic
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, random_part
@@ -77,7 +77,7 @@ def with_budget(
     degrees of freedom behind the random parts, None where these are known. Intervals of the *logarithmic*
     amounts are those of a factor.
     """
-    random = np.array([np.nan if amount.full_error is None else amount.full_error for amount in amounts])
+    random = full_errors(amounts)
     whole = Budget(tuple(amount.name for amount in amounts), random, dof, tuple(sources), changes)
     smallest = CANCELLED * np.hypot(np.nan_to_num(random), whole.systematic)
     counted = np.where((np.abs(changes) > smallest) & np.isfinite(random), changes, 0.0)
