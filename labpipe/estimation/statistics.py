@@ -5,10 +5,11 @@ squares.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.distributions import normal_quantile, student_quantile
@@ -155,6 +156,31 @@ def stacked_terms(terms: ComplexArray) -> FloatArray:
     rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
     rows[:, 0], rows[:, 1] = terms.real, terms.imag
     return rows.reshape(terms.shape[0], -1)
+
+
+def bisected(is_below: Callable[[float], bool], low: float, high: float) -> float:
+    """Where *is_below* ends to hold between *low* and *high* [any unit], to the last digit."""
+    while low < (middle := (low + high) / 2) < high:
+        low, high = (middle, high) if is_below(middle) else (low, middle)
+    return middle
+
+
+def mixture_interval(weights: FloatArray, means: FloatArray, deviations: FloatArray) -> tuple[float, float]:
+    """The 2.5 and 97.5 % quantiles [any unit] of a mixture of normal distributions, *weights* (n,) [1] of sum
+    1, *means* and *deviations* (n,) [any unit].
+    """
+
+    def is_below(p: float, x: float) -> bool:
+        return bool(weights @ special.ndtr((x - means) / deviations) < p)
+
+    # By rounding, one component alone may lie on either side of its own end.
+    margin = 1e-6 * float(np.max(deviations))
+    ends = []
+    for p in (0.025, 0.975):
+        of_each = means + special.ndtri(p) * deviations
+        low, high = float(np.min(of_each)) - margin, float(np.max(of_each)) + margin
+        ends.append(bisected(functools.partial(is_below, p), low, high))
+    return ends[0], ends[1]
 
 
 # Combinations of parameters in words.
