@@ -21,7 +21,7 @@ from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.joint import is_joint
-from labpipe.spectra.settling import is_unsettled
+from labpipe.spectra.period_average import is_unsettled
 
 # Independent motions of the responses: singular values of the FRF against those of its noise.
 

@@ -311,14 +311,7 @@ def _fit_band(
         if settings.compare or settings.damping != VISCOUS
         else ((), ())
     )
-    notes = (
-        *notes,
-        *budgeted.notes,
-        *motion_notes(measured),
-        *place_notes(setup),
-        *comparison_notes(left_out),
-    )
-    spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi) if measured.omega.size > 1 else 0.0
+    notes = (*notes, *budgeted.notes, *motion_notes(measured), *place_notes(setup))
     fit = replace(
         reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -328,12 +321,11 @@ def _fit_band(
             *goodness_findings(estimate.gof),
             *leakage,
             *(_mass_findings(case, judged) if judging else ()),
-            *_parameter_findings(budgeted.parameters, band, setup),
-            *([] if leakage or setup.closed_loop else narrow_findings(budgeted.parameters, spacing)),
+            *_parameter_findings(budgeted.parameters, band, setup, measured, leaking=bool(leakage)),
             *budgeted.findings,
             *comparison_findings(compared_models),
         ),
-        notes=notes,
+        notes=(*notes, *comparison_notes(left_out)),
         candidates=compared_models,
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
@@ -376,12 +368,18 @@ def _with_budget(
     return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
 
 
-def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Setup) -> list[Finding]:
+def _parameter_findings(
+    parameters: tuple[Parameter, ...], band: Band, setup: Setup, measured: Measured, *, leaking: bool
+) -> list[Finding]:
     """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
     of_mode = mode_findings(parameters, band, setup)
     driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
     others = parameter_findings(parameters, driving=driving, held=setup.closed_loop)
-    return [*(finding for finding in others if not (of_mode and finding.code == "unphysical")), *of_mode]
+    narrow: list[Finding] = []
+    if measured.omega.size > 1 and not leaking and not setup.closed_loop:
+        narrow = narrow_findings(parameters, float(np.median(np.diff(measured.omega))) / (2 * np.pi))
+    kept = (finding for finding in others if not (of_mode and finding.code == "unphysical"))
+    return [*kept, *of_mode, *narrow]
 
 
 def _with_honest_intervals(

@@ -34,8 +34,10 @@ from labpipe.spectra.period_average import (
     PeriodAverage,
     RestMotion,
     excited_lines,
+    is_unsettled,
     neighbourhood_mean,
     samples_per_period,
+    settling_finding,
     smoothed_noise,
 )
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
@@ -43,7 +45,6 @@ from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.random import cut_at, rest_of_mean
 from labpipe.spectra.random_lines import check_moved
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.settling import is_unsettled, settling_finding
 
 # Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
 
