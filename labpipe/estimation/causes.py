@@ -99,17 +99,6 @@ TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
-class _Freed:
-    """A model with its mass to be estimated: *names* of the masses, last among its parameters, and their
-    *given* values [kg].
-    """
-
-    model: DynamicModel
-    names: tuple[str, ...]
-    given: FloatArray
-
-
-@dataclass(frozen=True)
 class _FreeFit:
     """Output-error fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
 
@@ -133,17 +122,19 @@ def mass_findings(
     freed = _free(model, setup)
     if freed is None or setup.settings.sliding is not None:
         return []
-    fit = _free_fit(measured, freed.model, np.concatenate([values, freed.given]), stated)
+    free, given = freed
+    fit = _free_fit(measured, free, np.concatenate([values, given]), stated)
     if fit is None:
         return []
-    p_value = _p_value(fit, freed.given)
-    return [Finding("mass", _message(freed, fit, values, p_value, setup))] if p_value < CONTRADICTED_P else []
+    p_value = _p_value(fit, given)
+    if p_value >= CONTRADICTED_P:
+        return []
+    return [Finding("mass", _message(free, given, fit, values, p_value, setup))]
 
 
-def _free(model: DynamicModel, setup: Setup) -> _Freed | None:
-    """The model with a term per mass: a single one for a mass that is one number, else one per dof.
-
-    None without given mass or force.
+def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] | None:
+    """The model with a term per mass, and the given masses (n_mass,) [kg]: a single one for a mass that is
+    one number, else one per dof. None without given mass or force.
     """
     given, force = model.constant.mass, model.constant.force
     diagonal = np.diag(given)
@@ -159,8 +150,7 @@ def _free(model: DynamicModel, setup: Setup) -> _Freed | None:
     amounts = np.array([float(np.max(given * part)) for part in parts.values()])
     rest = given - np.tensordot(amounts, np.array(list(parts.values())), 1)
     terms = tuple(Term(name, "kg", replace(empty, mass=part)) for name, part in parts.items())
-    free = replace(model, terms=(*model.terms, *terms), constant=replace(model.constant, mass=rest))
-    return _Freed(free, tuple(parts), amounts)
+    return replace(model, terms=(*model.terms, *terms), constant=replace(model.constant, mass=rest)), amounts
 
 
 def _free_fit(
@@ -220,15 +210,17 @@ def _p_value(fit: _FreeFit, given: FloatArray) -> float:
     return f_tail(square * rest / (fit.dof * n), n, rest) if rest > 0 and square > 0 else 1.0
 
 
-def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup) -> str:
-    n, model = len(freed.names), freed.model
+def _message(
+    model: DynamicModel, given: FloatArray, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup
+) -> str:
+    n = given.size
     free = correct(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
     exact = np.zeros((values.size, values.size))
     before = correct(Estimated(model.names[:-n], model.units[:-n], values, exact), setup.settings)
     masses = ", ".join(
-        f"{name} = {_amount(given, 'kg')} was given, free it comes out as "
+        f"{name} = {_amount(mass, 'kg')} was given, free it comes out as "
         f"{_amount(free.value(name), 'kg', free.std_error(name))}"
-        for name, given in zip(freed.names, freed.given, strict=True)
+        for name, mass in zip(model.names[-n:], given, strict=True)
     )
     stiffness = [name for name, unit in zip(before.names, before.units, strict=True) if unit == "N/m"]
     changed = max(stiffness, key=lambda name: abs(free.value(name) - before.value(name)), default=None)

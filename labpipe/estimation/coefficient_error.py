@@ -26,6 +26,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, compliance
 from labpipe.estimation.model_error import reason_of, shares_by_cause
+from labpipe.estimation.statistics import restated
 from labpipe.estimation.weights import Weights, white_columns
 from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
 
@@ -107,18 +108,9 @@ class CoefficientError:
         # The value stays that of the fit, which others can repeat; the interval holds it.
         low, high = min(wide.ci95[0], parameter.value), max(wide.ci95[1], parameter.value)
         full = max(wide.std_error * (high - low) / (wide.ci95[1] - wide.ci95[0]), noise)
-        return replace(
-            parameter,
-            std_error=noise,
-            std_error_inflated=full,
-            ci95=(low, high),
-            t_ratio=None if parameter.t_ratio is None else parameter.value / full,
-            significant=None if parameter.significant is None else not low <= 0 <= high,
-            interval=IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0)))),
-            reason=self.reason,
-            discrepancy=self.discrepancy,
-            fitted=parameter.value,
-        )
+        parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
+        stated = restated(parameter, parameter.value, full, (low, high), std_error=noise, interval=parts)
+        return replace(stated, reason=self.reason, discrepancy=self.discrepancy, fitted=parameter.value)
 
 
 class Misfit(Protocol):

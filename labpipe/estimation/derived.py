@@ -26,6 +26,7 @@ from labpipe.estimation.statistics import (
     derive,
     estimated,
     inflation_factors,
+    restated,
     widen,
 )
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
@@ -405,22 +406,16 @@ def _expand(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     combined = math.hypot(noise, systematic)
     reach = combined * coverage_factor(INTERVAL, dof)
     value, interval = parameter.value, parameter.ci95
-    significant = None
-    if interval is not None:
-        low, high = value - interval[0], interval[1] - value
-        even = math.isclose(low, high, rel_tol=EVEN)
-        low, high = (reach if even else math.hypot(s, reach * systematic / combined) for s in (low, high))
-        interval = value - low, value + high
-        if parameter.significant is not None:
-            significant = not interval[0] <= 0 <= interval[1]
-    return replace(
-        parameter,
-        std_error_inflated=combined,
-        systematic=systematic,
-        ci95=interval,
-        t_ratio=None if parameter.t_ratio is None else value / combined,
-        significant=significant,
-    )
+    if interval is None:
+        ratio = None if parameter.t_ratio is None else value / combined
+        without = replace(parameter, std_error_inflated=combined, systematic=systematic)
+        return replace(without, t_ratio=ratio, significant=None)
+    low, high = value - interval[0], interval[1] - value
+    if math.isclose(low, high, rel_tol=EVEN):
+        low = high = reach
+    else:
+        low, high = (math.hypot(side, reach * systematic / combined) for side in (low, high))
+    return restated(parameter, value, combined, (value - low, value + high), systematic=systematic)
 
 
 # A model between the measured lines: so many frequencies that straight lines from one to the next show its

@@ -265,28 +265,23 @@ def _snr_findings(snr: FloatArray, mean: ComplexArray, layout: Layout, settled: 
     """
     n_input = len(layout.inputs)
     poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
-    forces = (
-        Finding(
-            "low-snr",
-            f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise at "
-            f"{100 * share:.0f} % of the lines",
-        )
-        for port, share in zip(layout.inputs, poor, strict=True)
-        if share > POOR_SHARE
-    )
     size = np.max(np.abs(mean[:, n_input:]), axis=2)
     noise = np.divide(size, snr[:, n_input:], out=np.zeros_like(size), where=size > 0)
     weak = np.sum(noise**2, axis=0) * LOW_SNR**2 > np.sum(size**2, axis=0)
-    responses = (
-        Finding(
-            "low-snr",
-            f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in "
-            "power over the band",
-        )
+    places = [
+        (port.label, f" at {100 * share:.0f} % of the lines")
+        for port, share in zip(layout.inputs, poor, strict=True)
+        if share > POOR_SHARE
+    ]
+    places += [
+        (port.label, ", in power over the band")
         for port, is_weak in zip(layout.outputs, weak, strict=True)
         if is_weak and settled
+    ]
+    return tuple(
+        Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise{where}")
+        for label, where in places
     )
-    return (*forces, *responses)
 
 
 # Nonlinear distortion beside noise, from periodic excitation.
@@ -475,12 +470,11 @@ def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
     if len(counts) > 1 or number < 2 or rest:
         hint = "as many recordings of every force direction, two or more; leave `realisations` out for one"
         raise DataError(f"{len(sources)} recording(s) do not form realisations of one measurement", hint=hint)
+    # Of every set of forces as many recordings as it has forces, one realisation after the other.
+    sizes = [len(members) // number for members in series.values()]
+    pairs = list(zip(series.values(), sizes, strict=True))
     return [
-        [
-            source
-            for members in series.values()
-            for source in members[n * len(members) // number : (n + 1) * len(members) // number]
-        ]
+        [source for members, size in pairs for source in members[n * size : (n + 1) * size]]
         for n in range(number)
     ]
 

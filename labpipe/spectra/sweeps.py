@@ -69,14 +69,11 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
             "the frequency of the force runs on: a sweep, no dwells",
             hint="excitation: stepped-sine needs constant frequencies",
         )
-    return [
-        Dwell(
-            int(np.ceil(times[first])),
-            int(times[last - 1]),
-            float((last - 1 - first) / (times[last - 1] - times[first])),
-        )
-        for first, last in pieces
-    ]
+    dwells = []
+    for first, last in pieces:
+        begin, end = times[first], times[last - 1]
+        dwells.append(Dwell(int(np.ceil(begin)), int(end), float((last - 1 - first) / (end - begin))))
+    return dwells
 
 
 _HINT = "stepped-sine: one frequency after another, each kept; is it another excitation?"

@@ -22,15 +22,8 @@ def with_error(name: str, unit: str, value: float, std_error: float, quantile: f
     """value +- quantile standard errors."""
     reach = quantile * std_error
     ratio = value / std_error if std_error > 0 else None
-    return Parameter(
-        name,
-        value,
-        unit,
-        std_error=std_error,
-        t_ratio=ratio,
-        ci95=(value - reach, value + reach),
-        significant=abs(value) > reach,
-    )
+    plain = Parameter(name, value, unit, std_error=std_error, t_ratio=ratio)
+    return replace(plain, ci95=(value - reach, value + reach), significant=abs(value) > reach)
 
 
 def from_log(name: str, unit: str, log: float, log_error: float, quantile: float) -> Parameter:
