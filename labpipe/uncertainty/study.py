@@ -77,9 +77,8 @@ class StudySettings(Settings):
 
     def __post_init__(self) -> None:
         if self.repeats < FEWEST_REPEATS:
-            raise ConfigError(
-                f"'repeats' must be at least {FEWEST_REPEATS}", hint="500 give the coverage to 1 %"
-            )
+            what = f"'repeats' must be at least {FEWEST_REPEATS}"
+            raise ConfigError(what, hint="500 give the coverage to 1 %")
         if not self.noise or min(self.noise) <= 0:
             raise ConfigError("'noise' needs levels above zero", hint="for example noise: [1 %, 2 %]")
         if any(count != round(count) or count < 2 for count in self.lines):
@@ -134,9 +133,8 @@ def _bounds_of_response(exact: FrequencyResponse, truth: RigTruth, settings: Fit
     Empty where the fit's parameters differ from the rig's.
     """
     rows, columns = select_ports(exact, settings.input, settings.output)
-    setup = Setup(
-        tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings
-    )
+    outputs, inputs = tuple(exact.outputs[n] for n in rows), tuple(exact.inputs[n] for n in columns)
+    setup = Setup(outputs, inputs, settings)
     model = constrain(settings.kind.model(setup), settings)
     if any(name not in truth for name in model.names):
         return {}
