@@ -99,9 +99,8 @@ def sum_errors(
             source = effect.uncertainty.source
             uncertainties.setdefault(source, effect.uncertainty)
             change = changes.setdefault(source, np.zeros(matrix.shape, np.complex128))
-            row = (effect.uncertainty.std_error * effect.slope * omega**effect.power)[:, None] * rows[
-                effect.member
-            ]
+            size = effect.uncertainty.std_error * effect.slope * omega**effect.power
+            row = size[:, None] * rows[effect.member]
             if are_outputs:
                 change[:, effect.port, :] += row * motion[:, None]
             else:
@@ -112,16 +111,14 @@ def sum_errors(
 def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Iterator[_Effect]:
     """What the numbers and the members of the sums among the ports do to them."""
     by_name = {channel.name: channel for source in sources for channel in source.channels}
+    recorded = [channel for channel in by_name.values() if not channel.terms]
     for port, sensor in enumerate(sensors):
-        yield from _of_directions(
-            port, sensor, [recorded for recorded in by_name.values() if not recorded.terms]
-        )
+        yield from _of_directions(port, sensor, recorded)
         for term in sensor.terms:
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
-                yield _Effect(
-                    Uncertainty(named, number.std_error, number.unit), port, term.channel, complex(slope), 0
-                )
+                uncertainty = Uncertainty(named, number.std_error, number.unit)
+                yield _Effect(uncertainty, port, term.channel, complex(slope), 0)
             for calibration in by_name[term.channel].uncertainties:
                 if calibration.effect in COURSES:
                     course, power = COURSES[calibration.effect]
@@ -133,17 +130,11 @@ def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> I
     across it.
     """
     for number, channel in enumerate(recorded):
-        directions = [
-            calibration.uncertainty
-            for calibration in channel.uncertainties
-            if calibration.effect == "direction"
-        ]
+        directions = [c.uncertainty for c in channel.uncertainties if c.effect == "direction"]
         if not sensor.terms or not directions:
             continue
-        changes = {
-            sensor_channel.name: row
-            for sensor_channel, row in zip(recorded, turned_channels(recorded, number), strict=True)
-        }
+        names = [other.name for other in recorded]
+        changes = dict(zip(names, turned_channels(recorded, number), strict=True))
         for term in sensor.terms:
             for read, change in zip(recorded, changes.get(term.channel, ()), strict=False):
                 if change:
@@ -166,10 +157,9 @@ def _member_rows(
     That of a force to itself is 1.
     """
     names = [sensor.name for sensor in layout.input_sensors]
+    unit = np.eye(len(names), dtype=np.complex128)
     rows = {
-        member: np.broadcast_to(
-            np.eye(len(names), dtype=np.complex128)[names.index(member)], (n_line, len(names))
-        )
+        member: np.broadcast_to(unit[names.index(member)], (n_line, len(names)))
         for member in members
         if member in names
     }

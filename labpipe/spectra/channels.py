@@ -88,22 +88,15 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
     channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums
     from recorded channels.
     """
-    n_recorded = combined.shape[1]
-    return tuple(
-        UncertainFactor(
-            uncertainty.uncertainty.source,
-            0.0,
-            uncertainty.uncertainty.std_error,
-            uncertainty.uncertainty.unit,
-            derivative,
-            power,
-            uncertainty.uncertainty.source,
-        )
-        for number, channel in enumerate(channels[:n_recorded])
-        for uncertainty in channel.uncertainties
-        for derivative, power in [_derivative(channels, combined, number, uncertainty)]
-        if np.any(derivative)
-    )
+    factors = []
+    for number, channel in enumerate(channels[: combined.shape[1]]):
+        for calibration in channel.uncertainties:
+            derivative, power = _derivative(channels, combined, number, calibration)
+            if np.any(derivative):
+                source, error = calibration.uncertainty.source, calibration.uncertainty.std_error
+                unit = calibration.uncertainty.unit
+                factors.append(UncertainFactor(source, 0.0, error, unit, derivative, power, source))
+    return tuple(factors)
 
 
 def _derivative(

@@ -68,8 +68,8 @@ def free_decays(
     A recording without a decay is left out by name, beside others that hold one. DataError for different
     rates, and where nothing decays.
     """
-    rate = sources[0].sample_rate
     ports, columns, channels = response_ports(sources)
+    rate = sources[0].sample_rate
     decays: list[FreeDecay] = []
     findings: list[Finding] = list(source_findings(sources))
     without: list[DataError] = []
@@ -83,13 +83,8 @@ def free_decays(
             continue
         decays.extend(FreeDecay(source.name, start / rate, samples[start:end]) for start, end in spans)
         said = ", ".join(f"{start / rate:.4g} s to {end / rate:.4g} s" for start, end in spans)
-        findings.append(
-            note(
-                "free-decay",
-                f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s: {len(spans)} "
-                f"free decay(s), {said}",
-            )
-        )
+        whole = f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s"
+        findings.append(note("free-decay", f"{whole}: {len(spans)} free decay(s), {said}"))
     if not decays:
         raise without[0]
     units = tuple(QUANTITIES[channel.quantity].si_unit for channel in channels)

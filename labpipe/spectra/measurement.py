@@ -19,7 +19,7 @@ from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import impact_parts
 from labpipe.spectra.joint import joint_parts
-from labpipe.spectra.periodic import LOW_SNR, periodic_parts, realisations, robust_mean
+from labpipe.spectra.periodic import periodic_parts, realisations, robust_mean
 from labpipe.spectra.ports import (
     Layout,
     Parts,
@@ -31,6 +31,7 @@ from labpipe.spectra.ports import (
 )
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciprocity_findings
 from labpipe.spectra.random import random_parts
+from labpipe.spectra.random_lines import LOW_SNR
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.stepped import stepped_parts
 from labpipe.spectra.swept_sine import sweep_parts

@@ -43,12 +43,10 @@ from labpipe.spectra.period_average import (
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
 from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.random import cut_at, rest_of_mean
-from labpipe.spectra.random_lines import check_moved
+from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
 # Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
-
-LOW_SNR = 10.0
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -268,20 +266,17 @@ def _snr_findings(snr: FloatArray, mean: ComplexArray, layout: Layout, settled: 
     size = np.max(np.abs(mean[:, n_input:]), axis=2)
     noise = np.divide(size, snr[:, n_input:], out=np.zeros_like(size), where=size > 0)
     weak = np.sum(noise**2, axis=0) * LOW_SNR**2 > np.sum(size**2, axis=0)
-    places = [
-        (port.label, f" at {100 * share:.0f} % of the lines")
+    forces = (
+        low_snr(port.label, f" at {100 * share:.0f} % of the lines")
         for port, share in zip(layout.inputs, poor, strict=True)
         if share > POOR_SHARE
-    ]
-    places += [
-        (port.label, ", in power over the band")
+    )
+    responses = (
+        low_snr(port.label, ", in power over the band")
         for port, is_weak in zip(layout.outputs, weak, strict=True)
         if is_weak and settled
-    ]
-    return tuple(
-        Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise{where}")
-        for label, where in places
     )
+    return (*forces, *responses)
 
 
 # Nonlinear distortion beside noise, from periodic excitation.

@@ -95,21 +95,17 @@ def snr_findings(
         if channel.role == "input" and np.any(acting):
             share = float(np.mean((size < LOW_SNR * noise)[:, :, number][acting]))
             if share > POOR_SHARE:
-                what = (
-                    f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise at "
-                    f"{100 * share:.0f} % of its lines"
-                )
-                findings.append(Finding("low-snr", what))
-        if channel.role == "output" and np.sum(noise[:, :, number] ** 2) * LOW_SNR**2 > np.sum(
-            size[:, :, number] ** 2
-        ):
-            what = (
-                f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise, in power "
-                "over the band"
-            )
-            findings.append(Finding("low-snr", what))
+                findings.append(low_snr(channel.name, f" at {100 * share:.0f} % of its lines"))
+        signal, scatter = (np.sum(part[:, :, number] ** 2) for part in (size, noise))
+        if channel.role == "output" and scatter * LOW_SNR**2 > signal:
+            findings.append(low_snr(channel.name, ", in power over the band"))
             weak.add(channel.name)
     return tuple(findings), weak
+
+
+def low_snr(label: str, where: str) -> Finding:
+    """The warning of a channel whose signal is hardly above its noise, and *where*."""
+    return Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise{where}")
 
 
 # Share of a drive's power that the others must leave it.
