@@ -235,8 +235,8 @@ class _Variant:
 def candidates(
     measured: Measured, setup: Setup, ml_estimate: Estimate | None = None
 ) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
-    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of
-    those that did not converge.
+    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and a note that
+    names those without a minimum.
 
     None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is
     fitted again. Every descent is bounded. Without `compare` only the alternative to a damping law:
@@ -269,14 +269,9 @@ def candidates(
         variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants
     }
     tested = [_test(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
-    left_out = tuple(name for name in results if name not in fitted)
-    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), left_out
-
-
-def comparison_notes(left_out: tuple[str, ...]) -> tuple[str, ...]:
-    """A note that names the variants without a minimum."""
-    named = "; ".join(left_out)
-    return (f"Compared models left out, their descents found no minimum: {named}.",) if named else ()
+    left_out = "; ".join(name for name in results if name not in fitted)
+    what = f"Compared models left out, their descents found no minimum: {left_out}."
+    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), (what,) if left_out else ()
 
 
 def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:

@@ -381,18 +381,6 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
     return [Finding("no-covariance", message)]
 
 
-def judged_findings(judged: bool) -> list[Finding]:
-    """A warning where nothing could tell whether a residual is noise."""
-    if judged:
-        return []
-    message = (
-        "whether the residual is noise could not be judged: the noise is not known, and for the structure "
-        "of the residual the lines are "
-        "too few, or the output error has no minimum here. The intervals hold only if the model is right"
-    )
-    return [Finding("not-judged", message)]
-
-
 # unphysical: a resonance that the structure cannot have, or that the band does not hold, however well the
 # curve follows.
 

@@ -26,7 +26,7 @@ from labpipe.estimation.causes import (
     mass_findings,
     stated_findings,
 )
-from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
+from labpipe.estimation.comparison import candidates, comparison_findings
 from labpipe.estimation.damping import damp
 from labpipe.estimation.derived import (
     BandModel,
@@ -44,7 +44,6 @@ from labpipe.estimation.diagnostics import (
     estimate_findings,
     goodness_findings,
     is_of_closed_loop,
-    judged_findings,
     leakage_findings,
     mode_findings,
     motion_notes,
@@ -306,7 +305,7 @@ def _fit_band(
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
-    compared_models, left_out = (
+    compared_models, of_comparison = (
         candidates(measured, setup, estimate if of_model else None)
         if settings.compare or settings.damping != VISCOUS
         else ((), ())
@@ -317,7 +316,6 @@ def _fit_band(
         findings=(
             *estimate_findings(estimate, model.names, measured.omega.size, model.units),
             *judgement.findings,
-            *judged_findings(judgement.judged),
             *goodness_findings(estimate.gof),
             *leakage,
             *(_mass_findings(case, judged) if judging else ()),
@@ -325,7 +323,7 @@ def _fit_band(
             *budgeted.findings,
             *comparison_findings(compared_models),
         ),
-        notes=(*notes, *comparison_notes(left_out)),
+        notes=(*notes, *of_comparison),
         candidates=compared_models,
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,

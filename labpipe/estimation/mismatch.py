@@ -40,18 +40,25 @@ BIASED = 4.0
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
 
+# Where nothing could tell whether a residual is noise.
+NOT_JUDGED = Finding(
+    "not-judged",
+    "whether the residual is noise could not be judged: the noise is not known, and for the structure of the "
+    "residual the lines are too few, or the output error has no minimum here. The intervals hold only if the "
+    "model is right",
+)
+
+
 @dataclass(frozen=True)
 class Judgement:
     """Findings on a residual, and what its intervals become.
 
     *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise
-    hold. *judged*: whether anything could tell that the residual is noise. *model_error*: what stands in
-    values and intervals.
+    hold. *model_error*: what stands in values and intervals.
     """
 
     findings: tuple[Finding, ...] = ()
     covariance: FloatArray | None = None
-    judged: bool = True
     model_error: ModelError | CoefficientError | None = None
 
 
@@ -175,7 +182,7 @@ def judge(
         return Judgement()
     minimum = judged.minimum(shown, estimate.values) if settings.estimates.phase else None
     if minimum is None:
-        return Judgement(judged=False) if judged.factor is None else _by_factor(judged, judged.factor)
+        return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, judged.factor)
     if minimum.p_value >= MISMATCH_P:
         return _biased(judged, minimum)
     if judged.uneven(minimum):
