@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
 from labpipe.errors import ConfigError
@@ -84,26 +84,43 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     if not sources or not case.estimate.converged:
         return None
     step = _step_of(case)
-    changes = []
-    for uncertainty, change in sources:
-        ends = [
-            _values(case, step, *change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)
-        ]
-        changes.append((ends[0] - ends[1]) / (2 * SHARE))
-    kept = [number for number, row in enumerate(changes) if np.any(row != 0)]
-    if not kept:
+
+    def values(changed: Case) -> FloatArray:
+        model = _model_of(case, changed)
+        estimate = replace(case.estimate, values=step(model, changed.measured))
+        return np.array(
+            [parameter.value for parameter in reported_parameters(estimate, model, changed.setup)]
+        )
+
+    changes = _slopes(case, sources, values)
+    kept = np.flatnonzero(np.any(changes != 0, axis=1))
+    if not kept.size:
         return None
-    random = np.array(
-        [np.nan if parameter.full_error is None else parameter.full_error for parameter in parameters]
-    )
+    names = tuple(parameter.name for parameter in parameters)
     dof = float(np.min(case.estimate.student_dof))
-    return Budget(
-        tuple(parameter.name for parameter in parameters),
-        random,
-        dof,
-        tuple(sources[n][0] for n in kept),
-        np.array(changes)[kept],
-    )
+    return Budget(names, full_errors(parameters), dof, tuple(sources[n][0] for n in kept), changes[kept])
+
+
+def full_errors(parameters: Sequence[Parameter]) -> FloatArray:
+    """Their full standard errors (n_parameter,) [parameter units], NaN where there is none."""
+    return np.array([parameter.full_error for parameter in parameters], np.float64)
+
+
+def _model_of(case: Case, changed: Case) -> BandModel:
+    """The model of a *changed* case, made anew where its numbers are not those of *case*."""
+    return case.model if changed.setup is case.setup else case.model_of(changed.setup)
+
+
+def _slopes(
+    case: Case, sources: Sequence[tuple[Uncertainty, Change]], values: Callable[[Case], FloatArray]
+) -> FloatArray:
+    """Changes (n_source, n) of *values* (n,) by one standard uncertainty of each source."""
+    sizes = [SHARE * uncertainty.std_error for uncertainty, _ in sources]
+    ends = [
+        (values(change(case, size)), values(change(case, -size)))
+        for size, (_, change) in zip(sizes, sources, strict=True)
+    ]
+    return np.array([(above - below) / (2 * SHARE) for above, below in ends])
 
 
 # Change of chi-square below which stated numbers are where data and statements together have them, and most
@@ -123,10 +140,8 @@ def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
     weights, uncertainties = fit_weights(case.measured), tuple(uncertainty for uncertainty, _ in sources)
     moved, at, before = case, np.zeros(len(sources)), np.inf
-    likely, followed = (
-        (case, uncertainties, Stated.of(np.zeros((0, case.measured.n_equation)))),
-        np.zeros(case.estimate.values.size),
-    )
+    likely = case, uncertainties, Stated.of(np.zeros((0, case.measured.n_equation)))
+    followed = np.zeros(case.estimate.values.size)
     for number in range(MOST_ROUNDS if sources else 0):
         problem = OutputError(moved.measured, expected(moved.measured, moved.model), weights)
         values = moved.estimate.values
@@ -160,9 +175,8 @@ def _move(
     """
     moved = case
     for (uncertainty, change), amount in zip(sources, at, strict=True):
-        setup, measured = change(moved, amount * uncertainty.std_error)
-        moved = replace(moved, setup=setup, measured=measured)
-    model = case.model if moved.setup is case.setup else case.model_of(moved.setup)
+        moved = change(moved, amount * uncertainty.std_error)
+    model = _model_of(case, moved)
     return replace(moved, model=model, estimate=replace(case.estimate, values=values))
 
 
@@ -178,15 +192,11 @@ def _residual_changes(
     fitted = expected(case.measured, case.model).receptance(values, case.measured.omega)
     case = replace(case, measured=replace(case.measured, matrix=fitted))
 
-    def residual(setup: Setup, measured: Measured) -> FloatArray:
-        model = case.model if setup is case.setup else case.model_of(setup)
-        return OutputError(measured, expected(measured, model), weights).residual(values)
+    def residual(changed: Case) -> FloatArray:
+        model = expected(changed.measured, _model_of(case, changed))
+        return OutputError(changed.measured, model, weights).residual(values)
 
-    ends = [
-        [residual(*change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)]
-        for uncertainty, change in sources
-    ]
-    return np.array([(above - below) / (2 * SHARE) for above, below in ends])
+    return _slopes(case, sources, residual)
 
 
 def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
@@ -205,21 +215,16 @@ def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[
     if number is None or settings.mass == ESTIMATE or not number.value:
         return []
     relative = number.std_error / number.value
-    changes = np.array(
-        [
-            relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0
-            for parameter in parameters
-        ]
-    )
-    return [(_of_mass(number), changes)]
+    times_mass = [p.value if p.unit in ("N/m", "N.s/m") else 0.0 for p in parameters]
+    return [(_of_mass(number), relative * np.array(times_mass))]
 
 
 def mass_uncertainty(settings: FitSettings) -> Uncertainty | None:
     """The uncertainty of a given mass; None where it has none, or is estimated."""
     number = dict(settings.uncertainties).get("mass")
-    return (
-        None if number is None or settings.mass == ESTIMATE or not number.std_error > 0 else _of_mass(number)
-    )
+    if number is None or settings.mass == ESTIMATE or not number.std_error > 0:
+        return None
+    return _of_mass(number)
 
 
 def _of_mass(number: Uncertain) -> Uncertainty:
@@ -231,22 +236,13 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
 
     As it is where none changes an interval.
     """
-    before = np.array(
-        [np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters]
-    )
-    counted = [
-        (uncertainty, changes) for uncertainty, changes in sources if np.any(changes[np.isfinite(before)])
-    ]
+    before = full_errors(fit.parameters)
+    counted = [source for source in sources if np.any(source[1][np.isfinite(before)])]
     if not counted:
         return fit
     names = tuple(parameter.name for parameter in fit.parameters)
-    added = Budget(
-        names,
-        before,
-        float(fit.dof),
-        tuple(uncertainty for uncertainty, _ in counted),
-        np.array([row for _, row in counted]),
-    )
+    uncertainties, changes = zip(*counted, strict=True)
+    added = Budget(names, before, float(fit.dof), uncertainties, np.array(changes))
     budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
     widened = with_systematic(fit.parameters, added, budget.dof)
     stated = zip(widened, budget.systematic, strict=True)
@@ -264,11 +260,9 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
     *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of
     freedom.
     """
-    return (
-        fit
-        if fit.budget is None
-        else replace(fit, parameters=contribute(fit.parameters, fit.budget, coverage))
-    )
+    if fit.budget is None:
+        return fit
+    return replace(fit, parameters=contribute(fit.parameters, fit.budget, coverage))
 
 
 def contribute(parameters: Sequence[Parameter], budget: Budget, coverage: float) -> tuple[Parameter, ...]:
@@ -286,23 +280,16 @@ def contribute(parameters: Sequence[Parameter], budget: Budget, coverage: float)
         combined, dof = float(budget.combined[column]), float(budget.dof[column])
         factor = coverage_factor(coverage, dof)
         shares = budget.shares(parameter.name).items()
-        contributions = tuple(
+        parts = tuple(
             Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares
         )
-        stated.append(
-            replace(
-                parameter,
-                combined=combined,
-                expanded=factor * combined,
-                coverage_factor=factor,
-                budget=contributions,
-            )
-        )
+        expanded = replace(parameter, combined=combined, expanded=factor * combined, budget=parts)
+        stated.append(replace(expanded, coverage_factor=factor))
     return tuple(stated)
 
 
-# From a case and an error of a source to the setup and the data with that error.
-Change = Callable[[Case, float], tuple[Setup, Measured]]
+# From a case and an error of a source to the case with the setup and the data that this gives.
+Change = Callable[[Case, float], Case]
 
 
 def sources_of(setup: Setup, measured: Measured) -> list[tuple[Uncertainty, Change]]:
@@ -329,14 +316,17 @@ def _together(entries: Sequence[tuple[Uncertainty, Change]]) -> Change:
     """All changes of one source by the same number of standard uncertainties."""
     first = entries[0][0].std_error
 
-    def change(case: Case, error: float) -> tuple[Setup, Measured]:
-        changed = case
+    def change(case: Case, error: float) -> Case:
         for uncertainty, part in entries:
-            setup, measured = part(changed, error * uncertainty.std_error / first)
-            changed = replace(changed, setup=setup, measured=measured)
-        return changed.setup, changed.measured
+            case = part(case, error * uncertainty.std_error / first)
+        return case
 
     return change
+
+
+def _with_matrix(case: Case, matrix: ComplexArray) -> Case:
+    """The case with another measured *matrix* (n_line, n_output, n_input) [m/N]."""
+    return replace(case, measured=replace(case.measured, matrix=matrix))
 
 
 def _change_of(effect: str, number: int, sign: float) -> Change:
@@ -348,7 +338,7 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
         return _change_of_direction(number, sign)
     slope, power = COURSES[effect]
 
-    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+    def change(case: Case, error: float) -> Case:
         factor = np.exp(sign * error * slope * case.measured.omega**power)
         matrix = case.measured.plus_offset(case.measured.matrix).copy()
         if sign > 0:
@@ -356,9 +346,7 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
         else:
             matrix[:, :, number] *= factor[:, None]
         offset = case.measured.offset
-        return case.setup, replace(
-            case.measured, matrix=matrix if offset is None else matrix - offset[:, None, None]
-        )
+        return _with_matrix(case, matrix if offset is None else matrix - offset[:, None, None])
 
     return change
 
@@ -371,14 +359,12 @@ def _change_of_direction(number: int, sign: float) -> Change:
     in all directions.
     """
 
-    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+    def change(case: Case, error: float) -> Case:
         across = across_ports(case.measured.outputs) if sign > 0 else None
         if across is None or not np.any(across[number]):
-            return _turn(case.setup, number, sign, error), case.measured
+            return replace(case, setup=_turn(case.setup, number, sign, error))
         matrix = case.measured.matrix
-        return case.setup, replace(
-            case.measured, matrix=matrix + error * turn(matrix, number, across, of_forces=False)
-        )
+        return _with_matrix(case, matrix + error * turn(matrix, number, across, of_forces=False))
 
     return change
 
@@ -386,9 +372,9 @@ def _change_of_direction(number: int, sign: float) -> Change:
 def _change_by(matrix_error: MatrixError) -> Change:
     """What the error of a number in a sum of channels does to the whole matrix, in proportion to it."""
 
-    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+    def change(case: Case, error: float) -> Case:
         share = error / matrix_error.uncertainty.std_error
-        return case.setup, replace(case.measured, matrix=case.measured.matrix + share * matrix_error.change)
+        return _with_matrix(case, case.measured.matrix + share * matrix_error.change)
 
     return change
 
@@ -409,10 +395,15 @@ def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
     return replace(setup, inputs=other(setup.inputs))
 
 
-def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:
-    settings = case.setup.settings
-    assert isinstance(settings.mass, (int, float))
-    return replace(case.setup, settings=replace(settings, mass=settings.mass + error)), case.measured
+def _with_settings(case: Case, **changed: Any) -> Case:
+    settings = replace(case.setup.settings, **changed)
+    return replace(case, setup=replace(case.setup, settings=settings))
+
+
+def _heavier(case: Case, error: float) -> Case:
+    mass = case.setup.settings.mass
+    assert isinstance(mass, (int, float))
+    return _with_settings(case, mass=mass + error)
 
 
 def support_uncertainties(support: Support | None) -> Iterator[tuple[str, Uncertainty]]:
@@ -423,32 +414,19 @@ def support_uncertainties(support: Support | None) -> Iterator[tuple[str, Uncert
     for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
         number: Uncertain | None = None if support is None else getattr(support, name)
         if number is not None and number.std_error > 0:
-            yield (
-                name,
-                uncertainty_of(
-                    number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit
-                ),
-            )
+            source = f"{name} of the support, {amount_text(number.value, None, unit)}"
+            yield name, uncertainty_of(number, source, unit)
 
 
 def _other_support(name: str) -> Change:
-    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+    def change(case: Case, error: float) -> Case:
         support = case.setup.settings.subtract
         assert support is not None
         number: Uncertain = getattr(support, name)
         moved = replace(support, **{name: replace(number, value=number.value + error)})
-        return replace(case.setup, settings=replace(case.setup.settings, subtract=moved)), case.measured
+        return _with_settings(case, subtract=moved)
 
     return change
-
-
-def _values(case: Case, step: Step, setup: Setup, measured: Measured) -> FloatArray:
-    """Reported values (n_parameter,) [parameter units] with the numbers of a changed setup on changed
-    data.
-    """
-    model = case.model if setup is case.setup else case.model_of(setup)
-    estimate = replace(case.estimate, values=step(model, measured))
-    return np.array([parameter.value for parameter in reported_parameters(estimate, model, setup)])
 
 
 def _step_of(case: Case) -> Step:
@@ -460,16 +438,12 @@ def _step_of(case: Case) -> Step:
     estimator = settings.estimates
     if estimator.step is not None:
         return estimator.step(case)
-    if estimator.phase and _is_likeliest(case):
-        return likelihood_step(case)
+    if estimator.phase:
+        _, jacobian, residual = _linearise(case)
+        away = np.abs(solve_scaled(jacobian, residual)[0])
+        if np.all(away <= AT_MINIMUM * np.sqrt(np.diag(case.estimate.covariance))):
+            return likelihood_step(case)
     return lambda model, measured: estimator.fit(measured, model, settings.weight).values
-
-
-def _is_likeliest(case: Case) -> bool:
-    """Whether the estimate is the minimum of the output error weighted by the noise."""
-    _, jacobian, residual = _linearise(case)
-    away = solve_scaled(jacobian, residual)[0]
-    return bool(np.all(np.abs(away) <= AT_MINIMUM * np.sqrt(np.diag(case.estimate.covariance))))
 
 
 def instrumental_step(case: Case) -> Step:
@@ -543,13 +517,7 @@ def _source(source: RepeatSource, fit: Fit, test: str, conditions: Mapping[str, 
         )
         raise ConfigError(what, hint=f"conditions: {{{source.per}: ...}}, or leave `per` out")
     same = f"{source.per} {conditions[source.per]}" if source.per else test or "this test"
-    changes = np.array(
-        [
-            source.relative * parameter.value if parameter.name == source.parameter else 0.0
-            for parameter in fit.parameters
-        ]
-    )
-    size = abs(float(np.sum(changes)))
-    return Uncertainty(
-        f"{source.name} ({same})", size, fit.parameter(source.parameter).unit, source.dof
-    ), changes
+    changed = fit.parameter(source.parameter)
+    amount = source.relative * changed.value
+    changes = np.array([amount if p.name == source.parameter else 0.0 for p in fit.parameters])
+    return Uncertainty(f"{source.name} ({same})", abs(amount), changed.unit, source.dof), changes

@@ -54,20 +54,19 @@ def stated_findings(
     *uncertainties*: source of each pull, in their order; *values* [SI]: numbers by source, where these are
     one number.
     """
-    said: dict[bool, list[str]] = {True: [], False: []}
-    for number in np.flatnonzero(pulls.far):
-        said[uncertainties[int(number)].unit == "kg"].append(
-            _asked(uncertainties[int(number)], pulls, int(number), values)
-        )
+    said: dict[str, list[str]] = {"mass": [], "stated-value": []}
+    for number in map(int, np.flatnonzero(pulls.far)):
+        code = "mass" if uncertainties[number].unit == "kg" else "stated-value"
+        said[code].append(_asked(uncertainties[number], pulls, number, values))
     what = (
         "Each is judged with all others within what was stated, and counts in the intervals with its "
         "distance. One of these numbers is "
         "wrong, or its uncertainty is larger than stated: weigh or calibrate again"
     )
-    masses, others = (f"the data contradict {'; '.join(said[of_mass])}. {what}" for of_mass in (True, False))
     return [
-        *([Finding("mass", masses)] if said[True] else []),
-        *([Finding("stated-value", others)] if said[False] else []),
+        Finding(code, f"the data contradict {'; '.join(named)}. {what}")
+        for code, named in said.items()
+        if named
     ]
 
 
@@ -75,10 +74,7 @@ def _asked(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[
     size, unit = uncertainty.std_error, uncertainty.unit
     asked, error = pulls.asked[number] * size, pulls.error[number] * size
     relative = unit == "1"
-    stated = (
-        f"{uncertainty.source} (stated +- "
-        f"{f'{100 * size:.2g} %' if relative else amount_text(size, None, unit)})"
-    )
+    stated = f"{100 * size:.2g} %" if relative else amount_text(size, None, unit)
     if uncertainty.source in values:
         wanted = amount_text(values[uncertainty.source] + asked, error, unit, "+-")
     elif relative:
@@ -87,8 +83,8 @@ def _asked(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[
         shown = shown_unit(unit, asked, error)
         wanted = f"a change by {change_text(difference_in(asked, shown), difference_in(error, shown), shown)}"
     return (
-        f"{stated}: they ask for {wanted}, {pulls.sizes[number]:.2g} standard uncertainties of both from "
-        "what was stated"
+        f"{uncertainty.source} (stated +- {stated}): they ask for {wanted}, {pulls.sizes[number]:.2g} "
+        "standard uncertainties of both from what was stated"
     )
 
 
@@ -100,17 +96,6 @@ MOST_STEPS = 40
 # window's resolution at a sharp resonance, which no covariance holds, moves a free mass by tenths of a per
 # cent.
 TOLERANCE = 0.01
-
-
-@dataclass(frozen=True)
-class _Freed:
-    """A model with its mass to be estimated: *names* of the masses, last among its parameters, and their
-    *given* values [kg].
-    """
-
-    model: DynamicModel
-    names: tuple[str, ...]
-    given: FloatArray
 
 
 @dataclass(frozen=True)
@@ -137,17 +122,19 @@ def mass_findings(
     freed = _free(model, setup)
     if freed is None or setup.settings.sliding is not None:
         return []
-    fit = _free_fit(measured, freed.model, np.concatenate([values, freed.given]), stated)
+    free, given = freed
+    fit = _free_fit(measured, free, np.concatenate([values, given]), stated)
     if fit is None:
         return []
-    p_value = _p_value(fit, freed.given)
-    return [Finding("mass", _message(freed, fit, values, p_value, setup))] if p_value < CONTRADICTED_P else []
+    p_value = _p_value(fit, given)
+    if p_value >= CONTRADICTED_P:
+        return []
+    return [Finding("mass", _message(free, given, fit, values, p_value, setup))]
 
 
-def _free(model: DynamicModel, setup: Setup) -> _Freed | None:
-    """The model with a term per mass: a single one for a mass that is one number, else one per dof.
-
-    None without given mass or force.
+def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] | None:
+    """The model with a term per mass, and the given masses (n_mass,) [kg]: a single one for a mass that is
+    one number, else one per dof. None without given mass or force.
     """
     given, force = model.constant.mass, model.constant.force
     diagonal = np.diag(given)
@@ -158,15 +145,12 @@ def _free(model: DynamicModel, setup: Setup) -> _Freed | None:
         parts = {"m": given / diagonal[0]}
     else:
         dofs = [port.dof or port.label for port in setup.outputs]
-        units = np.eye(diagonal.size)
-        parts = {
-            f"m_{dof}_{dof}": np.outer(units[n], units[n]) for n, dof in enumerate(dofs) if diagonal[n] > 0
-        }
+        units = zip(dofs, np.eye(diagonal.size), diagonal, strict=True)
+        parts = {f"m_{dof}_{dof}": np.diag(unit) for dof, unit, mass in units if mass > 0}
     amounts = np.array([float(np.max(given * part)) for part in parts.values()])
     rest = given - np.tensordot(amounts, np.array(list(parts.values())), 1)
     terms = tuple(Term(name, "kg", replace(empty, mass=part)) for name, part in parts.items())
-    free = replace(model, terms=(*model.terms, *terms), constant=replace(model.constant, mass=rest))
-    return _Freed(free, tuple(parts), amounts)
+    return replace(model, terms=(*model.terms, *terms), constant=replace(model.constant, mass=rest)), amounts
 
 
 def _free_fit(
@@ -189,14 +173,10 @@ def _free_fit(
         jacobian, residual = problem.jacobian(minimum.values), problem.residual(minimum.values)
         steps = np.zeros((0, start.size)) if stated is None else steps_by(stated.changes, jacobian, inverse)
         if weighted:
-            uncertainty = weight_uncertainty(measured, dof)
-            by_stated = (
-                0.0
-                if stated is None
-                else pulls_of(
-                    residual, Stated.of(stated.changes), jacobian, inverse, uncertainty.inflation
-                ).explained
-            )
+            uncertainty, by_stated = weight_uncertainty(measured, dof), 0.0
+            if stated is not None:
+                changes = Stated.of(stated.changes)
+                by_stated = pulls_of(residual, changes, jacobian, inverse, uncertainty.inflation).explained
             after, of_noise = linear.chi2 - by_stated, dof * uncertainty.excess
             if uncertainty.p_value(after / of_noise, dof) >= CONTRADICTED_P:
                 return _FreeFit(minimum.values, uncertainty.inflation * inverse + steps.T @ steps, dof)
@@ -230,17 +210,17 @@ def _p_value(fit: _FreeFit, given: FloatArray) -> float:
     return f_tail(square * rest / (fit.dof * n), n, rest) if rest > 0 and square > 0 else 1.0
 
 
-def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup) -> str:
-    n, model = len(freed.names), freed.model
+def _message(
+    model: DynamicModel, given: FloatArray, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup
+) -> str:
+    n = given.size
     free = correct(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
-    before = correct(
-        Estimated(model.names[:-n], model.units[:-n], values, np.zeros((values.size, values.size))),
-        setup.settings,
-    )
+    exact = np.zeros((values.size, values.size))
+    before = correct(Estimated(model.names[:-n], model.units[:-n], values, exact), setup.settings)
     masses = ", ".join(
-        f"{name} = {_amount(given, 'kg')} was given, free it comes out as "
+        f"{name} = {_amount(mass, 'kg')} was given, free it comes out as "
         f"{_amount(free.value(name), 'kg', free.std_error(name))}"
-        for name, given in zip(freed.names, freed.given, strict=True)
+        for name, mass in zip(model.names[-n:], given, strict=True)
     )
     stiffness = [name for name, unit in zip(before.names, before.units, strict=True) if unit == "N/m"]
     changed = max(stiffness, key=lambda name: abs(free.value(name) - before.value(name)), default=None)
@@ -308,18 +288,14 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     """
     if not has_noise(measured):
         return []
+    channels = _late_channels(measured)
     try:
-        grids = [
-            (*_best_of_grid(measured, model, values, late), name) for name, late in _late_channels(measured)
-        ]
+        grids = [(*_best_of_grid(measured, model, values, late), name) for name, late in channels]
     except (FitError, np.linalg.LinAlgError):
         return []
     grids.sort(key=lambda grid: grid[0])
-    explained = [
-        fitted
-        for _, problem, start, name in grids[:LIKELIEST]
-        if (fitted := _delay(measured, model, problem, start, name))
-    ]
+    tried = [_delay(measured, model, *grid[1:]) for grid in grids[:LIKELIEST]]
+    explained = [fitted for fitted in tried if fitted is not None]
     return [min(explained, key=lambda fitted: fitted[0])[1]] if explained else []
 
 
@@ -371,20 +347,13 @@ class _Still:
 def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
     """Name and elements (n_output, n_input) of every channel that may be late."""
     shape = measured.matrix.shape[1:]
-    single = shape == (1, 1)
-    rows = [
-        (f"{port.channel} against {measured.inputs[0].channel}" if single else port.channel)
-        for port in measured.outputs
-    ]
-    candidates = [
-        (name, np.broadcast_to(np.arange(shape[0])[:, None] == row, shape)) for row, name in enumerate(rows)
-    ]
-    if not single and shape[1] > 1:
-        candidates += [
-            (port.channel, np.broadcast_to(np.arange(shape[1]) == column, shape))
-            for column, port in enumerate(measured.inputs)
-        ]
-    return candidates
+    outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
+    row, column = np.indices(shape)
+    if shape == (1, 1):
+        return [(f"{outputs[0]} against {inputs[0]}", row == 0)]
+    of_outputs = [(name, row == number) for number, name in enumerate(outputs)]
+    of_inputs = [(name, column == number) for number, name in enumerate(inputs)]
+    return of_outputs + (of_inputs if len(inputs) > 1 else [])
 
 
 def _delay(
@@ -496,11 +465,13 @@ def drift_findings(
     p_value = min(1.0, min(best, together) * (len(tests) + 1) * n_band)
     if p_value >= DRIFT_P:
         return []
-    said = (
-        _of_shape(shape, change, chance)
-        if best <= together
-        else _of_parameters(jacobian, model, values, change, chance)
-    )
+    if best <= together:
+        length = float(np.linalg.norm(shape.values))
+        amount, error = _along(change, shape.values) / length, np.sqrt(chance.variance) / length
+        by = change_text(100 * amount, 100 * error, "%")
+        said = f"it looks like {shape.name} changed by {by}"
+    else:
+        said = _of_parameters(jacobian, model, values, change, chance)
     message = (
         f"the second half of the record differs from the first (p = {p_value:.2g}): {said}. An even drift is "
         "twice that from the beginning to the end. The parameters are means over a changing rig, and their "
@@ -555,12 +526,6 @@ def _along(change: FloatArray, shape: FloatArray) -> float:
     """Length of the change along a shape [1]."""
     length = float(np.linalg.norm(shape))
     return float(change @ shape) / length if length > 0 else 0.0
-
-
-def _of_shape(shape: _Shape, change: FloatArray, chance: _Chance) -> str:
-    length = float(np.linalg.norm(shape.values))
-    amount, error = _along(change, shape.values) / length, np.sqrt(chance.variance) / length
-    return f"it looks like {shape.name} changed by {change_text(100 * amount, 100 * error, '%')}"
 
 
 def _of_parameters(

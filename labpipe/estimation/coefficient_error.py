@@ -26,6 +26,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, compliance
 from labpipe.estimation.model_error import reason_of, shares_by_cause
+from labpipe.estimation.statistics import restated
 from labpipe.estimation.weights import Weights, white_columns
 from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
 
@@ -89,11 +90,10 @@ class CoefficientError:
 
         *reported*: all parameters of a fit from values (n,) and covariance (n, n) [parameter units].
         """
-        pairs = (
+        wide, noise = (
             {parameter.name: parameter for parameter in reported(self.mean, covariance)}
             for covariance in (self.covariance, self.noise)
         )
-        wide, noise = pairs
         return tuple(
             self._statement(parameter, wide[parameter.name], noise[parameter.name].std_error)
             if parameter.name in wide
@@ -108,18 +108,9 @@ class CoefficientError:
         # The value stays that of the fit, which others can repeat; the interval holds it.
         low, high = min(wide.ci95[0], parameter.value), max(wide.ci95[1], parameter.value)
         full = max(wide.std_error * (high - low) / (wide.ci95[1] - wide.ci95[0]), noise)
-        return replace(
-            parameter,
-            std_error=noise,
-            std_error_inflated=full,
-            ci95=(low, high),
-            t_ratio=None if parameter.t_ratio is None else parameter.value / full,
-            significant=None if parameter.significant is None else not low <= 0 <= high,
-            interval=IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0)))),
-            reason=self.reason,
-            discrepancy=self.discrepancy,
-            fitted=parameter.value,
-        )
+        parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
+        stated = restated(parameter, parameter.value, full, (low, high), std_error=noise, interval=parts)
+        return replace(stated, reason=self.reason, discrepancy=self.discrepancy, fitted=parameter.value)
 
 
 class Misfit(Protocol):
@@ -242,11 +233,8 @@ class _Scene:
             unit = float(np.sqrt(self.n_equation / power))
             relative = unit * AMPLITUDES[1:] / USUAL.get(kind, np.inf)
             prior = special.log_softmax(-0.5 * relative**2) + np.log(1 - SOUND)
-            kept = [
-                f
-                for length in LENGTHS[kind]
-                if (f := self._functions(kind, length, white.shape[2])) is not None
-            ]
+            tried = [self._functions(kind, length, white.shape[2]) for length in LENGTHS[kind]]
+            kept = [functions for functions in tried if functions is not None]
             for functions in kept:
                 yield _Course.of(kind, prior - np.log(len(LENGTHS) * len(kept)), unit * white, functions)
 
@@ -278,33 +266,28 @@ class _Scene:
             residual.size,
         )
         parts = [_evidence(plain, None, prior, away, np.zeros(1))]
-        names, logs = ["none"], [np.full(1, np.log(SOUND))]
+        # Of no course the type is that of noise where it is larger.
+        names, logs = ["none", *[WHITE] * (LARGER.size - 1)], [np.full(1, np.log(SOUND))]
         columns = np.concatenate([jacobian, residual[..., None]], axis=2)
         for course in self.courses:
             parts.append(_evidence(plain, course, prior, away, AMPLITUDES[1:], course.turned(columns)))
-            names.append(course.kind)
+            names += [course.kind] * parts[-1][0].size
             logs.append(course.prior)
+        evidences, shifts, spreads = zip(*parts, strict=True)
         weight = np.concatenate(
-            [(log + log_prior[:, None]).ravel() for (log, _, _), log_prior in zip(parts, logs, strict=True)]
+            [(log + log_prior[:, None]).ravel() for log, log_prior in zip(evidences, logs, strict=True)]
         )
         weight = np.exp(weight - special.logsumexp(weight))
-        means = np.concatenate([mean for _, mean, _ in parts])
-        covariances = np.concatenate([covariance for _, _, covariance in parts])
         keep = weight > 1e-12
-        weight, means, covariances = weight[keep] / np.sum(weight[keep]), means[keep], covariances[keep]
-        labels = np.concatenate(
-            [_labels(name, log.shape) for name, (log, _, _) in zip(names, parts, strict=True)]
-        )
+        means, covariances = np.concatenate(shifts)[keep], np.concatenate(spreads)[keep]
+        weight, labels = weight[keep] / np.sum(weight[keep]), np.array(names)[keep]
         mean = weight @ means
-        total = np.einsum("s,spq->pq", weight, covariances) + (means - mean).T @ (
-            (means - mean) * weight[:, None]
-        )
+        between = (means - mean).T @ ((means - mean) * weight[:, None])
+        total = np.einsum("s,spq->pq", weight, covariances) + between
         noise = np.linalg.inv(plain.normal)
         unit = np.outer(self.scale, self.scale)
         covariance = _calibrate(total, noise) / unit
-        shares: dict[str, float] = {}
-        for label, share in zip(labels[keep], weight, strict=True):
-            shares[str(label)] = shares.get(str(label), 0.0) + float(share)
+        shares = {str(label): float(np.sum(weight[labels == label])) for label in dict.fromkeys(labels)}
         growth = float(np.max(np.sqrt(np.diag(covariance * unit) / np.diag(noise))))
         return CoefficientError(at + mean / self.scale, covariance, noise / unit, shares, growth)
 
@@ -320,13 +303,6 @@ def _as_large_as_it_varies(functions: FloatArray) -> FloatArray:
     power = float(np.mean(np.sum(varying**2, axis=1)))
     mean = np.full((len(functions), 1), np.sqrt(power))
     return np.hstack([mean, varying]) / np.sqrt(2 * power)
-
-
-def _labels(name: str, shape: tuple[int, ...]) -> FloatArray:
-    """The type of every component (n_amplitude, n_larger): of none, that of noise where it is larger."""
-    if name != "none":
-        return np.full(int(np.prod(shape)), name, dtype=object)
-    return np.array([name, *[WHITE] * (shape[1] - 1)], dtype=object)
 
 
 def _patterns(model: ReceptanceModel, values: FloatArray, measured: Measured) -> Patterns:
@@ -364,11 +340,10 @@ def _move(inverse: ComplexArray, stiffness: FloatArray, h: ComplexArray) -> Comp
     """Z^-1 K Z^-1 K H, what is left of a stiffness that moves about its mean: of the whole and of each
     direct one, (n_line, n_output, n_input, n_pattern) [m/N].
     """
-    moving = [stiffness, *(np.diag(row) for row in np.diag(np.diag(stiffness)))]
-    parts = [
-        inverse @ matrix @ inverse @ matrix @ h
-        for matrix in moving[: len(moving) if len(stiffness) > 1 else 1]
-    ]
+    moving = [stiffness]
+    if len(stiffness) > 1:
+        moving += [np.diag(row) for row in np.diag(np.diag(stiffness))]
+    parts = [inverse @ matrix @ inverse @ matrix @ h for matrix in moving]
     # Each as large as the others.
     sizes = [np.sqrt(np.mean(np.abs(part) ** 2)) for part in parts]
     return np.stack([part / size for part, size in zip(parts, sizes, strict=True) if size > 0], axis=-1)
@@ -470,8 +445,7 @@ def _evidence(
 
 def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
     """Re sum conj(first) second over lines and elements, (n_first, n_second)."""
-    flat = (part.reshape(-1, part.shape[-1]) for part in (first, second))
-    left, right = flat
+    left, right = (part.reshape(-1, part.shape[-1]) for part in (first, second))
     return np.asarray((left.conj().T @ right).real)
 
 

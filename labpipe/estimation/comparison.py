@@ -134,9 +134,8 @@ class RationalFit:
             highest = self.elements * (self.basis[:, -1] * weight)[:, None]
             normal, right_side = self._normal_equations(self.elements, weight, highest)
             scale = np.sqrt(np.diag(normal))
-            values = (
-                np.linalg.lstsq(normal / (scale[:, None] * scale), right_side / scale, rcond=None)[0] / scale
-            )
+            normal = normal / (scale[:, None] * scale)
+            values = np.linalg.lstsq(normal, right_side / scale, rcond=None)[0] / scale
             denominator = self._denominator(values)
             if np.any(denominator == 0):
                 break
@@ -153,9 +152,8 @@ class RationalFit:
         """A (n_line,) and B / A (n_line, n_element)."""
         n = 2 * self.modes
         denominator = self._denominator(parameters)
-        return denominator, self.basis[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T / denominator[
-            :, None
-        ]
+        numerators = self.basis[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T
+        return denominator, numerators / denominator[:, None]
 
     def _columns(self, elements: ComplexArray, weight: ComplexArray) -> ComplexArray:
         """Columns of B_e - H_e (a_0 phi_0 + a_1 phi_1 + ...) times the weight, (n_parameter, n_line,
@@ -237,8 +235,8 @@ class _Variant:
 def candidates(
     measured: Measured, setup: Setup, ml_estimate: Estimate | None = None
 ) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
-    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of
-    those that did not converge.
+    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and a note that
+    names those without a minimum.
 
     None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is
     fitted again. Every descent is bounded. Without `compare` only the alternative to a damping law:
@@ -250,12 +248,20 @@ def candidates(
         return (), ()
     whole = setup.settings.compare
     variants = _variants(setup.settings) if whole else _damping_variants(setup.settings)
-    models = {variant.name: _model(replace(setup, settings=variant.settings)) for variant in variants}
     results: dict[str, Candidate | None] = {}
-    for name, model in models.items():
-        if model is not None:
-            estimate = ml_estimate if ml_estimate and name.startswith(THIS) else _estimate(measured, model)
-            results[name] = _candidate(name, measured, estimate) if estimate and estimate.converged else None
+    for variant in variants:
+        try:
+            of_variant = replace(setup, settings=variant.settings)
+            model = damp(variant.settings.kind.model(of_variant), variant.settings)
+        except ConfigError:
+            # It does not suit these ports.
+            continue
+        is_this = ml_estimate is not None and variant.name.startswith(THIS)
+        estimate = ml_estimate if is_this else _estimate(measured, model)
+        results[variant.name] = None
+        if estimate is not None and estimate.converged:
+            size, dof = estimate.values.size, estimate.dof
+            results[variant.name] = _candidate(variant.name, measured, estimate.squares, size, dof)
     if whole:
         results.update(_orders(measured, len(setup.outputs)))
     fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
@@ -263,18 +269,9 @@ def candidates(
         variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants
     }
     tested = [_test(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
-    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), tuple(
-        name for name in results if name not in fitted
-    )
-
-
-def comparison_notes(left_out: tuple[str, ...]) -> tuple[str, ...]:
-    """A note that names the variants without a minimum."""
-    return (
-        (f"Compared models left out, their descents found no minimum: {'; '.join(left_out)}.",)
-        if left_out
-        else ()
-    )
+    left_out = "; ".join(name for name in results if name not in fitted)
+    what = f"Compared models left out, their descents found no minimum: {left_out}."
+    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), (what,) if left_out else ()
 
 
 def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
@@ -299,20 +296,13 @@ def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
     """
     weights = whitener(measured)
     fits = [RationalFit(measured, weights, modes) for modes in range(max(n_output - 1, 1), n_output + 2)]
-    names = [f"{fit.modes} mode{'s' if fit.modes > 1 else ''}, any structure" for fit in fits]
-    return {
-        name: _order(name, fit)
-        for name, fit in zip(names, fits, strict=True)
-        if measured.n_equation > fit.n_parameter
-    }
-
-
-def _order(name: str, fit: RationalFit) -> Candidate | None:
-    raw, dof = fit.lowest_chi2(), fit.measured.n_equation - fit.n_parameter
-    if raw is None:
-        return None
-    chi2 = raw / weight_uncertainty(fit.measured, dof).inflation
-    return Candidate(name, fit.n_parameter, chi2, dof, chi2 + 2 * fit.n_parameter)
+    orders = {}
+    for fit in fits:
+        dof = measured.n_equation - fit.n_parameter
+        if dof > 0:
+            name = f"{fit.modes} mode{'s' if fit.modes > 1 else ''}, any structure"
+            orders[name] = _candidate(name, measured, fit.lowest_chi2(), fit.n_parameter, dof)
+    return orders
 
 
 def _variants(settings: FitSettings) -> list[_Variant]:
@@ -379,14 +369,6 @@ def _description(settings: FitSettings) -> str:
     return ", ".join(parts)
 
 
-def _model(setup: Setup) -> DynamicModel | FactorModel | None:
-    """The model of a variant; None where it does not suit these ports."""
-    try:
-        return damp(setup.settings.kind.model(setup), setup.settings)
-    except ConfigError:
-        return None
-
-
 def _estimate(measured: Measured, model: DynamicModel | FactorModel) -> Estimate | None:
     try:
         return maximum_likelihood(measured, model, most_steps=MOST_COMPARED_STEPS)
@@ -394,15 +376,16 @@ def _estimate(measured: Measured, model: DynamicModel | FactorModel) -> Estimate
         return None
 
 
-def _candidate(name: str, measured: Measured, estimate: Estimate) -> Candidate:
-    """Name, parameters, chi-square and AIC of an estimate by ml."""
-    assert estimate.squares is not None
-    uncertainty = weight_uncertainty(measured, estimate.dof)
+def _candidate(
+    name: str, measured: Measured, squares: float | None, n_parameter: int, dof: int
+) -> Candidate | None:
+    """Name, parameters, chi-square and AIC of a fit by the sum of its *squares*; None without a minimum."""
+    if squares is None:
+        return None
     # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of
     # the residual.
-    chi2 = estimate.squares / uncertainty.inflation
-    n_parameter = estimate.values.size
-    return Candidate(name, n_parameter, chi2, estimate.dof, chi2 + 2 * n_parameter)
+    chi2 = squares / weight_uncertainty(measured, dof).inflation
+    return Candidate(name, n_parameter, chi2, dof, chi2 + 2 * n_parameter)
 
 
 def _test(candidate: Candidate, richer: list[Candidate]) -> Candidate:

@@ -26,6 +26,7 @@ from labpipe.estimation.statistics import (
     derive,
     estimated,
     inflation_factors,
+    restated,
     widen,
 )
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
@@ -33,7 +34,7 @@ from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Unstated
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.settings import COEFFICIENT_UNITS, ESTIMATE
-from labpipe.records.uncertain import Budget, Uncertain
+from labpipe.records.uncertain import Budget
 from labpipe.spectra.convert import TRANSMISSIBILITY
 
 # Corrections of estimates: the support subtracted, the load shared between equal bearings.
@@ -112,17 +113,13 @@ def correct(total: Estimated, settings: FitSettings) -> Estimated:
         direct = np.array([is_direct(name) and name.startswith(kind) for name in total.names])
         values = values - np.where(direct, amount.value, 0.0)
     divisor = np.array([float(settings.share) if unit in ("N/m", "N.s/m") else 1.0 for unit in total.units])
-    return Estimated(
-        total.names, total.units, values / divisor, total.covariance / np.outer(divisor, divisor)
-    )
+    covariance = total.covariance / np.outer(divisor, divisor)
+    return replace(total, values=values / divisor, covariance=covariance)
 
 
 def is_corrected(settings: FitSettings) -> bool:
     """True if the reported coefficients differ from the measured totals."""
-    support = settings.subtract or Support()
-    return settings.share > 1 or any(
-        amount != Uncertain(0.0) for amount in (support.stiffness, support.damping)
-    )
+    return settings.share > 1 or (settings.subtract or Support()) != Support()
 
 
 # Modes of an identified model: natural frequencies, damping ratios, mode shapes, participation; many models
@@ -168,11 +165,8 @@ def modes(matrices: Matrices) -> Modes | None:
     state = np.block([[np.zeros_like(k), identity], [-by_mass[:, :, :n], -by_mass[:, :, n:]]])
     values = np.linalg.eigvals(state)
     undamped, right = np.linalg.eig(by_mass[:, :, :n].real)
-    if (
-        np.any(np.sum(values.imag > 0, axis=1) != n)
-        or np.any(undamped.real <= 0)
-        or np.any(undamped.imag != 0)
-    ):
+    is_still = (undamped.real <= 0) | (undamped.imag != 0)
+    if np.any(np.sum(values.imag > 0, axis=1) != n) or np.any(is_still):
         return None
     upper = values[values.imag > 0].reshape(n_case, n)
     upper = np.take_along_axis(upper, np.argsort(np.abs(upper), axis=1), axis=1)
@@ -196,15 +190,10 @@ def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple
         quantities[f"f_n_{r + 1}"] = ("Hz", mode_set.frequency[:, r])
         quantities[f"zeta_{r + 1}"] = ("1", mode_set.damping[:, r])
     for r in range(mode_set.frequency.shape[1]):
-        quantities.update(
-            {f"shape_{r + 1}_{dof}": ("1", mode_set.shapes[:, row, r]) for row, dof in enumerate(outputs)}
-        )
-        quantities.update(
-            {
-                f"participation_{r + 1}_{force}": ("1/kg", mode_set.participation[:, r, i])
-                for i, force in enumerate(inputs)
-            }
-        )
+        for row, dof in enumerate(outputs):
+            quantities[f"shape_{r + 1}_{dof}"] = ("1", mode_set.shapes[:, row, r])
+        for i, force in enumerate(inputs):
+            quantities[f"participation_{r + 1}_{force}"] = ("1/kg", mode_set.participation[:, r, i])
     return quantities
 
 
@@ -230,21 +219,20 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
     if isinstance(model, FactorModel) and model.law.viscous:
         parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
     if settings.kind.matrix_modes:
-        ports = (
-            tuple(port.dof or port.label for port in setup.outputs),
-            tuple(port.label for port in setup.inputs),
-        )
+        outputs = tuple(port.dof or port.label for port in setup.outputs)
+        inputs = tuple(port.label for port in setup.inputs)
         parameters.extend(
-            _propagated_all(total, lambda values: modal_quantities(model.whole(values), *ports), dof)
+            _propagated_all(total, lambda values: modal_quantities(model.whole(values), outputs, inputs), dof)
         )
     if "b_x" in total.names and "b_y" in total.names:
-        parameters.append(_forcing_angle(total, dof))
+        x, y = total.value("b_x"), total.value("b_y")
+        error = propagate(total, {"b_x": -y / (x**2 + y**2), "b_y": x / (x**2 + y**2)})
+        parameters.append(derive("forcing_angle", "rad", float(np.arctan2(y, x)), error, dof))
     if is_corrected(settings):
         for name, unit in zip(total.names, total.units, strict=True):
             if unit in ("N/m", "N.s/m"):
-                parameters.append(
-                    derive(f"{name}_total", unit, total.value(name), total.std_error(name), dof)
-                )
+                value, error = total.value(name), total.std_error(name)
+                parameters.append(derive(f"{name}_total", unit, value, error, dof))
     parameters.extend(
         Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed
     )
@@ -271,9 +259,8 @@ def _propagated_all(
     Values without standard errors where the functions do not exist on both sides of the estimate.
     """
     steps = np.maximum(STEP * np.sqrt(np.diag(total.covariance)), SMALLEST_STEP * np.abs(total.values))
-    quantities_at_steps = quantities(
-        np.vstack([total.values, total.values + np.diag(steps), total.values - np.diag(steps)])
-    )
+    places = [total.values, total.values + np.diag(steps), total.values - np.diag(steps)]
+    quantities_at_steps = quantities(np.vstack(places))
     if not quantities_at_steps or np.any(steps == 0):
         centre = quantities(total.values[None])
         return [
@@ -317,19 +304,6 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
         slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
         resonance.insert(1, derive("zeta", "1", float(zeta), propagate(total, slopes), dof))
     return resonance
-
-
-def _forcing_angle(total: Estimated, dof: int) -> Parameter:
-    """atan2(b_y, b_x) [rad]."""
-    x, y = total.value("b_x"), total.value("b_y")
-    square = x**2 + y**2
-    return derive(
-        "forcing_angle",
-        "rad",
-        float(np.arctan2(y, x)),
-        propagate(total, {"b_x": -y / square, "b_y": x / square}),
-        dof,
-    )
 
 
 def propagate(total: Estimated, slopes: dict[str, float]) -> float:
@@ -432,23 +406,16 @@ def _expand(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     combined = math.hypot(noise, systematic)
     reach = combined * coverage_factor(INTERVAL, dof)
     value, interval = parameter.value, parameter.ci95
-    if interval is not None:
-        sides = value - interval[0], interval[1] - value
-        even = math.isclose(*sides, rel_tol=EVEN)
-        low, high = (
-            (reach, reach) if even else (math.hypot(side, reach * systematic / combined) for side in sides)
-        )
-        interval = value - low, value + high
-    return replace(
-        parameter,
-        std_error_inflated=combined,
-        systematic=systematic,
-        ci95=interval,
-        t_ratio=None if parameter.t_ratio is None else value / combined,
-        significant=None
-        if parameter.significant is None or interval is None
-        else not interval[0] <= 0 <= interval[1],
-    )
+    if interval is None:
+        ratio = None if parameter.t_ratio is None else value / combined
+        without = replace(parameter, std_error_inflated=combined, systematic=systematic)
+        return replace(without, t_ratio=ratio, significant=None)
+    low, high = value - interval[0], interval[1] - value
+    if math.isclose(low, high, rel_tol=EVEN):
+        low = high = reach
+    else:
+        low, high = (math.hypot(side, reach * systematic / combined) for side in (low, high))
+    return restated(parameter, value, combined, (value - low, value + high), systematic=systematic)
 
 
 # A model between the measured lines: so many frequencies that straight lines from one to the next show its
@@ -521,12 +488,12 @@ def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) 
         rows, columns = list(range(len(response.outputs))), list(range(len(response.inputs)))
     ports = [*(response.inputs[n] for n in columns), *(response.outputs[n] for n in rows)]
     of_base = response.form == TRANSMISSIBILITY
-    entries = [
-        *_gains(ports, settings, of_base=of_base),
-        *([] if of_base else _attached(settings)),
-        Unstated("level of the force", "what changes with the amplitude: repeat the test at half the force"),
-        *_law(fit, settings),
-    ]
+    entries = list(_gains(ports, settings, of_base=of_base))
+    if settings.mass == ESTIMATE and not of_base:
+        what = "m by m_t; f_n and zeta of the structure alone by m_t / 2 m of themselves"
+        entries.append(Unstated("mass m_t of what is attached to the structure", what))
+    what = "what changes with the amplitude: repeat the test at half the force"
+    entries += [Unstated("level of the force", what), *_law(fit, settings)]
     return replace(fit, not_stated=tuple(entries))
 
 
@@ -543,14 +510,6 @@ def _gains(ports: Sequence[Port], settings: FitSettings, *, of_base: bool) -> It
         yield Unstated(what, "k, c and m each by as much; f_n and zeta not at all")
     else:
         yield Unstated(what, "the resonance against the given mass: c by as much, k less near resonance")
-
-
-def _attached(settings: FitSettings) -> Iterator[Unstated]:
-    if settings.mass == ESTIMATE:
-        yield Unstated(
-            "mass m_t of what is attached to the structure",
-            "m by m_t; f_n and zeta of the structure alone by m_t / 2 m of themselves",
-        )
 
 
 def _law(fit: Fit, settings: FitSettings) -> Iterator[Unstated]:

@@ -21,7 +21,7 @@ from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.joint import is_joint
-from labpipe.spectra.settling import is_unsettled
+from labpipe.spectra.period_average import is_unsettled
 
 # Independent motions of the responses: singular values of the FRF against those of its noise.
 
@@ -39,11 +39,8 @@ def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
     """
     n_line, n_output, n_input = measured.matrix.shape
     assert measured.covariance is not None
-    noise = np.sqrt(
-        np.mean(
-            np.einsum("lii->li", measured.covariance).real.reshape(n_line, n_output, n_input), axis=(0, 2)
-        )
-    )
+    variance = np.einsum("lii->li", measured.covariance).real.reshape(n_line, n_output, n_input)
+    noise = np.sqrt(np.mean(variance, axis=(0, 2)))
     rows = (measured.matrix / noise[None, :, None]).transpose(0, 2, 1).reshape(-1, n_output)
     values = np.linalg.svd(rows, compute_uv=False)
     limit = np.sqrt(rows.shape[0]) + np.sqrt(rows.shape[1])
@@ -57,12 +54,10 @@ def motion_notes(measured: Measured) -> tuple[str, ...]:
     values, count = independent_motions(measured)
     if count >= values.size:
         return ()
-    value_list = ", ".join(f"{value:.3g}" for value in values)
+    listed = ", ".join(f"{value:.3g}" for value in values)
     moving = "one independent motion" if count == 1 else f"{count} independent motions"
-    return (
-        f"The {values.size} responses hold {moving}: singular values of the FRF in units of its noise "
-        f"{value_list}.",
-    )
+    of_noise = f"singular values of the FRF in units of its noise {listed}"
+    return (f"The {values.size} responses hold {moving}: {of_noise}.",)
 
 
 # Fits of an FRF that was measured in a closed loop: what the loop explains is not laid to mass, signs or
@@ -92,16 +87,14 @@ def with_feedback(fit: Fit, measured: Sequence[Finding]) -> Fit:
 LOST_SAMPLES = ("clipped", "gap")
 
 
-def with_lost_samples(fit: Fit, measured: Sequence[Finding]) -> Fit:
-    """The fit with the warnings on cut or missing samples of the FRF that it is of."""
-    lost = [finding for finding in measured if finding.code in LOST_SAMPLES and finding not in fit.findings]
-    return replace(fit, findings=(*fit.findings, *lost)) if lost else fit
-
-
-def with_weak_injection(fit: Fit, measured: Sequence[Finding]) -> Fit:
-    """The fit with a warning that forbids to accept it, where what is injected into a closed loop hardly
-    exceeds the noise of its FRF and the residual is more than noise.
+def with_cautions(fit: Fit, measured: Sequence[Finding]) -> Fit:
+    """The fit with what the findings of its FRF say of it: `feedback`, cut or missing samples, and a warning
+    that forbids to accept it, where what is injected into a closed loop hardly exceeds the noise of its FRF
+    and the residual is more than noise.
     """
+    fit = with_feedback(fit, measured)
+    lost = [finding for finding in measured if finding.code in LOST_SAMPLES and finding not in fit.findings]
+    fit = replace(fit, findings=(*fit.findings, *lost)) if lost else fit
     weak = is_of_closed_loop(measured) and any(finding.code == "low-snr" for finding in measured)
     if not weak or not any(finding.code == "model-mismatch" for finding in fit.findings):
         return fit
@@ -120,15 +113,8 @@ def is_of_closed_loop(measured: Sequence[Finding]) -> bool:
 def held_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     """A note on negative stiffness in a closed loop: that of a magnetic bearing without its controller."""
     negative = [p.name for p in parameters if is_stiffness(p) and p.value < 0 and p.significant]
-    if not negative:
-        return []
-    return [
-        note(
-            "closed-loop",
-            f"{', '.join(negative)} is negative: without its controller the rotor would "
-            "not stay, the loop holds it",
-        )
-    ]
+    what = "is negative: without its controller the rotor would not stay, the loop holds it"
+    return [note("closed-loop", f"{', '.join(negative)} {what}")] if negative else []
 
 
 def is_stiffness(parameter: Parameter) -> bool:
@@ -181,11 +167,8 @@ def estimate_findings(
     """
     warnings: list[Finding] = []
     if not estimate.converged:
-        message = (
-            f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not "
-            "a result"
-        )
-        warnings.append(Finding("no-convergence", message))
+        what = f"the estimator did not converge in {estimate.iterations} iterations"
+        warnings.append(Finding("no-convergence", f"{what}; its numbers are not a result"))
     warnings.extend(_collinear(estimate, names, units, cure))
     n_equation = estimate.dof + len(names)
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
@@ -212,12 +195,12 @@ def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], c
     growth = _growth(estimate, names, units, group) if units else None
     if growth is not None and growth < HARMFUL_GROWTH:
         return []
-    amplified = (
-        f" A systematic error of 1 % in what was measured can become {_rough(growth)} % in them, which no "
-        "standard error shows."
-        if growth
-        else ""
-    )
+    amplified = ""
+    if growth:
+        amplified = (
+            f" A systematic error of 1 % in what was measured can become {_rough(growth)} % in them, which "
+            "no standard error shows."
+        )
     message = (
         f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number "
         f"{_rough(condition)}, limit {COLLINEAR_CONDITION:g}).{amplified} Their values and signs are "
@@ -271,15 +254,10 @@ def goodness_findings(gof: Goodness) -> list[Finding]:
     value = gof.r2_adjusted
     if value < 0:
         message = (
-            f"G.o.F {value:.3g} is negative: a constant would follow the data better than this fit. "
-            "Its numbers are not a result"
+            f"G.o.F {value:.3g} is negative: a constant would follow the data better than this fit. Its "
+            "numbers are not a result; check the band, the ports, the signs of the channels and the model"
         )
-        return [
-            Finding(
-                "negative-gof",
-                f"{message}; check the band, the ports, the signs of the channels and the model",
-            )
-        ]
+        return [Finding("negative-gof", message)]
     if value < LOW_GOF:
         message = (
             f"G.o.F {value:.3g}: the fit explains less than half of how the data vary over the band; the "
@@ -299,11 +277,7 @@ def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return []
     factor = np.sqrt(reduced)
-    cause = (
-        f"the model is incomplete, or {biased} is biased; compare with ml"
-        if biased
-        else "the model is incomplete"
-    )
+    cause = "the model is incomplete" + (f", or {biased} is biased; compare with ml" if biased else "")
     message = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
         f"freedom {reduced:.3g}, p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} "
@@ -331,12 +305,8 @@ def parameter_findings(
     judged = [p for p in parameters if driving and is_direct(p.name) and not (held and is_stiffness(p))]
     negative = [p.name for p in (*judged, *(p for p in parameters if p.name == "eta")) if p.is_negative]
     if negative:
-        warnings.append(
-            Finding(
-                "unphysical",
-                f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band",
-            )
-        )
+        what = f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"
+        warnings.append(Finding("unphysical", what))
     return [*warnings, *(held_findings(parameters) if held else ()), *_modal_findings(parameters)]
 
 
@@ -345,20 +315,15 @@ def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     modes.
     """
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
-    over = [
-        Finding(
-            "unphysical",
-            f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning",
-        )
+    said = [
+        f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning"
         for p in ratios
         if p.value > 1
     ]
-    unstable = [p.name for p in ratios if p.is_negative]
+    unstable = ", ".join(p.name for p in ratios if p.is_negative)
     if unstable:
-        over.append(
-            Finding("unphysical", f"{', '.join(unstable)} is negative: the identified system is unstable")
-        )
-    return over
+        said.append(f"{unstable} is negative: the identified system is unstable")
+    return [Finding("unphysical", what) for what in said]
 
 
 def quality_findings(
@@ -373,29 +338,21 @@ def quality_findings(
     if is_unsettled(response.findings):
         return []
     power = np.abs(response.matrix[lines][:, rows][:, :, columns]) ** 2
+    share = 0.0
+    what = ""
     if response.multiple_coherence is not None:
         share = _noise_share(np.sum(power, axis=2), response.multiple_coherence[lines][:, rows])
     elif response.coherence is not None:
         share = _noise_share(power, response.coherence[lines][:, rows][:, :, columns])
     elif response.variance is not None:
         variance = response.variance[lines][:, rows][:, :, columns]
-        if np.sum(variance) * LOW_SNR**2 <= np.sum(power):
-            return []
-        return [
-            _low_coherence(
-                f"the FRF is less than {LOW_SNR:g} times its standard deviation, in power over the band"
-            )
-        ]
-    else:
-        return []
-    if share <= 1 - LOW_COHERENCE:
-        return []
-    return [
-        _low_coherence(
-            f"{100 * share:.0f} % of a response's power in the band is not explained by the "
-            "forces (coherence)"
-        )
-    ]
+        if np.sum(variance) * LOW_SNR**2 > np.sum(power):
+            what = f"the FRF is less than {LOW_SNR:g} times its standard deviation, in power over the band"
+    if share > 1 - LOW_COHERENCE:
+        noisy = f"{100 * share:.0f} % of a response's power in the band"
+        what = f"{noisy} is not explained by the forces (coherence)"
+    remedy = "raise the force, average longer, or leave these lines out with `exclude`"
+    return [Finding("low-coherence", f"{what}; {remedy}")] if what else []
 
 
 def _noise_share(explained: FloatArray, coherence: FloatArray) -> float:
@@ -410,12 +367,6 @@ def _noise_share(explained: FloatArray, coherence: FloatArray) -> float:
     return float(np.max(shares))
 
 
-def _low_coherence(what: str) -> Finding:
-    return Finding(
-        "low-coherence", f"{what}; raise the force, average longer, or leave these lines out with `exclude`"
-    )
-
-
 def covariance_findings(response: FrequencyResponse) -> list[Finding]:
     """A warning where the noise of the FRF is not known: nothing then tells a right model from a wrong one
     that follows the curve.
@@ -428,18 +379,6 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
         "residual does. Give the variance of the FRF, or measure several averages"
     )
     return [Finding("no-covariance", message)]
-
-
-def judged_findings(judged: bool) -> list[Finding]:
-    """A warning where nothing could tell whether a residual is noise."""
-    if judged:
-        return []
-    message = (
-        "whether the residual is noise could not be judged: the noise is not known, and for the structure "
-        "of the residual the lines are "
-        "too few, or the output error has no minimum here. The intervals hold only if the model is right"
-    )
-    return [Finding("not-judged", message)]
 
 
 # unphysical: a resonance that the structure cannot have, or that the band does not hold, however well the
@@ -458,12 +397,9 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
     beside = [] if setup.closed_loop else _beside(by_name, band)
-    said = [*_negative(by_name, driving=not transfer_of(setup)), *beside]
-    return (
-        [Finding("unphysical", f"{'; '.join(said)}; its numbers are not those of a mode of the structure")]
-        if said
-        else []
-    )
+    said = "; ".join((*_negative(by_name, driving=not transfer_of(setup)), *beside))
+    what = f"{said}; its numbers are not those of a mode of the structure"
+    return [Finding("unphysical", what)] if said else []
 
 
 def narrow_findings(parameters: Sequence[Parameter], spacing: float) -> list[Finding]:
@@ -499,20 +435,14 @@ def _negative(by_name: dict[str, Parameter], *, driving: bool) -> list[str]:
 
 
 def _beside(by_name: dict[str, Parameter], band: tuple[float, float]) -> list[str]:
-    f_n = by_name.get("f_n")
-    if f_n is None:
-        k, m = by_name.get("k"), by_name.get("m")
-        if k is not None and m is not None and k.value * m.value <= 0:
-            return [
-                f"k = {k.value:.3g} N/m and m = {m.value:.3g} kg have different signs: there is no resonance"
-            ]
+    f_n, k, m = (by_name.get(name) for name in ("f_n", "k", "m"))
+    if f_n is None and k is not None and m is not None and k.value * m.value <= 0:
+        signs = f"k = {k.value:.3g} N/m and m = {m.value:.3g} kg have different signs"
+        return [f"{signs}: there is no resonance"]
+    if f_n is None or band[0] <= f_n.value <= band[1]:
         return []
-    if band[0] <= f_n.value <= band[1]:
-        return []
-    return [
-        f"f_n = {f_n.value:.4g} Hz lies outside the band {band[0]:g}-{band[1]:g} Hz: the lines show no "
-        "resonance"
-    ]
+    outside = f"f_n = {f_n.value:.4g} Hz lies outside the band {band[0]:g}-{band[1]:g} Hz"
+    return [f"{outside}: the lines show no resonance"]
 
 
 # leakage: blocks of random data too short for the damping that a fit found, and the length that would do.
@@ -552,27 +482,18 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
         f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of "
         f"blocks of {blocks.length:.3g} s"
     )
+    other = ""
     if blocks.degree:
-        return [
-            Finding(
-                "leakage",
-                f"{which}: local polynomials of degree {blocks.degree} do not follow its peak; use "
-                f"{needed}, or a higher `degree`",
-            )
-        ]
-    if modelled:
-        return [
-            Finding(
-                "leakage",
-                f"{which}: its damping comes from the window's leakage more than from "
-                f"the measurement; use {needed}",
-            )
-        ]
-    bias = f"its damping comes out up to {BIAS * lines**-FALL:.1g} % too large, which no standard error shows"
-    other = (
-        "" if measured.leakage is None else (", or the estimator ml, which takes the leakage into the model")
-    )
-    return [Finding("leakage", f"{which}: {bias}; use {needed}{other}")]
+        what = f"local polynomials of degree {blocks.degree} do not follow its peak"
+        other = ", or a higher `degree`"
+    elif modelled:
+        what = "its damping comes from the window's leakage more than from the measurement"
+    else:
+        bias = f"{BIAS * lines**-FALL:.1g}"
+        what = f"its damping comes out up to {bias} % too large, which no standard error shows"
+        if measured.leakage is not None:
+            other = ", or the estimator ml, which takes the leakage into the model"
+    return [Finding("leakage", f"{which}: {what}; use {needed}{other}")]
 
 
 def _narrowest(measured: Measured, whole: Matrices) -> tuple[float, float] | None:

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import scipy
 from scipy import linalg, special
 
 from labpipe.arrays import ComplexArray, FloatArray
@@ -32,6 +31,7 @@ from labpipe.estimation.mode_model import (
     is_extension,
     second_beside_moving,
 )
+from labpipe.estimation.statistics import mixture_interval
 
 # Priors of the members.
 LADDER = {AS_IT_IS: 0.8, SECOND: 0.1, **dict.fromkeys(MOVED, 0.025)}
@@ -165,9 +165,8 @@ def evidence(
         j = j / scale
         products = (j.conj()[:, :, None] * j[:, None, :]).real.reshape(r.size, -1)
         away = start - theta
-        f = 2 * (damped @ products).reshape(-1, scale.size, scale.size) + prior * np.outer(
-            1 / scale, 1 / scale
-        )
+        f = 2 * (damped @ products).reshape(-1, scale.size, scale.size)
+        f += prior * np.outer(1 / scale, 1 / scale)
         g = 2 * (damped @ (j.conj() * r[:, None]).real) + (prior @ away) / scale
         try:
             inverse = np.linalg.inv(f)
@@ -175,24 +174,16 @@ def evidence(
             raise FitError("a component of the discrepancy has no solution") from None
         move = np.einsum("apq,aq->ap", inverse, g)
         sign, log_det = np.linalg.slogdet(f)
-        log = (
-            -volume
-            - damped @ np.abs(r) ** 2
-            - 0.5 * away @ prior @ away
-            + 0.5 * np.sum(g * move, axis=1)
-            - 0.5 * log_det
-        )
+        log = -volume - damped @ np.abs(r) ** 2 - 0.5 * away @ prior @ away
+        log += 0.5 * np.sum(g * move, axis=1) - 0.5 * log_det
         log = np.where(sign > 0, log - np.sum(np.log(scale)), -np.inf)
         covariance = inverse[:, kept][:, :, kept] / np.outer(scale[kept], scale[kept])
         result = Evidence(log, theta[kept] + move[:, kept] / scale[kept], covariance, theta)
         if begin is None and amplitudes[0] == 0:
             # Without a course the fit is the minimum: seen from anywhere else it is off, and looks likelier.
             as_it_is = as_it_is or result
-            result.log[0], result.mean[0], covariance[0] = (
-                as_it_is.log[0],
-                as_it_is.mean[0],
-                as_it_is.covariance[0],
-            )
+            result.log[0], result.mean[0] = as_it_is.log[0], as_it_is.mean[0]
+            covariance[0] = as_it_is.covariance[0]
         best = int(np.argmax(log))
         change = move[best] / scale
         change = change * min(1.0, LARGEST_STEP / max(float(np.max(np.abs(change[:n]))), 1e-300))
@@ -241,7 +232,7 @@ class Mixture:
         """
         means = np.array([component.mean @ row for component in self.components])
         deviations = np.sqrt([row @ component.covariance @ row for component in self.components])
-        return float(self.weights @ means), *_quantiles(self.weights, means, deviations)
+        return float(self.weights @ means), *mixture_interval(self.weights, means, deviations)
 
     @property
     def sound(self) -> float:
@@ -287,7 +278,7 @@ class Settled(Mixture):
         centres, reach = (ends[:, 1] + ends[:, 2]) / 2, (ends[:, 2] - ends[:, 1]) / 2
         weights = 1 / (reach**2 + np.median(reach) ** 2)
         weights /= np.sum(weights)
-        return float(weights @ ends[:, 0]), *_quantiles(weights, centres, reach / NORMAL)
+        return float(weights @ ends[:, 0]), *mixture_interval(weights, centres, reach / NORMAL)
 
 
 def settle(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
@@ -296,30 +287,6 @@ def settle(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
         return first
     parts = {field.name: getattr(first, field.name) for field in fields(first)}
     return Settled(**parts, others=others)
-
-
-# Halvings from the largest number to the smallest.
-MOST_BISECTIONS = 5000
-
-
-def _quantiles(weights: FloatArray, means: FloatArray, deviations: FloatArray) -> tuple[float, float]:
-    """2.5 and 97.5 % of a mixture of normal distributions."""
-
-    def above(x: float, p: float) -> float:
-        return float(weights @ special.ndtr((x - means) / deviations)) - p
-
-    ends = []
-    for p in (0.025, 0.975):
-        reach = special.ndtri(p) * deviations
-        # By rounding, one component alone may lie on either side of its own end.
-        margin = 1e-12 + 1e-6 * float(np.max(deviations))
-        low, high = float(np.min(means + reach)) - margin, float(np.max(means + reach)) + margin
-        # A component that ran away is as far as numbers reach: bisection comes back from there.
-        end = scipy.optimize.brentq(
-            above, low, high, args=(p,), xtol=1e-14, rtol=1e-13, maxiter=MOST_BISECTIONS
-        )
-        ends.append(float(end))
-    return ends[0], ends[1]
 
 
 def mixture(base: Fitted) -> Mixture:
@@ -332,15 +299,10 @@ def mixture(base: Fitted) -> Mixture:
     b = half_width(model, base.theta)
     if model.curve.frequency.size < FEWEST_LINES or model.curve.width < FEWEST_WIDTHS * b:
         raise FitError("the band is too narrow to tell a model error from the resonance")
-    courses = [
-        larger_noise(base),
-        *(
-            course(base, kind, float(length))
-            for kind, lengths in lengths_of(base).items()
-            for length in lengths
-        ),
-    ]
-    counts = {WHITE: 1} | {kind: len(lengths) for kind, lengths in lengths_of(base).items()}
+    by_kind = lengths_of(base)
+    courses = [larger_noise(base)]
+    courses += [course(base, kind, float(length)) for kind, of_kind in by_kind.items() for length in of_kind]
+    counts = {WHITE: 1} | {kind: len(lengths) for kind, lengths in by_kind.items()}
     amplitude_prior = np.where(AMPLITUDES == 0, np.log(SOUND), np.log((1 - SOUND) / (AMPLITUDES.size - 1)))
     fits = {base.model.member: base} | {fit.model.member: fit for fit in extensions(base)}
     ladder = {member: LADDER[member] / sum(LADDER[other] for other in fits) for member in fits}
@@ -362,11 +324,8 @@ def mixture(base: Fitted) -> Mixture:
     if not components:
         raise FitError("no course of a model error continues the fit")
     best = int(np.argmax([component.log_weight for component in components]))
-    together = (
-        second_beside_moving(base, fits)
-        if components[best].amplitude > 0 or components[best].member
-        else None
-    )
+    explained = components[best].amplitude > 0 or components[best].member
+    together = second_beside_moving(base, fits) if explained else None
     if together is not None:
         ladder[together.model.member] = LADDER[SECOND] ** 2
         add(together.model.member, together)
@@ -381,10 +340,8 @@ def mixture(base: Fitted) -> Mixture:
     kept = tuple(component for component, chosen in zip(components, keep, strict=True) if chosen)
     weights = weights[keep] / np.sum(weights[keep])
     second = float(np.exp(fits[SECOND].theta[model.n_interest])) if SECOND in fits else None
-    moving = [law for law in MOVED if law in fits]
-    by_law = {
-        law: sum(float(w) for c, w in zip(kept, weights, strict=True) if c.member == law) for law in moving
-    }
+    members = np.array([component.member for component in kept])
+    by_law = {law: float(np.sum(weights[members == law])) for law in MOVED if law in fits}
     likely = max(by_law, key=lambda law: by_law[law], default="")
     motion = float(np.exp(fits[likely].theta[model.n_interest])) if likely else None
     return Mixture(kept, weights, base.covariance, base, second, motion)

@@ -6,6 +6,7 @@ not enough.
 
 from __future__ import annotations
 
+import contextlib
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -53,7 +54,10 @@ def bootstrap(
             "bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out"
         )
     rng = np.random.default_rng(zlib.crc32(name.encode()))
-    refits = [values for _ in range(repeats) if (values := _refit(refit, redrawn(measured, fitted, rng)))]
+    refits: list[dict[str, float]] = []
+    for _ in range(repeats):
+        with contextlib.suppress(FitError):
+            refits.append({p.name: p.value for p in refit(redrawn(measured, fitted, rng))})
     if len(refits) < (1 - MOST_FAILED) * repeats:
         raise FitError(
             f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band"
@@ -62,11 +66,10 @@ def bootstrap(
         f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's "
         "covariance (bootstrap)."
     )
-    scatter = {
-        parameter.name: [values[parameter.name] for values in refits if parameter.name in values]
+    scattered = (
+        _with_scatter(parameter, [values[parameter.name] for values in refits if parameter.name in values])
         for parameter in parameters
-    }
-    scattered = [_with_scatter(parameter, scatter[parameter.name]) for parameter in parameters]
+    )
     return tuple(scattered), note
 
 
@@ -87,14 +90,6 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     )
     noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
     return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
-
-
-def _refit(refit: Refit, measured: Measured) -> dict[str, float]:
-    """Parameter values by name; empty where the refit fails."""
-    try:
-        return {parameter.name: parameter.value for parameter in refit(measured)}
-    except FitError:
-        return {}
 
 
 def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
@@ -162,12 +157,8 @@ def propagate(
         f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty "
         "(Monte Carlo, JCGM 101:2008)."
     )
-    return Drawn(
-        tuple(_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True)),
-        complete,
-        findings,
-        note,
-    )
+    drawn_parameters = (_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True))
+    return Drawn(tuple(drawn_parameters), complete, findings, note)
 
 
 def _draw(
@@ -176,8 +167,7 @@ def _draw(
     """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
     for uncertainty, change in sources_of(case.setup, case.measured):
-        setup, measured = change(changed, drawn_error(uncertainty, rng))
-        changed = replace(changed, setup=setup, measured=measured)
+        changed = change(changed, drawn_error(uncertainty, rng))
     try:
         parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
     except FitError:
@@ -192,12 +182,12 @@ def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
     Equation (unc-draw).
     """
     if uncertainty.shape == "rectangular":
-        return uncertainty.std_error * float(np.sqrt(3.0) * rng.uniform(-1.0, 1.0))
-    if uncertainty.shape == "triangular":
-        return uncertainty.std_error * float(np.sqrt(6.0) * rng.triangular(-1.0, 0.0, 1.0))
-    if uncertainty.dof:
-        return uncertainty.std_error * float(rng.standard_t(uncertainty.dof))
-    return uncertainty.std_error * float(rng.standard_normal())
+        drawn = np.sqrt(3.0) * rng.uniform(-1.0, 1.0)
+    elif uncertainty.shape == "triangular":
+        drawn = np.sqrt(6.0) * rng.triangular(-1.0, 0.0, 1.0)
+    else:
+        drawn = rng.standard_t(uncertainty.dof) if uncertainty.dof else rng.standard_normal()
+    return uncertainty.std_error * float(drawn)
 
 
 def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:

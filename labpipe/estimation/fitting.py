@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError, LabpipeError
+from labpipe.errors import ConfigError, FitError, LabpipeError, SettingError
 from labpipe.estimation.budget import (
     Case,
     budget_of,
@@ -26,7 +26,7 @@ from labpipe.estimation.causes import (
     mass_findings,
     stated_findings,
 )
-from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
+from labpipe.estimation.comparison import candidates, comparison_findings
 from labpipe.estimation.damping import damp
 from labpipe.estimation.derived import (
     BandModel,
@@ -44,16 +44,13 @@ from labpipe.estimation.diagnostics import (
     estimate_findings,
     goodness_findings,
     is_of_closed_loop,
-    judged_findings,
     leakage_findings,
     mode_findings,
     motion_notes,
     narrow_findings,
     parameter_findings,
     quality_findings,
-    with_feedback,
-    with_lost_samples,
-    with_weak_injection,
+    with_cautions,
 )
 from labpipe.estimation.draws import bootstrap, propagate
 from labpipe.estimation.leakage import expected
@@ -104,20 +101,10 @@ def identify(
     if isinstance(measured, FrequencyResponse):
         if settings.repeat_groups and measured.repeats is None:
             what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
-            raise ConfigError(what, hint="several, of which each has all of the FRFs", field="repeat_groups")
+            raise SettingError("repeat_groups", what, "several, of which each has all of the FRFs")
         if judging and settings.repeats == "each" and measured.repeats is not None:
             fits = over_repeats(fits, measured, settings, _fits)
-        fits = tuple(
-            with_unstated(
-                with_weak_injection(
-                    with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
-                    measured.findings,
-                ),
-                measured,
-                settings,
-            )
-            for fit in fits
-        )
+        fits = tuple(with_unstated(with_cautions(fit, measured.findings), measured, settings) for fit in fits)
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
@@ -160,14 +147,12 @@ def fit_linear(
         try:
             fit = _fit_band(setup, model, measured, band, len(bands), judging)
         except FitError as error:
-            raise FitError(
-                f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint
-            ) from None
+            what = f"band {band[0]:g}-{band[1]:g} Hz: {error.what}"
+            raise FitError(what, error.where, error.hint) from None
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
         quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
-        curve = _curve(view, measured, fit)
         # Bands of a sliding fit are drawn as coefficients over frequency; what is only counted is not drawn.
-        curve = _between_lines(view, curve, fit) if judging and len(bands) == 1 else curve
+        curve = _curve(view, measured, fit, dense=judging and len(bands) == 1)
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
     return tuple(fits)
 
@@ -176,10 +161,9 @@ def _diagonal_term(
     response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool
 ) -> list[Fit]:
     """The fits of H of *dof* to the force along it, one per band; errors name the term."""
+    of_term = replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,))
     try:
-        fits = identify(
-            response, replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,)), judging=judging
-        )
+        fits = identify(response, of_term, judging=judging)
     except LabpipeError as error:
         error.what = f"term {dof}: {error.what}"
         raise
@@ -254,7 +238,7 @@ def _beside_others(
     """
     if not _may_have_residuals(setup) or transfer_of(setup) or setup.settings.sliding is not None:
         return None
-    k, _, m = (dict(zip("kcm", estimate.values, strict=False))[name] for name in "kcm")
+    k, _, m = estimate.values[:3]
     if not estimate.converged or k * m > 0 or measured.matrix.shape[1:] != (1, 1):
         return None
     try:
@@ -321,28 +305,25 @@ def _fit_band(
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
-    compared_models, left_out = (
+    compared_models, of_comparison = (
         candidates(measured, setup, estimate if of_model else None)
         if settings.compare or settings.damping != VISCOUS
         else ((), ())
     )
     notes = (*notes, *budgeted.notes, *motion_notes(measured), *place_notes(setup))
-    notes = (*notes, *comparison_notes(left_out))
     fit = replace(
         reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
             *estimate_findings(estimate, model.names, measured.omega.size, model.units),
             *judgement.findings,
-            *judged_findings(judgement.judged),
             *goodness_findings(estimate.gof),
             *leakage,
             *(_mass_findings(case, judged) if judging else ()),
-            *_parameter_findings(budgeted.parameters, band, setup),
-            *([] if leakage or setup.closed_loop else _narrow(budgeted.parameters, measured)),
+            *_parameter_findings(budgeted.parameters, band, setup, measured, leaking=bool(leakage)),
             *budgeted.findings,
             *comparison_findings(compared_models),
         ),
-        notes=notes,
+        notes=(*notes, *of_comparison),
         candidates=compared_models,
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
@@ -370,12 +351,9 @@ def _with_budget(
     no number has an uncertainty.
     """
     if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
+        what = "'monte_carlo' has nothing to draw: no given number has an uncertainty"
         hint = "bootstrap: 1000 draws the noise alone; or state an uncertainty, as mass: 0.92 kg +- 1 %"
-        raise ConfigError(
-            "'monte_carlo' has nothing to draw: no given number has an uncertainty",
-            hint=hint,
-            field="monte_carlo",
-        )
+        raise SettingError("monte_carlo", what, hint)
     budget = budget_of(case, parameters)
     if budget is None:
         return _Budgeted(parameters)
@@ -388,17 +366,18 @@ def _with_budget(
     return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
 
 
-def _narrow(parameters: tuple[Parameter, ...], measured: Measured) -> list[Finding]:
-    spacing = np.diff(measured.omega)
-    return narrow_findings(parameters, float(np.median(spacing)) / (2 * np.pi)) if spacing.size else []
-
-
-def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Setup) -> list[Finding]:
+def _parameter_findings(
+    parameters: tuple[Parameter, ...], band: Band, setup: Setup, measured: Measured, *, leaking: bool
+) -> list[Finding]:
     """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
     of_mode = mode_findings(parameters, band, setup)
     driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
     others = parameter_findings(parameters, driving=driving, held=setup.closed_loop)
-    return [*(finding for finding in others if not (of_mode and finding.code == "unphysical")), *of_mode]
+    narrow: list[Finding] = []
+    if measured.omega.size > 1 and not leaking and not setup.closed_loop:
+        narrow = narrow_findings(parameters, float(np.median(np.diff(measured.omega))) / (2 * np.pi))
+    kept = (finding for finding in others if not (of_mode and finding.code == "unphysical"))
+    return [*kept, *of_mode, *narrow]
 
 
 def _with_honest_intervals(
@@ -473,10 +452,8 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
             stated = Stated(by[:, None] * stated.changes, stated.at / by)
             assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
         gof = replace(estimate.gof, chi2_reduced=assessed.reduced, chi2_p=assessed.p_value)
-        estimate, likely = (
-            replace(estimate, gof=gof),
-            replace(likely, estimate=replace(likely.estimate, gof=gof)),
-        )
+        estimate = replace(estimate, gof=gof)
+        likely = replace(likely, estimate=replace(likely.estimate, gof=gof))
     judgement = judge(
         likely.measured, likely.model, likely.estimate, settings, n_band, leaking=leaking, stated=stated
     )
@@ -492,22 +469,16 @@ def _contradict(
     number is wrong. Not in sliding bands: stiffness that changes with frequency looks like another mass
     within a band.
     """
-    settings, before, after, pulls = (
-        case.setup.settings,
-        case.estimate.gof.chi2_reduced,
-        assessed.reduced,
-        assessed.pulls,
-    )
+    settings, pulls = case.setup.settings, assessed.pulls
+    before, after = case.estimate.gof.chi2_reduced, assessed.reduced
     assert before is not None and after is not None and assessed.p_value is not None and pulls is not None
-    if settings.sliding is not None or (
-        assessed.p_value < MISMATCH_P and after - 1 > (1 - EXPLAINED) * (before - 1)
-    ):
+    unexplained = assessed.p_value < MISMATCH_P and after - 1 > (1 - EXPLAINED) * (before - 1)
+    if settings.sliding is not None or unexplained:
         return (), {}
     mass = mass_uncertainty(settings)
     values = {} if mass is None else {mass.source: float(settings.mass)}  # type: ignore[arg-type]
-    factors = dict(
-        zip((uncertainty.source for uncertainty in uncertainties), map(float, pulls.factors), strict=True)
-    )
+    sources = (uncertainty.source for uncertainty in uncertainties)
+    factors = dict(zip(sources, map(float, pulls.factors), strict=True))
     return tuple(stated_findings(uncertainties, pulls, values)), factors
 
 
@@ -516,25 +487,16 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
 
     The latter for models linear in their parameters and responses of reliable phase to a force.
     """
-    model, setup = case.model, case.setup
-    if (
-        not isinstance(model, DynamicModel)
-        or setup.settings.kind.of_base
-        or mass_uncertainty(setup.settings) is not None
-    ):
+    model, setup, values = case.model, case.setup, case.estimate.values
+    of_base, has_error = setup.settings.kind.of_base, mass_uncertainty(setup.settings) is not None
+    if not isinstance(model, DynamicModel) or of_base or has_error:
         return list(judged.findings)
     if not setup.settings.estimates.phase or not case.estimate.converged:
         return []
     chance = case.estimate.gof.chi2_p
-    if chance is not None and chance < MISMATCH_P:
-        # A channel that is late makes any mass look wrong.
-        late = delay_findings(case.measured, model, case.estimate.values)
-        if late:
-            return [*judged.findings, *late]
-    return [
-        *judged.findings,
-        *mass_findings(case.measured, model, case.estimate.values, setup, judged.stated),
-    ]
+    # A channel that is late makes any mass look wrong.
+    late = delay_findings(case.measured, model, values) if chance is not None and chance < MISMATCH_P else []
+    return [*judged.findings, *(late or mass_findings(case.measured, model, values, setup, judged.stated))]
 
 
 def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:
@@ -554,10 +516,11 @@ def _eliminate(
     notes: list[str] = []
     while sum(term.droppable for term in model.terms) > 1:
         std_errors = np.sqrt(np.diag(estimate.covariance))
-        droppable = [
-            number for number, term in enumerate(model.terms) if term.droppable and std_errors[number] > 0
-        ]
-        t_ratios = {number: float(abs(estimate.values[number]) / std_errors[number]) for number in droppable}
+        t_ratios = {
+            number: float(abs(estimate.values[number]) / std_errors[number])
+            for number, term in enumerate(model.terms)
+            if term.droppable and std_errors[number] > 0
+        }
         weakest = min(t_ratios, key=lambda number: t_ratios[number], default=None)
         if weakest is None or t_ratios[weakest] > student_limit(int(estimate.student_dof[weakest])):
             break
@@ -570,31 +533,28 @@ def _eliminate(
     return model, estimate, notes
 
 
-def _curve(view: FormView, measured: Measured, fit: _BandFit) -> FittedCurve:
-    """Measured and fitted FRF in the measured form."""
+def _curve(view: FormView, measured: Measured, fit: _BandFit, *, dense: bool) -> FittedCurve:
+    """Measured and fitted FRF in the measured form; *dense*: with the model between the lines too, so close
+    that no resonance is cut off.
+    """
     frequency = measured.omega / (2 * np.pi)
     factor = view.factor(frequency)[:, None, None]
-    variance = None
-    if measured.covariance is not None:
-        diagonal = np.einsum("lii->li", measured.covariance).real.reshape(measured.matrix.shape)
-        variance = diagonal * np.abs(factor) ** 2
-    return FittedCurve(
+    variance = measured.variance
+    curve = FittedCurve(
         frequency,
         measured.matrix * factor + view.offset,
         fit.fitted * factor + view.offset,
-        variance=variance,
+        variance=None if variance is None else variance.reshape(measured.matrix.shape) * np.abs(factor) ** 2,
         outputs=tuple(port.label for port in measured.outputs),
         inputs=tuple(port.label for port in measured.inputs),
         form=view.form,
     )
+    if not dense:
+        return curve
 
+    def model(at: FloatArray) -> ComplexArray:
+        receptance = fit.model.receptance(fit.values, 2 * np.pi * at)
+        return receptance * view.factor(at)[:, None, None] + view.offset
 
-def _between_lines(view: FormView, curve: FittedCurve, fit: _BandFit) -> FittedCurve:
-    """The curve with the model between its lines too, so close that no resonance is cut off."""
-
-    def model(frequency: FloatArray) -> ComplexArray:
-        factor = view.factor(frequency)[:, None, None]
-        return fit.model.receptance(fit.values, 2 * np.pi * frequency) * factor + view.offset
-
-    frequency, values = drawn_densely(model, curve.frequency)
-    return replace(curve, dense_frequency=frequency, dense=values)
+    between, values = drawn_densely(model, frequency)
+    return replace(curve, dense_frequency=between, dense=values)

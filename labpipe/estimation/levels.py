@@ -46,18 +46,15 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         levels = [name for name in LEVELS if name in stated]
         if levels:
             others = tuple(sorted((name, text) for name, text in stated.items() if name != levels[0]))
-            groups.setdefault((levels[0], others, fit.band_hz, fit.term), []).append(
-                _test(fit, stated[levels[0]])
-            )
+            text = str(stated[levels[0]])
+            try:
+                level = si_amount(text)[0]
+            except UnitError:
+                level = float("nan")
+            group = groups.setdefault((levels[0], others, fit.band_hz, fit.term), [])
+            group.append(_Test(fit, text, level))
     new = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
-
-
-def _test(fit: Fit, text: str) -> _Test:
-    try:
-        return _Test(fit, str(text), si_amount(text)[0])
-    except UnitError:
-        return _Test(fit, str(text), float("nan"))
 
 
 def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
@@ -111,15 +108,11 @@ def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
     Given numbers are the same at both levels.
     """
     errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
+    by_noise = np.array([parameter.std_error or 0.0 for parameter in parameters])
     for detail in fit.details:
         if detail.given_in_noise:
             of_given = np.diag(detail.given(errors.size))
-            errors = np.sqrt(
-                np.maximum(
-                    errors**2 - of_given,
-                    np.array([parameter.std_error or 0.0 for parameter in parameters]) ** 2,
-                )
-            )
+            errors = np.sqrt(np.maximum(errors**2 - of_given, by_noise**2))
     return np.asarray(fit.correlation * np.outer(errors, errors))
 
 

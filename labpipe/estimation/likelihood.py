@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import MAX_ITERATIONS, Linearisation, Minimum, minimise, triangle_of_products
 from labpipe.estimation.leakage import expected, leaking_noise, shared_residual
@@ -59,8 +59,14 @@ def starts(
     successive passes with hardly lower chi-square, or where by the *p_value* of chi-square, of a known noise,
     noise explains the residual: the minimum is near.
     """
-    model = problem.model
-    values = _least_squares(problem)
+    model, linear = problem.model, problem.model.linear
+    # Least squares of the equation of motion, all lines alike.
+    by_products = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
+    values = (
+        equation_solution(regression(problem.measured, linear, "none"), linear)[0]
+        if by_products is None
+        else by_products
+    )
     attempts = [_start(problem, "least squares", model.from_linear(values))]
     idle = 0
     for number in range(1, REWEIGHTINGS + 1):
@@ -83,17 +89,6 @@ def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -
     return Start(name, values, problem.chi2(values))
 
 
-def _least_squares(problem: OutputError[ResponseModel]) -> FloatArray:
-    """Least squares of the equation of motion, all lines alike."""
-    linear = problem.model.linear
-    values = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
-    return (
-        equation_solution(regression(problem.measured, linear, "none"), linear)[0]
-        if values is None
-        else values
-    )
-
-
 def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
     """Least squares of the whitened equation error times Z_last^-1."""
     measured, linear = problem.measured, problem.model.linear
@@ -101,10 +96,9 @@ def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArr
         values = _by_line_products(problem, last)
         if values is not None:
             return values
-    terms = linear.filtered(last, linear.equation_terms(measured.matrix, measured.omega), measured.omega)
-    right_side = linear.filtered(
-        last, linear.equation_constant(measured.matrix, measured.omega)[None], measured.omega
-    )[0]
+    h, omega = measured.matrix, measured.omega
+    terms = linear.filtered(last, linear.equation_terms(h, omega), omega)
+    right_side = linear.filtered(last, linear.equation_constant(h, omega)[None], omega)[0]
     return solve_scaled(problem.whitened(terms).T, problem.whitened(right_side))[0]
 
 
@@ -114,24 +108,18 @@ def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | No
     None where they are too inexact.
     """
     measured, linear = problem.measured, problem.model.linear
-    weights = (
-        np.ones((measured.omega.size, measured.matrix[0].size), np.complex128)
-        if last is None
-        else problem.weights
-    )
+    weights = problem.weights
+    if last is None:
+        weights = np.ones((measured.omega.size, measured.matrix[0].size), np.complex128)
 
     def equations_at(values: FloatArray, products: bool) -> NormalEquations:
         def lines_of(lines: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
             omega, response = measured.omega[lines], measured.matrix[lines]
-            none = np.broadcast_to(
-                np.eye(response.shape[1], dtype=np.complex128), (omega.size, *(response.shape[1:2] * 2))
-            )
+            n = response.shape[1]
+            none = np.broadcast_to(np.eye(n, dtype=np.complex128), (omega.size, n, n))
             inverse = none if last is None else compliance(linear, last, omega)
-            return (
-                inverse,
-                response,
-                inverse @ (linear.whole(values).force - linear.dynamic_stiffness(values, omega) @ response),
-            )
+            error = linear.whole(values).force - linear.dynamic_stiffness(values, omega) @ response
+            return inverse, response, inverse @ error
 
         return normal_equations(linear, measured.omega, weights, lines_of, products)
 
@@ -183,11 +171,11 @@ def maximum_likelihood(
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
     problem = OutputError(measured, expected(measured, model), fit_weights(measured))
-    best, start = _best_minimum(
-        problem,
-        (lambda chi2: uncertainty.p_value(chi2 / dof / uncertainty.excess, dof)) if weighted else None,
-        most_steps,
-    )
+
+    def p_value(chi2: float) -> float:
+        return uncertainty.p_value(chi2 / dof / uncertainty.excess, dof)
+
+    best, start = _best_minimum(problem, p_value if weighted else None, most_steps)
     return _estimate(measured, model, problem, best, start.name)
 
 
@@ -202,11 +190,8 @@ def _of_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
             other = maximum_likelihood_from(measured, model, model.start_of(start), "a peak of the FRF")
         except (FitError, np.linalg.LinAlgError):
             continue
-        if (
-            other.converged
-            and other.values[1] > 0
-            and (not best.converged or _squares(other) < LOWER * _squares(best))
-        ):
+        is_lower = not best.converged or _squares(other) < LOWER * _squares(best)
+        if other.converged and other.values[1] > 0 and is_lower:
             best = other
     return best
 
@@ -236,28 +221,25 @@ def _estimate(
 ) -> Estimate:
     """The estimate at a minimum of *problem*, with its uncertainty."""
     n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
-    values, converged, iterations = best.values, best.converged, best.steps
-    linear = problem.linearised(values)
-    assessed = assess(measured, model, problem, values, linear)
-    amplification = problem.size * np.sqrt(np.diag(assessed.inverse))
-    r2, adjusted = determination(
-        measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter
-    )
-    notes: tuple[str, ...] = (f"ml: started from {start}.",)
-    if not has_noise(measured):
-        notes = (*notes, UNWEIGHTED_NOTE)
-    gof = Goodness(r2, adjusted, assessed.reduced, assessed.p_value)
+    linear = problem.linearised(best.values)
+    assessed = assess(measured, model, problem, best.values, linear)
+    residual = measured.matrix - problem.model.receptance(best.values, measured.omega)
+    r2, adjusted = determination(measured.matrix, residual, n_parameter)
+    notes = (f"ml: started from {start}.", *(() if has_noise(measured) else (UNWEIGHTED_NOTE,)))
+    # Where few hits tell the noise, and lines share what they tell.
+    few = measured.noise is not None and np.isfinite(measured.noise_dof)
+    interval_dof = np.full(n_parameter, min(dof, int(2 * measured.noise_dof))) if few else None
     return Estimate(
-        values=values,
+        values=best.values,
         covariance=assessed.covariance,
         scaled_design=linear.triangle,
-        gof=gof,
+        gof=Goodness(r2, adjusted, assessed.reduced, assessed.p_value),
         dof=dof,
-        converged=converged,
-        iterations=iterations,
+        converged=best.converged,
+        iterations=best.steps,
         notes=notes,
-        parameter_dof=_interval_dof(measured, n_parameter, dof),
-        amplification=amplification,
+        parameter_dof=interval_dof,
+        amplification=problem.size * np.sqrt(np.diag(assessed.inverse)),
         squares=linear.chi2,
     )
 
@@ -299,40 +281,26 @@ def assess(
     if not has_noise(measured):
         if measured.line_noise is None:
             return Assessed(squares / dof * (measured.shared_noise * inverse), inverse)
-        shared = shared_residual(
-            measured.line_noise, complex_rows(problem.jacobian(values), measured.omega.size), inverse
-        )
+        rows = complex_rows(problem.jacobian(values), measured.omega.size)
+        shared = shared_residual(measured.line_noise, rows, inverse)
         return Assessed(squares / shared.mean * shared.covariance, inverse)
-    noise, uncertainty = (
-        measured.noise or leaking_noise(measured, model, values[: len(model.names)]),
-        weight_uncertainty(measured, dof),
-    )
+    noise = measured.noise or leaking_noise(measured, model, values[: len(model.names)])
+    uncertainty = weight_uncertainty(measured, dof)
     covariance = uncertainty.inflation * inverse
     if noise is not None:
-        covariance, uncertainty = fitted_uncertainty(
-            measured, noise, uncertainty, problem.jacobian(values), inverse
-        )
+        jacobian = problem.jacobian(values)
+        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, jacobian, inverse)
     pulls = None
     if stated is not None:
         jacobian, residual = problem.jacobian(values), problem.residual(values)
         # An estimate other than ml is no minimum: what the parameters would still take away says nothing of
         # stated numbers.
         residual = residual - jacobian @ (inverse @ (jacobian.T @ residual))
-        pulls = pulls_of(
-            residual, stated, jacobian, inverse, float(np.max(np.diag(covariance) / np.diag(inverse)))
-        )
+        larger = float(np.max(np.diag(covariance) / np.diag(inverse)))
+        pulls = pulls_of(residual, stated, jacobian, inverse, larger)
         squares -= pulls.explained
     reduced = squares / dof / uncertainty.excess
     return Assessed(covariance, inverse, reduced, uncertainty.p_value(reduced, dof), pulls)
-
-
-def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:
-    """Degrees of freedom (n_parameter,) of the intervals where few hits tell the noise, and lines share what
-    they tell; else None.
-    """
-    if measured.noise is None or not np.isfinite(measured.noise_dof):
-        return None
-    return np.full(n_parameter, min(dof, int(2 * measured.noise_dof)))
 
 
 def _best_minimum(

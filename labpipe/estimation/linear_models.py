@@ -11,7 +11,6 @@ under the force m, linear in k and c, in either case.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 
 import numpy as np
@@ -226,19 +225,20 @@ def mdof(setup: Setup) -> DynamicModel:
         raise ConfigError(
             f"two of the responses {labels(setup.outputs)} have one dof", hint="choose with `output`"
         )
-    force = _forces(setup, dofs)
-    kinds = {"k": "stiffness", "c": "damping"}
+    force = np.column_stack([_direction(port, dofs, setup) for port in setup.inputs])
+    shape, symmetric = setup.shape, settings.symmetric
     terms = [
-        term
-        for letter, kind in kinds.items()
-        for term in _entries(letter, kind, dofs, setup.shape, settings.symmetric)
+        *_entries("k", "stiffness", dofs, shape, symmetric),
+        *_entries("c", "damping", dofs, shape, symmetric),
     ]
     mass = _fixed_mass(settings.mass, len(dofs))
     if mass is None:
-        terms.extend(_mass_entries(setup, dofs))
+        of_mass = _entries("m", "mass", dofs, shape, symmetric, droppable=False)
+        terms += [t for t in of_mass if not settings.lumped_mass or np.any(np.diag(t.matrices.mass))]
         mass = np.zeros((len(dofs), len(dofs)))
     elif settings.scale_mass:
-        terms.append(_mass_factor(setup, mass))
+        term = entry_term(MASS_SCALE, "mass", [], shape, droppable=False)
+        terms.append(replace(term, unit="1", matrices=replace(term.matrices, mass=mass)))
         mass = np.zeros_like(mass)
     return DynamicModel("mdof", tuple(terms), fixed_matrices(mass, force))
 
@@ -247,29 +247,12 @@ def _entries(
     letter: str, kind: str, dofs: list[str], shape: tuple[int, int], symmetric: bool, droppable: bool = True
 ) -> list[Term]:
     """One parameter per entry of a matrix; of a symmetric one, those on and above the diagonal."""
-    places = [(r, c) for r in range(len(dofs)) for c in range(r if symmetric else 0, len(dofs))]
-    return [
-        entry_term(
-            f"{letter}_{dofs[r]}_{dofs[c]}",
-            kind,
-            [(r, c), (c, r)] if symmetric else [(r, c)],
-            shape,
-            droppable,
-        )
-        for r, c in places
-    ]
-
-
-def _mass_entries(setup: Setup, dofs: list[str]) -> list[Term]:
-    entries = _entries("m", "mass", dofs, setup.shape, setup.settings.symmetric, droppable=False)
-    if not setup.settings.lumped_mass:
-        return entries
-    return [term for term in entries if np.count_nonzero(np.diag(term.matrices.mass))]
-
-
-def _mass_factor(setup: Setup, mass: FloatArray) -> Term:
-    term = entry_term(MASS_SCALE, "mass", [], setup.shape, droppable=False)
-    return dataclasses.replace(term, unit="1", matrices=dataclasses.replace(term.matrices, mass=mass))
+    terms = []
+    for r in range(len(dofs)):
+        for c in range(r if symmetric else 0, len(dofs)):
+            places = [(r, c), (c, r)] if symmetric else [(r, c)]
+            terms.append(entry_term(f"{letter}_{dofs[r]}_{dofs[c]}", kind, places, shape, droppable))
+    return terms
 
 
 def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
@@ -299,12 +282,8 @@ def _rectangular(mass: Mass) -> bool:
     )
 
 
-def _forces(setup: Setup, dofs: list[str]) -> FloatArray:
-    """Force distribution (n_dof, n_input): on the output of its dof, or by its angle on x and y."""
-    return np.column_stack([_direction(port, dofs, setup) for port in setup.inputs])
-
-
 def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
+    """Distribution of a force (n_dof,): on the output of its dof, or by its angle on x and y."""
     if port.dof in dofs:
         return np.eye(len(dofs))[dofs.index(port.dof)]
     angle = angle_of(port)
@@ -333,22 +312,17 @@ def form_view(form: str, settings: FitSettings) -> FormView:
     ConfigError for a base without its motion, and for a transmissibility elsewhere.
     """
     if settings.kind.of_base and form != TRANSMISSIBILITY:
-        what = f"model {BASE} needs the motion of the base as input, "
-        what += (
-            "this FRF is of a force"
-            if form in DERIVATIVES
-            else f"and a motion as output; this FRF is of the form '{form}'"
-        )
+        of_force = "this FRF is of a force"
+        other = f"and a motion as output; this FRF is of the form '{form}'"
         raise ConfigError(
-            what,
+            f"model {BASE} needs the motion of the base as input, "
+            f"{of_force if form in DERIVATIVES else other}",
             hint="in the rig file: role: input for the acceleration (velocity, displacement) of the "
             "base; or model: sdof",
         )
     if not settings.kind.of_base and form == TRANSMISSIBILITY:
-        raise ConfigError(
-            f"model {settings.model} needs a force as input, this FRF is of the motion of a base",
-            hint=f"model: {BASE}",
-        )
+        what = f"model {settings.model} needs a force as input, this FRF is of the motion of a base"
+        raise ConfigError(what, hint=f"model: {BASE}")
     if form == TRANSMISSIBILITY:
         return FormView(form, 0.0 if settings.relative else 1.0)
     return FormView(form)
@@ -372,18 +346,13 @@ def base_excited(setup: Setup) -> DynamicModel:
             f"{BASE} takes one positive mass",
             hint="for example mass: 0.92 kg; without it f_n and zeta are identified",
         )
-    shape = (1, 1)
-    terms = (entry_term("k", "stiffness", [(0, 0)], shape), entry_term("c", "damping", [(0, 0)], shape))
+    unit = np.ones((1, 1))
+    terms = [entry_term(*pair, [(0, 0)], unit.shape) for pair in (("k", "stiffness"), ("c", "damping"))]
     if isinstance(given, float | int):
-        return DynamicModel(
-            BASE, terms, fixed_matrices(np.array([[float(given)]]), float(given) * np.ones(shape))
-        )
-    return DynamicModel(BASE, tuple(map(_per_mass, terms)), fixed_matrices(np.ones(shape), np.ones(shape)))
-
-
-def _per_mass(term: Term) -> Term:
-    name, unit = PER_MASS[term.name]
-    return replace(term, name=name, unit=unit)
+        return DynamicModel(BASE, tuple(terms), fixed_matrices(float(given) * unit, float(given) * unit))
+    names = [PER_MASS[term.name] for term in terms]
+    per_mass = (replace(term, name=n, unit=u) for term, (n, u) in zip(terms, names, strict=True))
+    return DynamicModel(BASE, tuple(per_mass), fixed_matrices(unit, unit))
 
 
 BASE_EXCITED = linear_kind(base_excited, "relative", one_mode=True, of_base=True)

@@ -142,24 +142,27 @@ def measured_part(
         raise FitError(
             f"the line at 0 Hz of a {response.form} has no receptance", hint="begin the band above 0 Hz"
         )
-    matrix = (response.matrix[lines][:, rows][:, :, columns] - view.offset) / factor[:, None, None]
-    _check_moving(matrix, [response.outputs[row].label for row in rows])
-    covariance = _chosen_covariance(
-        response, [row * len(response.inputs) + column for row in rows for column in columns], lines, factor
-    )
-    dof = response.covariance_dof
-    # A single line has averages - 1 degrees of freedom; any beyond these come from its neighbours.
-    noise_lines = (
-        max(dof / (response.averages - 1), 1.0) if np.isfinite(dof) and response.averages > 1 else 1.0
-    )
+
+    def chosen(values: ComplexArray) -> ComplexArray:
+        return values[lines][..., rows, :][..., columns]
+
+    matrix = (chosen(response.matrix) - view.offset) / factor[:, None, None]
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    numbers, correlation = (
-        _line_numbers(response.frequency, lines),
-        np.array(response.line_correlation, np.complex128),
-    )
-    real = response.line_gains is None and not np.any(correlation.imag)
-    gains = None if response.line_gains is None else _chosen_gains(response.line_gains[lines], rows, columns)
+    _check_moving(matrix, [port.label for port in outputs])
+    elements = [row * len(response.inputs) + column for row in rows for column in columns]
+    covariance = _chosen_covariance(response, elements, lines, factor)
+    dof, noise_lines = response.covariance_dof, 1.0
+    if np.isfinite(dof) and response.averages > 1:
+        # A single line has averages - 1 degrees of freedom; any beyond these come from its neighbours.
+        noise_lines = max(dof / (response.averages - 1), 1.0)
+    # A single line has the number 0.
+    spacing = np.min(np.diff(response.frequency)) if response.n_frequency > 1 else np.inf
+    numbers = np.round(response.frequency / spacing).astype(np.intp)[lines]
+    correlation = np.array(response.line_correlation, np.complex128)
+    real, gains = response.line_gains is None and not np.any(correlation.imag), None
+    if response.line_gains is not None:
+        gains = chosen(response.line_gains).reshape(numbers.size, -1, len(elements))
     line_noise = SharedNoise(numbers, correlation, gains) if correlation.size else None
     return Measured(
         omega=2 * np.pi * frequency,
@@ -177,12 +180,9 @@ def measured_part(
         line_noise=line_noise,
         offset=view.offset / np.real(factor) if view.offset else None,
         noise_of_channels=_noise_of_channels(response, rows, columns, lines),
-        change=None
-        if response.change is None
-        else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
+        change=None if response.change is None else chosen(response.change) / factor[:, None, None],
         errors=tuple(
-            replace(error, change=error.change[lines][:, rows][:, :, columns] / factor[:, None, None])
-            for error in response.errors
+            replace(error, change=chosen(error.change) / factor[:, None, None]) for error in response.errors
         ),
     )
 
@@ -220,23 +220,10 @@ def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | No
     if blocks is None or not has_kernel(blocks):
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
-    return Leakage(
-        kernel_of(blocks),
-        numbers,
-        np.array(response.line_correlation, float),
-        _derivatives(response.form) + blocks.derivatives,
-    )
-
-
-def _derivatives(form: str) -> int:
-    """Time derivatives of a form beyond the receptance of its model: T = 1 + w^2 H of a transmissibility."""
-    return 2 if form == TRANSMISSIBILITY else DERIVATIVES[form]
-
-
-def _line_numbers(frequency: FloatArray, lines: BoolArray) -> IntArray:
-    """Numbers of the chosen lines of a response, (n_line,); a single line has the number 0."""
-    spacing = np.min(np.diff(frequency)) if frequency.size > 1 else np.inf
-    return np.round(frequency / spacing).astype(np.intp)[lines]
+    # Of a form beyond the receptance of its model: T = 1 + w^2 H of a transmissibility.
+    derivatives = 2 if response.form == TRANSMISSIBILITY else DERIVATIVES[response.form]
+    correlation = np.array(response.line_correlation, float)
+    return Leakage(kernel_of(blocks), numbers, correlation, derivatives + blocks.derivatives)
 
 
 def _share(numbers: IntArray, correlation: FloatArray) -> float:
@@ -251,13 +238,6 @@ def _share(numbers: IntArray, correlation: FloatArray) -> float:
         for distance in range(1, min(correlation.size + 1, chosen.size))
     ]
     return 1.0 + 2 * float(np.dot(pairs, correlation[: len(pairs)])) / numbers.size
-
-
-def _chosen_gains(gains: ComplexArray, rows: list[int], columns: list[int]) -> ComplexArray:
-    """Gains (n_line, n_neighbour, n_output, n_input) of the chosen ports, (n_line, n_neighbour,
-    n_element).
-    """
-    return gains[:, :, rows][:, :, :, columns].reshape(*gains.shape[:2], -1)
 
 
 def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:
@@ -304,16 +284,12 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
                     slope, power = COURSES[calibration.effect]
                     change = np.zeros_like(whole)
                     at = (slice(None), number) if sign > 0 else (slice(None), slice(None), number)
-                    change[at] = (sign * calibration.uncertainty.std_error * slope * measured.omega**power)[
-                        :, None
-                    ] * whole[at]
+                    size = sign * calibration.uncertainty.std_error * slope
+                    change[at] = (size * measured.omega**power)[:, None] * whole[at]
                     add(calibration.uncertainty, change)
                 elif directions and (across := across_ports(ports)) is not None:
-                    add(
-                        calibration.uncertainty,
-                        calibration.uncertainty.std_error
-                        * turn(measured.matrix, number, across, of_forces=sign < 0),
-                    )
+                    turned = turn(measured.matrix, number, across, of_forces=sign < 0)
+                    add(calibration.uncertainty, calibration.uncertainty.std_error * turned)
     for error in measured.errors:
         add(error.uncertainty, error.change)
     return tuple(MatrixError(uncertainties[source], change) for source, change in changes.items())
@@ -332,9 +308,8 @@ def across_ports(ports: Sequence[Port]) -> FloatArray | None:
     if len(with_angle) < 2 or np.linalg.svd(plane, compute_uv=False)[-1] < PARALLEL:
         return None
     across = np.zeros((len(ports), len(ports)))
-    across[np.ix_(with_angle, with_angle)] = np.column_stack(
-        [-np.sin(angles), np.cos(angles)]
-    ) @ np.linalg.pinv(plane)
+    turned = np.column_stack([-np.sin(angles), np.cos(angles)])
+    across[np.ix_(with_angle, with_angle)] = turned @ np.linalg.pinv(plane)
     return across
 
 

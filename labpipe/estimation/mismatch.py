@@ -40,18 +40,25 @@ BIASED = 4.0
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
 
+# Where nothing could tell whether a residual is noise.
+NOT_JUDGED = Finding(
+    "not-judged",
+    "whether the residual is noise could not be judged: the noise is not known, and for the structure of the "
+    "residual the lines are too few, or the output error has no minimum here. The intervals hold only if the "
+    "model is right",
+)
+
+
 @dataclass(frozen=True)
 class Judgement:
     """Findings on a residual, and what its intervals become.
 
     *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise
-    hold. *judged*: whether anything could tell that the residual is noise. *model_error*: what stands in
-    values and intervals.
+    hold. *model_error*: what stands in values and intervals.
     """
 
     findings: tuple[Finding, ...] = ()
     covariance: FloatArray | None = None
-    judged: bool = True
     model_error: ModelError | CoefficientError | None = None
 
 
@@ -134,9 +141,8 @@ class _Judge:
         """True where noise that grows with the response explains the residual of unknown noise."""
         if own.structure is None:
             return False
-        structure = self.structure(
-            own.problem, own.values, Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS)
-        )
+        null = Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS)
+        structure = self.structure(own.problem, own.values, null)
         return structure is not None and structure.p_value >= MISMATCH_P
 
     @cached_property
@@ -171,13 +177,12 @@ def judge(
     judged = _Judge(measured, model, estimate, settings, n_band, leaking, stated, excess(estimate))
     if (has_noise(measured) and judged.factor is None) or not estimate.converged:
         return Judgement()
-    if judged.exact(expected(measured, model), estimate.values):
+    shown = expected(measured, model)
+    if judged.exact(shown, estimate.values):
         return Judgement()
-    minimum = (
-        None if not settings.estimates.phase else judged.minimum(expected(measured, model), estimate.values)
-    )
+    minimum = judged.minimum(shown, estimate.values) if settings.estimates.phase else None
     if minimum is None:
-        return Judgement(judged=False) if judged.factor is None else _by_factor(judged, judged.factor)
+        return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, judged.factor)
     if minimum.p_value >= MISMATCH_P:
         return _biased(judged, minimum)
     if judged.uneven(minimum):
@@ -196,11 +201,9 @@ def excess(estimate: Estimate) -> float | None:
     Equation (est-excess).
     """
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
-    return (
-        float(np.sqrt(reduced))
-        if reduced is not None and p_value is not None and p_value < MISMATCH_P
-        else None
-    )
+    if reduced is None or p_value is None or p_value >= MISMATCH_P:
+        return None
+    return float(np.sqrt(reduced))
 
 
 def _biased(judged: _Judge, own: _Minimum) -> Judgement:
@@ -239,9 +242,8 @@ def by_lines(case: Case) -> Estimate:
 def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
-    scatter = line_scatter(
-        own.problem.jacobian(own.values), own.problem.residual(own.values), measured.omega.size, alone=True
-    )
+    jacobian, residual = own.problem.jacobian(own.values), own.problem.residual(own.values)
+    scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
     covariance = _with_distance(_not_below(covariance, estimate.covariance), own.values - estimate.values)
@@ -250,10 +252,8 @@ def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
         f"line to line. {_growth(estimate, covariance)} since they come from the scatter of "
         "every line by itself"
     )
-    return Judgement(
-        judged.finding(said, "Look for a gain that is not steady, or a response that is not linear"),
-        covariance,
-    )
+    cure = "Look for a gain that is not steady, or a response that is not linear"
+    return Judgement(judged.finding(said, cure), covariance)
 
 
 def _of_one_line(judged: _Judge, own: _Minimum) -> Judgement | None:
@@ -339,13 +339,11 @@ def _unexplained(judged: _Judge, own: _Minimum) -> Judgement:
 
     Where the noise is not known, it is that of the residual, and neighbours that are alike count as one.
     """
+    away = own.values - judged.estimate.values
     if own.structure is None:
         assert own.assessed.reduced is not None
-        return _by_factor(
-            judged, judged.factor or float(np.sqrt(own.assessed.reduced)), own.values - judged.estimate.values
-        )
-    covariance = judged.measured.omega.size / 2 * own.assessed.covariance
-    covariance = _with_distance(covariance, own.values - judged.estimate.values)
+        return _by_factor(judged, judged.factor or float(np.sqrt(own.assessed.reduced)), away)
+    covariance = _with_distance(judged.measured.omega.size / 2 * own.assessed.covariance, away)
     said = (
         f"{_wording(own)}. {_growth(judged.estimate, covariance)} since the lines are too few to tell a "
         "wrong model from noise, and all of them count as two"
@@ -363,14 +361,11 @@ def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) ->
         covariance = _with_distance(covariance, away)
     # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as
     # well.
-    cause = (
-        "the model is incomplete"
-        if judged.settings.estimates.unbiased
-        else (f"the model is incomplete, or {estimator} is biased")
-    )
+    biased = "" if judged.settings.estimates.unbiased else f", or {estimator} is biased"
     said = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): {cause}. "
+        f"freedom {estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): the model is "
+        f"incomplete{biased}. "
         f"{_growth(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
         "can be worse than that"
     )

@@ -392,16 +392,14 @@ def second_mode(base: Fitted) -> Fitted | None:
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
     value, jacobian, _ = base.at_minimum
-    rows, side = (
-        _real(jacobian, base.model.curve.std),
-        _real(base.model.curve.values - value, base.model.curve.std),
-    )
+    std = base.model.curve.std
+    rows, side = _real(jacobian, std), _real(base.model.curve.values - value, std)
     basis = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
     places = np.linspace(frequency[0], frequency[-1], PLACES)
     gains = []
     for place in places:
         a, _, b_, _ = ModeModel(base.model.curve)._with_conjugate(np.log([place, zeta]))
-        pair = _real(_pair(a, b_), base.model.curve.std)
+        pair = _real(_pair(a, b_), std)
         pair = pair - basis @ (basis.T @ pair)
         gains.append(float(side @ pair @ np.linalg.lstsq(pair.T @ pair, pair.T @ side, rcond=None)[0]))
     order = np.argsort(gains)[::-1]
@@ -417,25 +415,16 @@ def second_mode(base: Fitted) -> Fitted | None:
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.chi2)
-    f_2 = np.exp(best.theta[n])
-    residue = (
-        1 / (2 * np.sqrt(_k_and_m(model, best.theta)))
-        if model.coefficients
-        else abs(complex(*best.theta[n + 2 : n + 4]))
-    )
+    theta = best.theta
+    residue = abs(complex(*theta[n + 2 : n + 4]))
+    if model.coefficients:
+        k, m = np.exp(theta[0]), np.exp(theta[2]) if model.mass is None else model.mass
+        residue = 1 / (2 * np.sqrt(k * m))
     t2 = (0.3 * residue) ** 2 / 2
-    size = abs(complex(*best.theta[-2:])) ** 2
-    occam = (
-        2 * np.log(2 * np.pi)
-        - np.log(base.model.curve.width / f_2)
-        - np.log(2 * np.log(4))
-        - np.log(2 * np.pi * t2)
-    )
+    size = abs(complex(*theta[-2:])) ** 2
+    places_by_prior = base.model.curve.width / np.exp(theta[n]) * 2 * np.log(4)
+    occam = np.log(2 * np.pi / t2) - np.log(places_by_prior)
     return replace(best, occam=base.occam + float(occam - min(size / (2 * t2), 20.0)))
-
-
-def _k_and_m(model: ModeModel, theta: FloatArray) -> float:
-    return float(np.exp(theta[0]) * (np.exp(theta[2]) if model.mass is None else model.mass))
 
 
 def _nearest_first(fit: Fitted, f_n: float) -> Fitted:

@@ -130,18 +130,9 @@ class ActingTerms:
         # Neighbours as a slice: picking by numbers copies.
         are_neighbours = there[-1] - there[0] == there.size - 1
         place = slice(int(there[0]), int(there[-1]) + 1) if are_neighbours else there
-        matrices = rows[there].T.astype(np.complex128)
-        single = (
-            np.argmax(rows[there] != 0, axis=1)
-            if np.all(np.count_nonzero(rows[there], axis=1) == 1)
-            else None
-        )
-        return cls(
-            place,
-            matrices,
-            single,
-            matrices.shape[0] == matrices.shape[1] and np.array_equal(matrices, np.eye(there.size)),
-        )
+        matrices, filled = rows[there].T.astype(np.complex128), rows[there] != 0
+        single = np.argmax(filled, axis=1) if np.all(np.sum(filled, axis=1) == 1) else None
+        return cls(place, matrices, single, np.array_equal(matrices, np.eye(there.size)))
 
     def combined(self, elements: ComplexArray) -> ComplexArray:
         """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit].
@@ -200,12 +191,8 @@ class DynamicModel:
         for term in joined[1:]:
             matrices = matrices.plus(term.matrices)
         common = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
-        return replace(
-            self,
-            terms=tuple(
-                common if term is joined[0] else term for term in self.terms if term not in joined[1:]
-            ),
-        )
+        kept = (term for term in self.terms if term not in joined[1:])
+        return replace(self, terms=tuple(common if term is joined[0] else term for term in kept))
 
     def whole(self, parameters: FloatArray) -> Matrices:
         """K [N/m], C [N.s/m], M [kg] and B of *parameters* (n_parameter,); cases in leading dimensions."""
@@ -253,9 +240,8 @@ class DynamicModel:
         n_line, n_dof, n_input = slopes.shape[:3]
         inverse = _inverse(_dynamic_stiffness(whole, omega))
         by_input = (inverse @ whole.force).swapaxes(1, 2)
-        outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(
-            n_line, n_dof, n_input, n_dof**2
-        )
+        outer = inverse[:, :, None, :, None] * by_input[:, None, :, None, :]
+        outer = outer.reshape(n_line, n_dof, n_input, n_dof**2)
         for kind, factor in _line_factors(omega).items():
             acting = self.acting[kind]
             if acting is not None:
@@ -306,10 +292,8 @@ class DynamicModel:
         """K, C, M and B of every term and of the constants as rows of numbers, so that one matrix product
         gives their sum.
         """
-        parts = [
-            (m.stiffness, m.damping, m.mass, m.force)
-            for m in (*(term.matrices for term in self.terms), self.constant)
-        ]
+        every = (*(term.matrices for term in self.terms), self.constant)
+        parts = [(m.stiffness, m.damping, m.mass, m.force) for m in every]
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
@@ -325,9 +309,8 @@ class DynamicModel:
         stacks = {}
         for kind in ("stiffness", "damping", "mass", "force"):
             matrices = [getattr(term.matrices, kind) for term in self.terms]
-            stacks[kind] = (
-                np.stack(matrices) if matrices else np.zeros((0, *getattr(self.constant, kind).shape))
-            )
+            none = np.zeros((0, *getattr(self.constant, kind).shape))
+            stacks[kind] = np.stack(matrices) if matrices else none
         return stacks
 
 

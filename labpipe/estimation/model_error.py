@@ -18,6 +18,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED, SECOND, Curve, ModeModel
 from labpipe.estimation.model import DynamicModel, FittedModel
 from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.statistics import restated
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode
 from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
 from labpipe.records.identification import Fit
@@ -128,19 +129,8 @@ class ModelError:
             low, high, noise = min(low, high), max(low, high), noise * abs(centre)
         full = max((high - low) / (2 * NORMAL), noise)
         parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
-        return replace(
-            parameter,
-            value=centre,
-            std_error=noise,
-            std_error_inflated=full,
-            ci95=(low, high),
-            t_ratio=None if parameter.t_ratio is None else centre / full,
-            significant=None if parameter.significant is None else not low <= 0 <= high,
-            interval=parts,
-            reason=reason,
-            discrepancy=self.discrepancy,
-            fitted=parameter.value,
-        )
+        stated = restated(parameter, centre, full, (low, high), std_error=noise, interval=parts)
+        return replace(stated, reason=reason, discrepancy=self.discrepancy, fitted=parameter.value)
 
 
 def shares_by_cause(shares: Mapping[str, float]) -> dict[str, float]:
@@ -226,7 +216,10 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
     """
     by_name = dict(zip(model.names, map(float, values), strict=True))
     if isinstance(model, DrivingMode):
-        return _driving(by_name) if all(by_name[name] > 0 for name in "kcm") else None
+        # k, c and m beside a constant.
+        mode, numbers = ModeModel(_NO_CURVE, coefficients=True), np.array([by_name[name] for name in "kcm"])
+        rows = _coefficient_rows(mode, "k", "c")
+        return _Built(mode, np.log(numbers), rows) if np.all(numbers > 0) else None
     if isinstance(model, TransferMode):
         return _transfer(by_name) if by_name["f_n"] > 0 and by_name["zeta"] > 0 else None
     if not isinstance(model, DynamicModel) or any(term.aliases for term in model.terms):
@@ -263,21 +256,17 @@ def _coefficient_rows(mode: ModeModel, stiffness: str, damping: str) -> dict[str
     }
 
 
-def _driving(by_name: dict[str, float]) -> _Built:
-    """k, c and m beside a constant."""
-    mode = ModeModel(_NO_CURVE, coefficients=True, residual=1)
-    return _Built(mode, np.log([by_name[name] for name in "kcm"]), _coefficient_rows(mode, "k", "c"))
-
-
 def _transfer(by_name: dict[str, float]) -> _Built:
     """Of R / (s - lambda) + conj.: A + j B = 2 j w_d R."""
     w_d = 2 * np.pi * by_name["f_n"] * float(np.sqrt(max(1 - by_name["zeta"] ** 2, 0.0)))
     unit = np.eye(6)
-    rows = {"f_n": StatedRow(unit[0]), "zeta": StatedRow(unit[1])}
-    rows["modal_constant"] = StatedRow(-2 * w_d * unit[3], log=False)
-    rows["modal_constant_quadrature"] = StatedRow(2 * w_d * unit[2], log=False)
-    rows |= {
-        name: StatedRow(unit[number], log=False) for number, name in ((4, "residual_re"), (5, "residual_im"))
+    rows = {
+        "f_n": StatedRow(unit[0]),
+        "zeta": StatedRow(unit[1]),
+        "modal_constant": StatedRow(-2 * w_d * unit[3], log=False),
+        "modal_constant_quadrature": StatedRow(2 * w_d * unit[2], log=False),
+        "residual_re": StatedRow(unit[4], log=False),
+        "residual_im": StatedRow(unit[5], log=False),
     }
     return _Built(ModeModel(_NO_CURVE), np.log([by_name["f_n"], by_name["zeta"]]), rows)
 

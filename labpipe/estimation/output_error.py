@@ -82,11 +82,8 @@ def normal_equations(
         inverse, response, residual = lines_of(lines)
         if isinstance(weights, ProductWeights):
             here = weights.at(lines)
-            inverse, response, residual = (
-                here.outputs @ inverse,
-                response @ here.inputs.swapaxes(1, 2),
-                here.whitened(residual),
-            )
+            inverse, response = here.outputs @ inverse, response @ here.inputs.swapaxes(1, 2)
+            residual = here.whitened(residual)
             power = np.full(residual.shape, 2.0)
         else:
             power = 2 * np.abs(weights[lines].reshape(residual.shape)) ** 2
@@ -237,10 +234,8 @@ class OutputError(Generic[Model]):
 
     def _residual_of(self, lines: slice, parameters: FloatArray) -> FloatArray:
         measured = self.measured
-        return whitened(
-            weights_at(self.weights, lines),
-            measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines]),
-        )
+        residual = measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines])
+        return whitened(weights_at(self.weights, lines), residual)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""
@@ -268,11 +263,9 @@ class OutputError(Generic[Model]):
         """
         if isinstance(self.model, FactorModel):
             return self.model.expanded, self.model.expanded_values(parameters), self.model.slopes(parameters)
-        return (
-            (self.model, parameters, np.eye(parameters.size))
-            if isinstance(self.model, DynamicModel)
-            else None
-        )
+        if isinstance(self.model, DynamicModel):
+            return self.model, parameters, np.eye(parameters.size)
+        return None
 
     def _normal_equations(self, model: DynamicModel, parameters: FloatArray) -> NormalEquations:
         measured, force = self.measured, model.whole(parameters).force

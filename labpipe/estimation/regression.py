@@ -23,7 +23,7 @@ from labpipe.estimation.statistics import (
     stack,
     stacked_terms,
 )
-from labpipe.estimation.weights import has_noise, weight_uncertainty, whitened, whitener
+from labpipe.estimation.weights import complex_rows, has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.identification import Goodness
 
 # ls: least squares of the equation of motion, sum_j p_j (Z_j H - B_j) = B_0 - Z_0 H, real and imaginary
@@ -73,10 +73,8 @@ def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatA
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
     parameter_dof = np.zeros(n_parameter, int)
     for rows, columns in _separate_regressions(model):
-        side = equation.right_side[:, rows]
-        values[columns], covariance[np.ix_(columns, columns)] = _solve(
-            equation.terms[columns][:, :, rows], side
-        )
+        side, terms = equation.right_side[:, rows], equation.terms[columns][:, :, rows]
+        values[columns], covariance[np.ix_(columns, columns)] = _solve(terms, side)
         parameter_dof[columns] = 2 * side.size - len(columns)
     return values, covariance, parameter_dof
 
@@ -235,10 +233,8 @@ def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, F
     columns = stacked_terms(terms).T
     side = stack(right_side.reshape(-1))
     if side.size <= columns.shape[1]:
-        message = (
-            f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
-        )
-        raise FitError(message, hint="widen the band")
+        what = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
+        raise FitError(what, hint="widen the band")
     values, inverse = solve_scaled(columns, side)
     residual = side - columns @ values
     variance = float(residual @ residual) / (side.size - values.size)
@@ -326,9 +322,8 @@ def instrument_step(
     def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
         equation = regression(changed, changed_model, weight)
         columns, side = stacked_terms(equation.terms), stack(equation.right_side.reshape(-1))
-        return _solve_instrumental(
-            instruments, columns, side, np.sqrt(np.einsum("pe,pe->p", columns, columns))
-        )
+        size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
+        return _solve_instrumental(instruments, columns, side, size)
 
     return step
 
@@ -407,12 +402,7 @@ def _scores(
     z = model.dynamic_stiffness(values, measured.omega) * equation.line_weights[:, None, None]
     turned = np.einsum("lab,ij->laibj", z, np.eye(n_input)).reshape(n_line, n_output * n_input, -1)
     omega = turned @ measured.covariance @ turned.conj().swapaxes(1, 2)
-    half = instruments.shape[1] // 2
-    rows = (
-        (instruments[:, :half] + 1j * instruments[:, half:])
-        .reshape(-1, n_line, n_output * n_input)
-        .transpose(1, 0, 2)
-    )
+    rows = complex_rows(instruments.T, n_line).swapaxes(1, 2)
     middle: FloatArray = 0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real
     return middle
 

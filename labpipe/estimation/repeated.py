@@ -28,7 +28,7 @@ from labpipe.estimation.repeats import (
     repeat_mean,
 )
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import student_limit
+from labpipe.estimation.statistics import restated, student_limit
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse, uncorrelated
@@ -156,16 +156,11 @@ class _Values:
 
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> _Values:
-        values, errors = (
-            np.array([p.value for p in parameters]),
-            np.array([p.std_error or 0.0 for p in parameters]),
-        )
-        log = bool(np.all(values * values[0] > 0))
-        return (
-            cls(np.log(np.abs(values)), (errors / values) ** 2, True)
-            if log
-            else cls(values, errors**2, False)
-        )
+        values = np.array([p.value for p in parameters])
+        errors = np.array([p.std_error or 0.0 for p in parameters])
+        if np.all(values * values[0] > 0):
+            return cls(np.log(np.abs(values)), (errors / values) ** 2, True)
+        return cls(values, errors**2, False)
 
     def chosen(self, used: Sequence[bool]) -> _Values:
         return _Values(self.values[np.array(used)], self.variances[np.array(used)], self.log)
@@ -293,10 +288,9 @@ def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter
     aligned = _align(pooled.curve, curves, test.response)
     if aligned is None:
         return ()
+    settings = replace(test.settings, band=pooled.band_hz, bands=(), sliding=None)
     try:
-        fits = test.fitting(
-            aligned, replace(test.settings, band=pooled.band_hz, bands=(), sliding=None), True
-        )
+        fits = test.fitting(aligned, settings, True)
     except FitError:
         return ()
     return _numbered_as(pooled, fits[0]).parameters if len(fits) == 1 else ()
@@ -323,15 +317,9 @@ def _align(
     smooth = np.array(columns).T.reshape(shape) * shape[0] / max(shape[0] - 4, 1)
     if not np.all(smooth > 0):
         return None
-    return FrequencyResponse(
-        pooled.frequency,
-        pooled.fitted + mean,
-        outputs,
-        inputs,
-        form=response.form,
-        covariance=uncorrelated(smooth),
-        name=response.name,
-    )
+    matrix, covariance = pooled.fitted + mean, uncorrelated(smooth)
+    aligned = FrequencyResponse(pooled.frequency, matrix, outputs, inputs, covariance=covariance)
+    return replace(aligned, form=response.form, name=response.name)
 
 
 def _common_part(common: Parameter | None, *, log: bool) -> tuple[float, float]:
@@ -380,14 +368,8 @@ def _statement(
     scatter = float(np.sqrt(max((between * unit / limit) ** 2 - error**2, 0.0)))
     full = max(full, float(np.hypot(scatter, error)))
     return replace(
-        parameter,
-        value=value,
-        std_error=error,
-        std_error_inflated=full,
-        ci95=interval,
+        restated(parameter, value, full, interval, std_error=error),
         interval=IntervalParts(error, repeats=scatter, systematic=systematic),
-        t_ratio=None if parameter.t_ratio is None else value / full,
-        significant=None if parameter.significant is None else not interval[0] <= 0 <= interval[1],
         fitted=None,
         reason=common.reason if common is not None and extra > between else "",
         discrepancy=None if common is None else common.discrepancy,

@@ -9,16 +9,15 @@ show that.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
-from scipy import special
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.statistics import student_limit
+from labpipe.estimation.statistics import bisected, mixture_interval, student_limit
 
 # Repeats that stand out against the others. Below this number none can be told, below the second more is
 # asked for.
@@ -151,15 +150,12 @@ def repeat_mean(
     projection = inverse @ np.einsum("tn,np->tpn", weights, columns)
     solutions = projection @ values
     residuals = values - solutions @ columns.T
-    logarithm = 0.5 * (
-        np.sum(np.log(weights), axis=1)
-        - np.linalg.slogdet(normal)[1]
-        - np.sum(weights * residuals**2, axis=1)
-    )
+    squares = np.sum(weights * residuals**2, axis=1)
+    logarithm = 0.5 * (np.sum(np.log(weights), axis=1) - np.linalg.slogdet(normal)[1] - squares)
     shares = np.exp(logarithm - logarithm.max())
     shares /= shares.sum()
     solution = shares @ solutions
-    low, high = _quantiles(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))
+    low, high = mixture_interval(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))
     residual = values - columns @ solution
     stretch, correlation = order_in_time(residual)
     spread = float(taus[np.searchsorted(np.cumsum(shares), 0.5)])
@@ -211,9 +207,8 @@ def drifts(values: FloatArray, variances: FloatArray, place: FloatArray) -> bool
     # Of two steps no part is a single repeat.
     steps: list[tuple[int, ...]] = [(at,) for at in range(1, n)]
     steps += [pair for pair in itertools.combinations(range(2, n - 1), 2) if pair[1] - pair[0] > 1]
-    return line < min(
-        sum(float(np.var(part)) * part.size for part in np.split(values, edges)) for edges in steps
-    )
+    parts = (np.split(values, edges) for edges in steps)
+    return line < min(sum(float(np.var(part)) * part.size for part in pieces) for pieces in parts)
 
 
 def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray) -> float:
@@ -232,14 +227,7 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
     high = 10 * float(np.var(values)) + np.finfo(float).tiny
     if freedom <= 0 or excess(0.0) <= 0:
         return 0.0
-    return _bisected(lambda square: excess(square) > 0, 0.0, high)
-
-
-def _bisected(is_below: Callable[[float], bool], low: float, high: float) -> float:
-    """Where *is_below* ends to hold between *low* and *high*, to the last digit."""
-    while low < (middle := (low + high) / 2) < high:
-        low, high = (middle, high) if is_below(middle) else (low, middle)
-    return middle
+    return bisected(lambda square: excess(square) > 0, 0.0, high)
 
 
 def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray) -> tuple[float, float]:
@@ -327,16 +315,3 @@ def _longer(stretch: float, n: int, n_column: int) -> float:
     if stretch <= 1.0:
         return 1.0
     return float(np.sqrt(stretch) * student_limit(max(1.0, n / stretch - 1)) / student_limit(n - n_column))
-
-
-def _quantiles(shares: FloatArray, centres: FloatArray, errors: FloatArray) -> tuple[float, float]:
-    """The 2.5 and 97.5 % quantiles of a mixture of normal distributions, by bisection."""
-
-    def share_below(x: float) -> float:
-        return float(shares @ special.ndtr((x - centres) / errors))
-
-    low, high = float(np.min(centres - 40 * errors)), float(np.max(centres + 40 * errors))
-    return (
-        _bisected(lambda x: share_below(x) < 0.025, low, high),
-        _bisected(lambda x: share_below(x) < 0.975, low, high),
-    )

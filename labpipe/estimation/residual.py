@@ -24,6 +24,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.estimation.leakage import SharedNoise
+from labpipe.estimation.weights import complex_rows
 
 # Lines whose noise may be common: a window's main lobe at least, and more where more lines show it, as
 # n^(1/3).
@@ -59,7 +60,9 @@ def line_scatter(
     scatter = jackknife_residual(leverage, _by_line(residual[:, None], n_line))
     to_parameters = np.linalg.inv(triangle)
     shares = (by_line.swapaxes(1, 2) @ scatter)[:, :, 0] @ to_parameters.T
-    weights = np.zeros(0) if alone else _bartlett(n_line)
+    # Bartlett's weights.
+    n_near = 0 if alone else min(max(FEWEST_NEIGHBOURS, round(n_line ** (1 / 3))), n_line - 1)
+    weights = 1 - np.arange(1, n_near + 1) / (n_near + 1)
     covariance = shares.T @ shares
     for distance, weight in enumerate(weights, start=1):
         product = weight * (shares[:-distance].T @ shares[distance:])
@@ -79,14 +82,8 @@ def _by_line(columns: FloatArray, n_line: int) -> FloatArray:
     """Columns (n_equation, n) as (n_line, n_equation / n_line, n): the real and imaginary parts of one line
     together.
     """
-    return (
-        columns.reshape(2, n_line, -1, columns.shape[1]).swapaxes(0, 1).reshape(n_line, -1, columns.shape[1])
-    )
-
-
-def _bartlett(n_line: int) -> FloatArray:
-    n = min(max(FEWEST_NEIGHBOURS, round(n_line ** (1 / 3))), n_line - 1)
-    return 1 - np.arange(1, n + 1) / (n + 1)
+    n = columns.shape[1]
+    return columns.reshape(2, n_line, -1, n).swapaxes(0, 1).reshape(n_line, -1, n)
 
 
 def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
@@ -155,7 +152,7 @@ def residual_structure(
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + DEGREE + 1:
         return None
-    errors = _structure_by_line(residual, n_line)
+    errors = complex_rows(residual, n_line)
     levels = _levels(errors, size if null.uneven else None)
     if np.any(levels == 0):
         return None
@@ -166,11 +163,11 @@ def residual_structure(
     noise = _draw(n_line, size.shape[1], n_draw, null.shared)
     noise *= np.tile(levels.reshape(-1), 2)[:, None]
     noise -= basis @ (basis.T @ noise)
-    smooth = _smooth(n_line)
-    return _least_p(
-        _statistics(errors[:, :, None], size, smooth)[0],
-        _statistics(_structure_by_line(noise, n_line), size, smooth),
-    )
+    # Orthonormal polynomials of the line number.
+    curves = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, n_line), DEGREE)
+    smooth = np.linalg.qr(curves)[0]
+    observed = _statistics(errors[:, :, None], size, smooth)[0]
+    return _least_p(observed, _statistics(complex_rows(noise, n_line), size, smooth))
 
 
 def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
@@ -183,12 +180,9 @@ def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
         return np.broadcast_to(np.sqrt(mean), power.shape)
     square = size**2 / np.mean(size**2, axis=0)
     spread = np.mean((square - 1) ** 2, axis=0)
-    slope = np.clip(
-        np.divide(np.mean((square - 1) * power, axis=0), spread, out=np.zeros_like(spread), where=spread > 0),
-        0.0,
-        mean,
-    )
-    return np.asarray(np.sqrt(mean + slope * (square - 1)))
+    together = np.mean((square - 1) * power, axis=0)
+    slope = np.divide(together, spread, out=np.zeros_like(spread), where=spread > 0)
+    return np.asarray(np.sqrt(mean + np.clip(slope, 0.0, mean) * (square - 1)))
 
 
 def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) -> FloatArray:
@@ -198,12 +192,6 @@ def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) 
         return rng.standard_normal((2 * n_line * n_element, n_draw))
     noise = shared.drawn_often(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
     return np.concatenate([noise.real, noise.imag])
-
-
-def _structure_by_line(values: FloatArray, n_line: int) -> ComplexArray:
-    """Real parts, then imaginary parts, (n_equation, ...) as complex (n_line, n_element, ...)."""
-    half = values.shape[0] // 2
-    return np.asarray((values[:half] + 1j * values[half:]).reshape(n_line, -1, *values.shape[1:]))
 
 
 def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) -> FloatArray:
@@ -218,18 +206,8 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
     moving = [np.max(np.abs(sums[width:] - sums[:-width]) ** 2, axis=(0, 1)) / width for width in WIDTHS]
     weight = (size**2 / np.mean(size**2, axis=0))[:, :, None]
     energy = np.abs(np.einsum("ln,led->ned", smooth, scaled)) ** 2
-    statistics = [
-        np.sum(lags, axis=(0, 1)),
-        np.max(moving, axis=0),
-        np.sum(np.abs(scaled) ** 2 * weight, axis=(0, 1)),
-    ]
-    return np.stack([*statistics, np.sum(energy, axis=(0, 1))], axis=-1)
-
-
-def _smooth(n_line: int) -> FloatArray:
-    """Orthonormal polynomials of the line number up to DEGREE, (n_line, DEGREE + 1) [1]."""
-    place = np.linspace(-1, 1, n_line)
-    return np.asarray(np.linalg.qr(np.polynomial.chebyshev.chebvander(place, DEGREE))[0])
+    alike, grown = np.sum(lags, axis=(0, 1)), np.sum(np.abs(scaled) ** 2 * weight, axis=(0, 1))
+    return np.stack([alike, np.max(moving, axis=0), grown, np.sum(energy, axis=(0, 1))], axis=-1)
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
@@ -244,13 +222,8 @@ def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
     best = int(np.lexsort((-observed / np.mean(draws, axis=0), p_values))[0])
     p_value = float((1 + np.sum(least <= p_values[best])) / (n_draw + 1))
     if p_values[best] * (n_draw + 1) < 2:
-        p_value = min(p_value, len(SAID) * _tail(float(observed[best]), draws[:, best]))
+        # Beyond all draws: of the gamma distribution with their mean and variance.
+        mean, variance = float(np.mean(draws[:, best])), float(np.var(draws[:, best]))
+        tail = chi2_tail(2 * float(observed[best]) * mean / variance, 2 * mean**2 / variance)
+        p_value = min(p_value, len(SAID) * tail)
     return Structure(p_value, SAID[best])
-
-
-def _tail(value: float, draws: FloatArray) -> float:
-    """Probability of a value beyond all draws (n_draw,): of the gamma distribution with their mean and
-    variance.
-    """
-    mean, variance = float(np.mean(draws)), float(np.var(draws))
-    return chi2_tail(2 * value * mean / variance, 2 * mean**2 / variance)

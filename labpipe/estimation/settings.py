@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.estimators import Estimator
 from labpipe.records.identification import Fit
 from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, setting
@@ -253,21 +253,25 @@ class FitSettings(Settings):
         """ConfigError for an estimator that does not fit the model, and for keys that would change nothing
         that is computed.
         """
-        able = _able(self.model)
+        kind = self.kind
+        every = {name: estimator_of(name) for name in ESTIMATORS}
+        able = kind.estimators or [name for name, by in every.items() if kind.one_frf or not by.one_frf]
         if self.estimator not in able:
             what = f"{self.estimator} does not estimate model {self.model}"
-            raise ConfigError(what, hint=f"estimator: {_one_of(able)}", field="estimator")
+            raise SettingError("estimator", what, f"estimator: {_one_of(able)}")
         for key in self.written:
-            if key not in (*EVERY, *self.kind.keys):
+            if key not in (*EVERY, *kind.keys):
                 hint = f"leave it out; models that take it: {', '.join(takers(key))}"
-                raise ConfigError(f"'{key}' is not for model {self.model}", hint=hint, field=key)
-            others = [name for name in able if self._may_have(key, estimator_of(name))]
+                raise SettingError(key, f"'{key}' is not for model {self.model}", hint)
+            others = [
+                name
+                for name in able
+                if key not in every[name].refuses
+                and (every[name].likelihood or key not in kind.by_likelihood)
+            ]
             if self.estimator not in others:
                 hint = f"leave it out, or estimator: {_one_of(others)}" if others else "leave it out"
-                raise ConfigError(f"'{key}' is not for estimator {self.estimator}", hint=hint, field=key)
-
-    def _may_have(self, key: str, estimator: Estimator) -> bool:
-        return key not in estimator.refuses and (estimator.likelihood or key not in self.kind.by_likelihood)
+                raise SettingError(key, f"'{key}' is not for estimator {self.estimator}", hint)
 
     def _check_combinations(self) -> None:
         """ConfigError for keys that change nothing, or have no meaning, beside others."""
@@ -314,9 +318,9 @@ class FitSettings(Settings):
 
 
 def _refuse(wrong: object, field: str, what: str, hint: str = "") -> None:
-    """ConfigError about the key *field* where something is *wrong*."""
+    """SettingError about the key *field* where something is *wrong*."""
     if wrong:
-        raise ConfigError(what, hint=hint, field=field)
+        raise SettingError(field, what, hint)
 
 
 # What a model needs, in words, and how a pipeline measures that; the model that is of it.
@@ -338,7 +342,7 @@ def check_kind(settings: FitSettings, measured: str) -> None:
     if of == RESPONSES:
         what = f"model {settings.model} needs {needed}, {there} have none"
         hint = f"model: {_MODEL_OF[measured]}"
-    raise ConfigError(what, hint=hint, field="model")
+    raise SettingError("model", what, hint)
 
 
 def model_kind(name: str) -> ModelKind:
@@ -362,14 +366,6 @@ def models_text(key: str) -> str:
     """Which models take a key of a fit, as a help says it; empty where all do."""
     able = takers(key)
     return "" if len(able) == len(tuple(MODELS)) else f" (models {', '.join(able)})"
-
-
-def _able(model: str) -> tuple[str, ...]:
-    """The estimators that fit a model."""
-    kind = model_kind(model)
-    return kind.estimators or tuple(
-        name for name in ESTIMATORS if kind.one_frf or not estimator_of(name).one_frf
-    )
 
 
 def _one_of(names: Sequence[str]) -> str:

@@ -5,10 +5,12 @@ squares.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy import special
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.distributions import normal_quantile, student_quantile
@@ -73,20 +75,10 @@ def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vi
     """An estimated parameter with t-ratio, 95 % interval and significance. Equation (est-interval)."""
     if not np.isfinite(std_error):
         return Parameter(name, value, unit, vif=vif)
-    limit = student_limit(dof)
-    t_ratio = value / std_error if std_error > 0 else None
-    interval = (value - limit * std_error, value + limit * std_error)
-    significant = abs(value) > limit * std_error
-    return Parameter(
-        name,
-        value,
-        unit,
-        std_error=std_error,
-        t_ratio=t_ratio,
-        ci95=interval,
-        significant=significant,
-        vif=vif,
-    )
+    reach = student_limit(dof) * std_error
+    ratio = value / std_error if std_error > 0 else None
+    plain = Parameter(name, value, unit, std_error=std_error, t_ratio=ratio, vif=vif)
+    return replace(plain, ci95=(value - reach, value + reach), significant=abs(value) > reach)
 
 
 def widen(parameter: Parameter, factor: float) -> Parameter:
@@ -103,6 +95,23 @@ def widen(parameter: Parameter, factor: float) -> Parameter:
         significant = None if significant is None else bool(interval[0] > 0 or interval[1] < 0)
     ratio = None if ratio is None or factor == 0 else ratio / factor
     return replace(parameter, std_error_inflated=error, ci95=interval, t_ratio=ratio, significant=significant)
+
+
+def restated(
+    parameter: Parameter, value: float, error: float, ci95: tuple[float, float], **others: Any
+) -> Parameter:
+    """The parameter with another *value*, full standard *error* and interval *ci95* [all its unit], with
+    ratio and significance by these where it has them; *others*: further fields.
+    """
+    return replace(
+        parameter,
+        value=value,
+        std_error_inflated=error,
+        ci95=ci95,
+        t_ratio=None if parameter.t_ratio is None else value / error,
+        significant=None if parameter.significant is None else not ci95[0] <= 0 <= ci95[1],
+        **others,
+    )
 
 
 def derive(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:
@@ -155,6 +164,31 @@ def stacked_terms(terms: ComplexArray) -> FloatArray:
     rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
     rows[:, 0], rows[:, 1] = terms.real, terms.imag
     return rows.reshape(terms.shape[0], -1)
+
+
+def bisected(is_below: Callable[[float], bool], low: float, high: float) -> float:
+    """Where *is_below* ends to hold between *low* and *high* [any unit], to the last digit."""
+    while low < (middle := (low + high) / 2) < high:
+        low, high = (middle, high) if is_below(middle) else (low, middle)
+    return middle
+
+
+def mixture_interval(weights: FloatArray, means: FloatArray, deviations: FloatArray) -> tuple[float, float]:
+    """The 2.5 and 97.5 % quantiles [any unit] of a mixture of normal distributions, *weights* (n,) [1] of sum
+    1, *means* and *deviations* (n,) [any unit].
+    """
+
+    def is_below(p: float, x: float) -> bool:
+        return bool(weights @ special.ndtr((x - means) / deviations) < p)
+
+    # By rounding, one component alone may lie on either side of its own end.
+    margin = 1e-6 * float(np.max(deviations))
+    ends = []
+    for p in (0.025, 0.975):
+        of_each = means + special.ndtri(p) * deviations
+        low, high = float(np.min(of_each)) - margin, float(np.max(of_each)) + margin
+        ends.append(bisected(functools.partial(is_below, p), low, high))
+    return ends[0], ends[1]
 
 
 # Combinations of parameters in words.

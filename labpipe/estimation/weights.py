@@ -153,10 +153,8 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
             f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only",
             hint="average more periods or blocks, or raise `smooth`",
         )
-    inflation = measured.shared_noise * nu**2 / (a**2 - 1)
-    return WeightUncertainty(
-        nu / a, inflation, _residual_dof(measured, dof, measured.shared_power), measured.shared_power
-    )
+    inflation, shared = measured.shared_noise * nu**2 / (a**2 - 1), measured.shared_power
+    return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, shared), shared)
 
 
 def fitted_uncertainty(
@@ -194,10 +192,10 @@ def fitted_uncertainty(
 
 def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
     """A Jacobian (n_equation, n_parameter) of real parts, then imaginary parts, as complex (n_line,
-    n_element, n_parameter) [its unit].
+    n_element, n_parameter) [its unit]; likewise a residual (n_equation,).
     """
     half = jacobian.shape[0] // 2
-    return np.asarray((jacobian[:half] + 1j * jacobian[half:]).reshape(n_line, -1, jacobian.shape[1]))
+    return np.asarray((jacobian[:half] + 1j * jacobian[half:]).reshape(n_line, -1, *jacobian.shape[1:]))
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
@@ -289,9 +287,8 @@ def fit_weights(measured: Measured) -> Weights:
     FitError as for whitener.
     """
     if not has_noise(measured):
-        return np.broadcast_to(1 / _size(measured), (measured.omega.size, measured.matrix[0].size)).astype(
-            np.complex128
-        )
+        shape = measured.omega.size, measured.matrix[0].size
+        return np.full(shape, 1 / _size(measured), np.complex128)
     assert measured.covariance is not None
     std = _deviations(measured)
     if np.count_nonzero(measured.covariance) == std.size:

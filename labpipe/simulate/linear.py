@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
@@ -166,7 +166,7 @@ class OneMass(Settings):
     def check_band(self) -> None:
         """ConfigError for a band that the sampling rate does not hold."""
         if not 0 < self.band[0] < self.band[1] < self.sample_rate / 2:
-            raise ConfigError(f"band must lie between 0 and {self.sample_rate / 2:g} Hz", field="band")
+            raise SettingError("band", f"band must lie between 0 and {self.sample_rate / 2:g} Hz")
 
     @property
     def truth(self) -> dict[str, float]:
@@ -220,7 +220,7 @@ class BaseRig(OneMass):
         require_positive(self, "mass", "stiffness", "damping", "acceleration", "sample_rate", "duration")
         self.check_band()
         if not 0 <= self.pause < self.duration:
-            raise ConfigError("pause must lie between 0 and the length of a run", field="pause")
+            raise SettingError("pause", "pause must lie between 0 and the length of a run")
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class SweepRig(OneMass):
         require_positive(self, "mass", "stiffness", "damping", "force", "duration", "sample_rate")
         for name in ("pause", "noise", "force_noise"):
             if getattr(self, name) < 0:
-                raise ConfigError(f"{name} must not be negative", field=name)
+                raise SettingError(name, f"{name} must not be negative")
         self.check_band()
 
 
@@ -283,12 +283,8 @@ def _base_run(rig: BaseRig, name: str, rng: np.random.Generator) -> Recording:
     length, lines = rig.from_rest(base.size) if swept else lines_of(base.size, rig.sample_rate)
     table = Channel("base", "acceleration", "input", "z")
     if name == "relative":
-        gap = -rig.mass * rig.receptance(lines)
-        measured, moved, noise = (
-            Channel("gap", "displacement", "output", "z"),
-            response(gap, base, length),
-            level.displacement,
-        )
+        moved = response(-rig.mass * rig.receptance(lines), base, length)
+        measured, noise = Channel("gap", "displacement", "output", "z"), level.displacement
     else:
         moved = response(1 + relative_transmissibility(rig, lines), base, length)
         measured, noise = Channel("mass", "acceleration", "output", "z"), level.acceleration
@@ -305,9 +301,8 @@ def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
     """Force f [N] and displacement y [m] with noise."""
     law, direction, count = SWEEP_RUNS[name]
     sweep = Sweep(rig.band, rig.duration / (1 if count == 1 else 2), rig.force, law, direction, rig.pause)
-    force = np.concatenate(
-        [np.zeros(round(PRETRIGGER * rig.sample_rate)), sweep.samples(rig.sample_rate, count)]
-    )
+    before = np.zeros(round(PRETRIGGER * rig.sample_rate))
+    force = np.concatenate([before, sweep.samples(rig.sample_rate, count)])
     length, lines = rig.from_rest(force.size)
     moved = response(rig.receptance(lines), force, length)
     channels = [Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y")]
@@ -353,13 +348,12 @@ class WhiteNoiseRig(Settings):
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping"):
             if np.shape(getattr(self, name)) != (2, 2):
-                raise ConfigError(f"{name} is not a 2 x 2 matrix", field=name)
+                raise SettingError(name, f"{name} is not a 2 x 2 matrix")
         require_positive(self, "mass", "force", "bandwidth", "sample_rate", "blocks", "block")
         for name in ("speed", "bandwidth"):
             if not 0 <= getattr(self, name) < self.sample_rate / 2:
-                raise ConfigError(
-                    f"{name} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field=name
-                )
+                what = f"{name} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz"
+                raise SettingError(name, what)
 
     @property
     def n_sample(self) -> int:
@@ -448,11 +442,8 @@ class VirtualMdofRig(Settings):
             if np.shape(getattr(self, name)) != (n, n):
                 raise ConfigError(f"{name} is not a {n} x {n} matrix")
         # A list of masses, or of rows; both, or rows of other lengths, have no shape.
-        if (
-            not isinstance(self.mass, tuple)
-            or len(self.mass) != n
-            or {np.shape(row) for row in self.mass} not in ({()}, {(n,)})
-        ):
+        shapes = {np.shape(row) for row in self.mass} if isinstance(self.mass, tuple) else set()
+        if shapes not in ({()}, {(n,)}) or len(self.mass) != n:
             raise ConfigError(f"mass does not fit {n} dofs", hint="a list of masses, or a matrix")
         if self.noise < 0:
             raise ConfigError("noise must not be negative")
@@ -488,16 +479,13 @@ def noisy_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> Freq
 
     Equation (sim-mdof-noise).
     """
-    exact = rig.receptance
-    std = rig.noise * float(np.max(np.abs(exact)))
-    noise = (
-        0.0
-        if rng is None
-        else std * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape))
-    )
-    ports = tuple(Port(dof, dof, dof) for dof in (str(number + 1) for number in range(exact.shape[1])))
-    covariance = uncorrelated(np.full(exact.shape, 2 * std**2)) if std > 0 else None
-    return FrequencyResponse(rig.frequency, exact + noise, ports, ports, covariance=covariance, name=rig.name)
+    matrix = rig.receptance
+    std = rig.noise * float(np.max(np.abs(matrix)))
+    ports = tuple(Port(dof, dof, dof) for dof in map(str, range(1, matrix.shape[1] + 1)))
+    covariance = uncorrelated(np.full(matrix.shape, 2 * std**2)) if std > 0 else None
+    if rng is not None:
+        matrix = matrix + std * (rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape))
+    return FrequencyResponse(rig.frequency, matrix, ports, ports, covariance=covariance, name=rig.name)
 
 
 BASE_RIG = kind_of_recordings(

@@ -189,11 +189,11 @@ def kind_of_tests(
 
     def simulated(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
         runs = tests(rig, seed, names)
-        tables = {run.name: LoggedTable(run.table, text=True) for run in runs if run.table is not None}
-        files = {
-            run.name: logged(run.recording) if run.recording is not None else tables[run.name] for run in runs
-        }
-        return Simulation(files, {"runs": {run.name: run.truth for run in runs}})
+        files = {run.name: LoggedTable(run.table, text=True) for run in runs if run.table is not None}
+        files |= {run.name: logged(run.recording) for run in runs if run.recording is not None}
+        return Simulation(
+            {run.name: files[run.name] for run in runs}, {"runs": {run.name: run.truth for run in runs}}
+        )
 
     return VirtualRigKind(settings=settings, simulate=simulated, recordings=recordings_of, **others)
 
@@ -308,11 +308,9 @@ def whole_numbers(
     """
     columns: dict[str, NDArray[np.int32]] = {}
     chosen = {**WHOLE, **(units or {})}
-    for number, channel in enumerate(run.channels):
+    for channel, samples in zip(run.channels, run.samples.T, strict=True):
         voltage = FINE_VOLTAGE if channel.role != "reference" else COARSE_VOLTAGE
         unit, per_si = chosen.get(channel.quantity, voltage)
         step = steps[channel.name] if steps else 1
-        columns[f"{channel.name} [{unit}]"] = step * np.rint(run.samples[:, number] * (per_si / step)).astype(
-            np.int32
-        )
+        columns[f"{channel.name} [{unit}]"] = step * np.rint(samples * (per_si / step)).astype(np.int32)
     return LoggedTable(columns, level=19, dictionary=bool(steps), split=not steps)

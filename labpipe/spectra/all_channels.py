@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.arrays import BoolArray, ComplexArray
+from labpipe.errors import DataError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import ChannelSpectra
@@ -91,15 +91,9 @@ def _average(
 ) -> tuple[LineSpectrum, tuple[Finding, ...]]:
     """The lines of the recorded channels of one recording in the band, and findings."""
     spectrum, _, findings = period_average(source, settings)
+    mean = layout.picked(number, spectrum.mean, 1)
     noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
-    picked = LineSpectrum(
-        spectrum.frequency,
-        layout.picked(number, spectrum.mean, 1),
-        noise,
-        spectrum.n_period,
-        spectrum.line_dof,
-    )
-    return picked, findings
+    return dataclasses.replace(spectrum, mean=mean, noise=noise), findings
 
 
 def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
@@ -108,46 +102,36 @@ def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
     assert spectrum.noise is not None
     noise = transform @ spectrum.noise @ transform.conj().swapaxes(1, 2)
     mean = np.einsum("lcr,lr->lc", transform, spectrum.mean)
-    return LineSpectrum(spectrum.frequency, mean, noise, spectrum.n_period, spectrum.line_dof)
+    return dataclasses.replace(spectrum, mean=mean, noise=noise)
 
 
 def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
     """The spectra with their noise averaged over runs that share it, and over *smooth* lines to either side
     or as many as are needed.
     """
-    single = [_noise_of_a_period(spectrum) for spectrum in spectra]
-    if len(spectra) > 1 and shared_noise(single, [spectrum.dof for spectrum in spectra]):
-        dof = sum(spectrum.dof for spectrum in spectra)
-        pooled = (
-            np.sum([spectrum.dof * noise for spectrum, noise in zip(spectra, single, strict=True)], axis=0)
-            / dof
-        )
-        single = [pooled * _present(noise) for noise in single]
+    # The noise of one period.
+    single = [s.noise * s.n_period for s in spectra if s.noise is not None]
+    dofs = [spectrum.dof for spectrum in spectra]
+    if len(spectra) > 1 and shared_noise(single, dofs):
+        dof = sum(dofs)
+        pooled = np.tensordot(dofs, single, axes=1) / dof
+        # Zero where one of two channels was not recorded.
+        there = [np.any(np.einsum("lcc->lc", noise).real > 0, axis=0) for noise in single]
+        single = [pooled * np.outer(channels, channels) for channels in there]
     else:
-        dof = min(spectrum.dof for spectrum in spectra)
+        dof = min(dofs)
     # Noise that the loop shapes is not the same on lines far apart: no more of them than weights need.
     half_width = min(smooth, max(int(np.ceil((PLENTY_DOF / dof - 1) / 2)), 0))
     while smooth and (2 * half_width + 1) * dof < ENOUGH_DOF:
         half_width += 1
     return [
         smoothed_noise(
-            LineSpectrum(s.frequency, s.mean, noise / s.n_period, s.n_period, np.full(s.frequency.size, dof)),
+            dataclasses.replace(s, noise=noise / s.n_period, line_dof=np.full(s.frequency.size, dof)),
             half_width,
             with_inverse=True,
         )
         for s, noise in zip(spectra, single, strict=True)
     ]
-
-
-def _present(noise: ComplexArray) -> FloatArray:
-    """One where both channels of a covariance were recorded, (n_channel, n_channel)."""
-    there = np.any(np.einsum("lcc->lc", noise).real > 0, axis=0)
-    return np.outer(there, there).astype(float)
-
-
-def _noise_of_a_period(spectrum: LineSpectrum) -> ComplexArray:
-    assert spectrum.noise is not None
-    return np.asarray(spectrum.noise * spectrum.n_period)
 
 
 def shared_noise(noises: Sequence[ComplexArray], dofs: Sequence[float]) -> bool:
@@ -193,11 +177,8 @@ def channel_spectra(
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
-        raise ConfigError(
-            f"excitation {settings.excitation} gives no spectra side by side",
-            hint="known: periodic, random",
-            field="excitation",
-        )
+        what = f"excitation {settings.excitation} gives no spectra side by side"
+        raise SettingError("excitation", what, "known: periodic, random")
     sources, short = without_short(sources, settings)
     layout = find_channel_layout(sources)
     bands = masked_bands(sources, settings)

@@ -76,19 +76,17 @@ def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tupl
     """
     if settings.mask is None:
         return ()
-    width = _usual_width(settings) if settings.mask.width is None else settings.mask.width
+    width = settings.mask.width
+    if width is None:
+        length = settings.period or settings.block
+        assert length is not None
+        width = LOBE[settings.excitation] / length
     ranges = dict.fromkeys(shaft_motion(source, settings.mask).speed_range for source in sources)
     return tuple(
         (max(order * low - width, 0.0), order * high + width)
         for low, high in ranges
         for order in range(1, settings.mask.harmonics + 1)
     )
-
-
-def _usual_width(settings: FrfSettings) -> float:
-    length = settings.period or settings.block
-    assert length is not None
-    return LOBE[settings.excitation] / length
 
 
 def mask_findings(bands: Sequence[tuple[float, float]]) -> tuple[Finding, ...]:

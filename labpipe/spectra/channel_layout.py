@@ -18,37 +18,38 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
 from labpipe.records.spectra import UncertainFactor
 from labpipe.records.uncertain import COURSES, MatrixError, Uncertainty
-from labpipe.spectra.channels import calibration_factors, turned_channels, uncertain_numbers
-from labpipe.spectra.ports import Layout, Parts, sensor_response
+from labpipe.spectra.channels import (
+    DerivedRecording,
+    calibration_factors,
+    columns_of,
+    turned_channels,
+    uncertain_numbers,
+)
+from labpipe.spectra.ports import Layout, Parts, at_columns, sensor_response
 from labpipe.spectra.settings import FrfSettings
 
 # A recording whose outputs are other channels than those that its rig names.
 
 
-class WithRoles:
+class WithRoles(DerivedRecording):
     """The source with the named channels as its only outputs; its forces stay. Satisfies SampleSource."""
 
     def __init__(self, source: SampleSource, outputs: Collection[str]) -> None:
-        self._source = source
-        self.channels = tuple(_with_role(channel, channel.name in outputs) for channel in source.channels)
-        self.sample_rate, self.n_sample = source.sample_rate, source.n_sample
-        self.name = source.name
-        self.findings: tuple[Finding, ...] = ()
+        super().__init__(source)
+        self.channels = tuple(
+            channel
+            if channel.role == "input"
+            else replace(channel, role="output" if channel.name in outputs else "reference")
+            for channel in source.channels
+        )
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks (n, n_channel) [SI] of at most *n_sample* samples."""
-        return self._source.blocks(n_sample)
-
-
-def _with_role(channel: Channel, is_output: bool) -> Channel:
-    if channel.role == "input":
-        return channel
-    return replace(channel, role="output" if is_output else "reference")
+        return self.source.blocks(n_sample)
 
 
 Estimate = Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]
@@ -98,9 +99,8 @@ def sum_errors(
             source = effect.uncertainty.source
             uncertainties.setdefault(source, effect.uncertainty)
             change = changes.setdefault(source, np.zeros(matrix.shape, np.complex128))
-            row = (effect.uncertainty.std_error * effect.slope * omega**effect.power)[:, None] * rows[
-                effect.member
-            ]
+            size = effect.uncertainty.std_error * effect.slope * omega**effect.power
+            row = size[:, None] * rows[effect.member]
             if are_outputs:
                 change[:, effect.port, :] += row * motion[:, None]
             else:
@@ -111,16 +111,14 @@ def sum_errors(
 def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Iterator[_Effect]:
     """What the numbers and the members of the sums among the ports do to them."""
     by_name = {channel.name: channel for source in sources for channel in source.channels}
+    recorded = [channel for channel in by_name.values() if not channel.terms]
     for port, sensor in enumerate(sensors):
-        yield from _of_directions(
-            port, sensor, [recorded for recorded in by_name.values() if not recorded.terms]
-        )
+        yield from _of_directions(port, sensor, recorded)
         for term in sensor.terms:
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
-                yield _Effect(
-                    Uncertainty(named, number.std_error, number.unit), port, term.channel, complex(slope), 0
-                )
+                uncertainty = Uncertainty(named, number.std_error, number.unit)
+                yield _Effect(uncertainty, port, term.channel, complex(slope), 0)
             for calibration in by_name[term.channel].uncertainties:
                 if calibration.effect in COURSES:
                     course, power = COURSES[calibration.effect]
@@ -132,17 +130,11 @@ def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> I
     across it.
     """
     for number, channel in enumerate(recorded):
-        directions = [
-            calibration.uncertainty
-            for calibration in channel.uncertainties
-            if calibration.effect == "direction"
-        ]
+        directions = [c.uncertainty for c in channel.uncertainties if c.effect == "direction"]
         if not sensor.terms or not directions:
             continue
-        changes = {
-            sensor_channel.name: row
-            for sensor_channel, row in zip(recorded, turned_channels(recorded, number), strict=True)
-        }
+        names = [other.name for other in recorded]
+        changes = dict(zip(names, turned_channels(recorded, number), strict=True))
         for term in sensor.terms:
             for read, change in zip(recorded, changes.get(term.channel, ()), strict=False):
                 if change:
@@ -165,10 +157,9 @@ def _member_rows(
     That of a force to itself is 1.
     """
     names = [sensor.name for sensor in layout.input_sensors]
+    unit = np.eye(len(names), dtype=np.complex128)
     rows = {
-        member: np.broadcast_to(
-            np.eye(len(names), dtype=np.complex128)[names.index(member)], (n_line, len(names))
-        )
+        member: np.broadcast_to(unit[names.index(member)], (n_line, len(names)))
         for member in members
         if member in names
     }
@@ -209,7 +200,7 @@ class ChannelLayout:
     @property
     def inputs(self) -> list[int]:
         """Numbers of the forces among the channels."""
-        return [number for number, channel in enumerate(self.channels) if channel.role == "input"]
+        return columns_of(self.channels, "input")
 
     def transform(self, frequency: FloatArray) -> ComplexArray:
         """T (n_line, n_channel, n_recorded) [SI] at *frequency* (n_line,) [Hz]: the vector of all channels is
@@ -236,13 +227,7 @@ class ChannelLayout:
         """*values* (..., n_channel) [any unit] of a recording, its last *axes* axes as the recorded channels;
         zero for an absent force.
         """
-        columns = np.array(self.columns[recording])
-        for axis in range(values.ndim - axes, values.ndim):
-            values = np.take(values, np.maximum(columns, 0), axis=axis)
-            shape = [1] * values.ndim
-            shape[axis] = columns.size
-            values = values * (columns >= 0).reshape(shape)
-        return values
+        return at_columns(values, self.columns[recording], axes)
 
     def factors(self) -> tuple[UncertainFactor, ...]:
         """The numbers with an uncertainty in the sums and the calibrations of channels, with their effect on

@@ -22,6 +22,24 @@ from labpipe.records.uncertain import COURSES, ChannelUncertainty
 READ_SAMPLES = 1 << 17
 
 
+class DerivedRecording:
+    """What a recording that is made of another *source* takes over from it; with `blocks` a SampleSource."""
+
+    def __init__(self, source: SampleSource) -> None:
+        self.source, self.channels, self.name = source, source.channels, source.name
+        self.sample_rate, self.n_sample = source.sample_rate, source.n_sample
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Those of the source, which reading it may add to."""
+        return self.source.findings
+
+
+def columns_of(channels: Sequence[Channel], role: str) -> list[int]:
+    """The columns of the *channels* of a *role*: input, output or reference."""
+    return [number for number, channel in enumerate(channels) if channel.role == role]
+
+
 def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
     """The recording's blocks (n, n_channel) [unit of the channel].
 
@@ -36,11 +54,7 @@ def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
         if not np.isfinite(total):
             _refuse_missing(source, block, start)
         if start == 0:
-            silent = {
-                column: block[0, column]
-                for column, channel in enumerate(source.channels)
-                if channel.role == "input"
-            }
+            silent = {column: block[0, column] for column in columns_of(source.channels, "input")}
         silent = {column: level for column, level in silent.items() if np.all(block[:, column] == level)}
         start += block.shape[0]
         yield block
@@ -74,22 +88,15 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
     channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums
     from recorded channels.
     """
-    n_recorded = combined.shape[1]
-    return tuple(
-        UncertainFactor(
-            uncertainty.uncertainty.source,
-            0.0,
-            uncertainty.uncertainty.std_error,
-            uncertainty.uncertainty.unit,
-            derivative,
-            power,
-            uncertainty.uncertainty.source,
-        )
-        for number, channel in enumerate(channels[:n_recorded])
-        for uncertainty in channel.uncertainties
-        for derivative, power in [_derivative(channels, combined, number, uncertainty)]
-        if np.any(derivative)
-    )
+    factors = []
+    for number, channel in enumerate(channels[: combined.shape[1]]):
+        for calibration in channel.uncertainties:
+            derivative, power = _derivative(channels, combined, number, calibration)
+            if np.any(derivative):
+                source, error = calibration.uncertainty.source, calibration.uncertainty.std_error
+                unit = calibration.uncertainty.unit
+                factors.append(UncertainFactor(source, 0.0, error, unit, derivative, power, source))
+    return tuple(factors)
 
 
 def _derivative(
@@ -117,10 +124,11 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     d more, in components along all n.
     """
     change = np.zeros((len(channels), len(channels)))
+    angles_of = [AXIS_ANGLES.get(c.dof) if c.angle is None else c.angle for c in channels]
     known_angles = {
         n: angle
-        for n, channel in enumerate(channels)
-        if channel.quantity == channels[number].quantity and (angle := _angle(channel)) is not None
+        for n, (channel, angle) in enumerate(zip(channels, angles_of, strict=True))
+        if channel.quantity == channels[number].quantity and angle is not None
     }
     if number not in known_angles or len(known_angles) != 2:
         return change
@@ -137,10 +145,6 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     return change
 
 
-def _angle(channel: Channel) -> float | None:
-    return AXIS_ANGLES.get(channel.dof) if channel.angle is None else channel.angle
-
-
 # Sums of channels in recordings: where a sum in time holds, and the uncertainty of the numbers in it.
 
 
@@ -152,7 +156,10 @@ def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:
     for channel in used:
         members = [by_name[term.channel] for term in channel.terms if term.channel in by_name]
         if len({(member.delay, member.response) for member in members}) > 1:
-            chains = ", ".join(f"{member.name}: {_chain(member)}" for member in members)
+            chains = ", ".join(
+                f"{c.name}: {1e6 * c.delay:g} us{' and a response table' if c.response else ''}"
+                for c in members
+            )
             what = (
                 f"channel '{channel.name}' is a sum of channels with different delays or frequency "
                 f"responses ({chains})"
@@ -160,10 +167,6 @@ def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:
             raise DataError(
                 what, hint="frf: {result: spectra} sums them line by line after their corrections"
             )
-
-
-def _chain(channel: Channel) -> str:
-    return f"{1e6 * channel.delay:g} us" + (" and a response table" if channel.response else "")
 
 
 def uncertain_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]:

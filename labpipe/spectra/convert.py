@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,24 +71,25 @@ def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
             f"the line at 0 Hz of a {response.form} cannot be converted to {form}",
             hint="begin the band above 0 Hz",
         )
-    factor = (2j * np.pi * response.frequency) ** order
+    factor = ((2j * np.pi * response.frequency) ** order)[:, None, None]
     covariance = response.covariance
     if covariance is not None:
-        covariance = covariance * (np.abs(factor) ** 2)[:, None, None]
-    change = None if response.change is None else response.change * factor[:, None, None]
-    errors = tuple(
-        dataclasses.replace(error, change=error.change * factor[:, None, None]) for error in response.errors
-    )
-    open_loop = None if response.open_loop is None else response.open_loop * factor[:, None, None]
-    matrix = response.matrix * factor[:, None, None]
+        covariance = covariance * np.abs(factor) ** 2
+    converted = _with_each(response, lambda values: values * factor)
+    return dataclasses.replace(converted, covariance=covariance, form=form)
+
+
+def _with_each(
+    response: FrequencyResponse, turn: Callable[[ComplexArray], ComplexArray]
+) -> FrequencyResponse:
+    """The response with H and all that is added to it *turned* alike."""
+    change, open_loop = response.change, response.open_loop
     return dataclasses.replace(
         response,
-        matrix=matrix,
-        covariance=covariance,
-        change=change,
-        open_loop=open_loop,
-        errors=errors,
-        form=form,
+        matrix=turn(response.matrix),
+        change=None if change is None else turn(change),
+        open_loop=None if open_loop is None else turn(open_loop),
+        errors=tuple(dataclasses.replace(error, change=turn(error.change)) for error in response.errors),
     )
 
 
@@ -154,15 +156,8 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     )
     ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
     return dataclasses.replace(
-        response,
-        matrix=from_left @ response.matrix @ from_right,
+        _with_each(response, lambda values: from_left @ values @ from_right),
         covariance=covariance,
-        change=None if response.change is None else from_left @ response.change @ from_right,
-        errors=tuple(
-            dataclasses.replace(error, change=from_left @ error.change @ from_right)
-            for error in response.errors
-        ),
-        open_loop=None if response.open_loop is None else from_left @ response.open_loop @ from_right,
         outputs=ports,
         inputs=ports,
         coherence=None,

@@ -76,47 +76,39 @@ def feedback_of_records(
     recording are looked at. A reference that was recorded late, with which all is in order once it is moved
     forward, is the warning `reference-lag` instead.
     """
+    columns = []
+    for source, inputs, outputs in zip(sources, layout.input_columns, layout.output_columns, strict=True):
+        names = [channel.name for channel in source.channels]
+        references = [names.index(name) for name in settings.reference if name in names]
+        columns.append((references, [column for column in inputs if column >= 0], list(outputs)))
+    return _feedback(sources, columns, settings.reference)
+
+
+def _feedback(
+    sources: Sequence[SampleSource],
+    columns: Sequence[tuple[list[int], list[int], list[int]]],
+    reference: tuple[str, ...],
+) -> tuple[Finding, ...]:
+    """The warnings on the order of *columns* in each recording: references or else forces, then responses;
+    a reference that only lags is late.
+    """
     chances: dict[str, float] = {}
     late: dict[str, float] = {}
-    for number, source in enumerate(sources):
-        names = [channel.name for channel in source.channels]
-        forces = [column for column in layout.input_columns[number] if column >= 0]
-        driving = [names.index(name) for name in settings.reference if name in names]
-        _judge(source, driving or forces, list(layout.output_columns[number]), chances, len(sources))
-        if driving:
-            _judge_lag(source, (driving, forces, list(layout.output_columns[number])), chances, late)
-    return (*_findings(chances, settings.reference), *_lag_findings(late))
-
-
-def _judge(
-    source: SampleSource, driving: Sequence[int], rows: Sequence[int], chances: dict[str, float], n: int
-) -> None:
-    """Adds the p-value of the *driving* columns of one of *n* recordings to *chances*."""
-    samples = _first_samples(source)
-    driving = [column for column in driving if np.any(samples[:, column] != samples[0, column])]
-    if driving and rows and samples.shape[0] >= FEWEST_SAMPLES:
-        name = ", ".join(source.channels[column].name for column in driving)
-        chances[name] = min(chance_of_order(samples[:, driving], samples[:, rows]) * n, 1.0)
-
-
-def _judge_lag(
-    source: SampleSource,
-    columns: tuple[Sequence[int], Sequence[int], Sequence[int]],
-    chances: dict[str, float],
-    late: dict[str, float],
-) -> None:
-    """Moves a reference that only lags from *chances* to *late* [s]; *columns* of references, forces and
-    responses.
-    """
-    driving, forces, responses = columns
-    name = ", ".join(source.channels[column].name for column in driving)
-    if chances.get(name, 1.0) >= LEVEL or not forces:
-        return
-    samples = _first_samples(source)
-    lag = lag_of_reference(samples[:, driving], samples[:, forces], samples[:, responses])
-    if lag:
-        del chances[name]
-        late[name] = lag / source.sample_rate
+    for source, (references, forces, responses) in zip(sources, columns, strict=True):
+        samples = _first_samples(source)
+        driving = [n for n in references or forces if np.any(samples[:, n] != samples[0, n])]
+        if not driving or not responses or samples.shape[0] < FEWEST_SAMPLES:
+            continue
+        name, lag = ", ".join(source.channels[column].name for column in driving), 0
+        before, after = samples[:, driving], samples[:, responses]
+        chance = min(chance_of_order(before, after) * len(sources), 1.0)
+        if references and forces and chance < LEVEL:
+            lag = lag_of_reference(before, samples[:, forces], after)
+        if lag:
+            late[name] = lag / source.sample_rate
+        else:
+            chances[name] = min(chance, chances.get(name, 1.0))
+    return (*_findings(chances, reference), *_lag_findings(late))
 
 
 def lag_of_reference(references: FloatArray, forces: FloatArray, responses: FloatArray) -> int:
@@ -165,16 +157,14 @@ def feedback_of_drives(
     """A warning where *drives* of random spectra side by side follow the *responses*, or lag behind the
     *forces* as well, by their channels' names; as feedback_of_records.
     """
-    chances: dict[str, float] = {}
-    late: dict[str, float] = {}
+    columns = []
     for source in sources:
         names = [channel.name for channel in source.channels]
-        columns, acting, rows = (
+        driving, acting, rows = (
             [names.index(name) for name in some if name in names] for some in (drives, forces, responses)
         )
-        _judge(source, columns, rows, chances, len(sources))
-        _judge_lag(source, (columns, acting, rows), chances, late)
-    return (*_findings(chances, tuple(drives)), *_lag_findings(late))
+        columns.append((driving, acting, rows))
+    return _feedback(sources, columns, tuple(drives))
 
 
 def _findings(
@@ -188,18 +178,18 @@ def _findings(
     if not chances or chances[named] >= LEVEL:
         return ()
     p_text = f"p < {LEVEL / 1e4:.0e}" if chances[named] < LEVEL / 1e4 else f"p = {chances[named]:.1g}"
+    follows = f"follows the responses ({p_text})"
     if reference:
         message = (
-            f"the loop is closed around the reference {named} too: it follows the responses ({p_text}), so "
-            "it does not open the loop. "
-            f"{what}. Name what is injected from outside, as it leaves the generator"
+            f"the loop is closed around the reference {named} too: it {follows}, so it does not open the "
+            f"loop. {what}. Name what is injected from outside, as it leaves the generator"
         )
-        return (Finding("feedback", message),)
-    message = (
-        f"the loop is closed: the force {named} follows the responses ({p_text}), as of a levitated rotor or "
-        f"under a controller. {what}, and coherence does not show it. Record what is injected into the loop, "
-        "with role: reference, and name it: `frf: {reference: ...}`"
-    )
+    else:
+        message = (
+            f"the loop is closed: the force {named} {follows}, as of a levitated rotor or under a "
+            f"controller. {what}, and coherence does not show it. Record what is injected into the loop, "
+            "with role: reference, and name it: `frf: {reference: ...}`"
+        )
     return (Finding("feedback", message),)
 
 
@@ -234,8 +224,11 @@ def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
     spectra = fft.rfft((both - np.mean(both, axis=1, keepdims=True)) * taper)[:, 1:]
     spectra = spectra[np.any(spectra != 0, axis=1)].T
     scale = float(np.sum(taper**4) * taper.size / np.sum(taper**2) ** 2)
+    # Bands tell of lags where there are enough lines, and not the lower part of the band is missing.
     bands = dict.fromkeys(
-        band for band in _excited_bands(spectra[:, :n_input], spectra[:, n_input:]) if _is_enough(*band)
+        (first, last)
+        for first, last in _excited_bands(spectra[:, :n_input], spectra[:, n_input:])
+        if last >= FEWEST_LINES and first <= LOWEST_EDGE * last
     )
     chances = [p_value for band in bands for p_value in _chances_in(spectra, n_input, band, scale)]
     return float(min(min(chances) * len(chances), 1.0)) if chances else 1.0
@@ -264,7 +257,8 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
         raw = (
             white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
         )
-        before, after = _before_and_after(raw, LAGS.stop)
+        impulse = _at_lags(raw, 2 * raw.shape[0]).real
+        before, after = impulse[: LAGS.stop], impulse[-np.arange(LAGS.stop)]
         # What one force leaves of another's spectrum is small against the larger of their effects.
         floor = FLOOR * float(np.max(np.abs(after)))
         variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
@@ -366,13 +360,6 @@ def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
     return largest
 
 
-def _is_enough(first: int, last: int) -> bool:
-    """Whether lines first ... last tell of lags: there are enough, and not the lower part of the band is
-    missing.
-    """
-    return last >= FEWEST_LINES and first <= LOWEST_EDGE * last
-
-
 def _average(values: ComplexArray | FloatArray) -> ComplexArray:
     """Mean over HALF_WIDTH lines to either side along axis 0, truncated at the ends."""
     rows = np.moveaxis(values, 0, -1)
@@ -406,15 +393,6 @@ def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
     padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
     transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
     return np.asarray(transform(padded, 2 * n, axis=0)[:number])
-
-
-def _before_and_after(response: ComplexArray, number: int) -> tuple[FloatArray, FloatArray]:
-    """Impulse responses of FRFs (n_line, n) [any unit] at lags 0, 1, ...
-
-    before the force and after it, both (number, n).
-    """
-    both = _at_lags(response, 2 * response.shape[0]).real
-    return both[:number], both[-np.arange(number)]
 
 
 def _tukey(n: int) -> FloatArray:

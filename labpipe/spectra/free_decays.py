@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,18 +44,14 @@ LEAST_PERIODS = 3.0
 
 @dataclass(frozen=True)
 class _Levels:
-    """A recording's response, all outputs together, each relative to its rms: size (n_sample,), period
-    [samples], rms of the noise.
+    """A recording's response, all outputs together, each relative to its rms: size (n_sample,), period and
+    stretch of whole periods [samples], rms of the noise.
     """
 
     size: FloatArray
     period: int
+    stretch: int
     floor: float
-
-    @property
-    def stretch(self) -> int:
-        """Whole periods of LEAST_STRETCH samples or more."""
-        return self.period * -(-LEAST_STRETCH // self.period)
 
 
 def free_decays(
@@ -72,8 +68,8 @@ def free_decays(
     A recording without a decay is left out by name, beside others that hold one. DataError for different
     rates, and where nothing decays.
     """
-    rate = sources[0].sample_rate
     ports, columns, channels = response_ports(sources)
+    rate = sources[0].sample_rate
     decays: list[FreeDecay] = []
     findings: list[Finding] = list(source_findings(sources))
     without: list[DataError] = []
@@ -87,13 +83,8 @@ def free_decays(
             continue
         decays.extend(FreeDecay(source.name, start / rate, samples[start:end]) for start, end in spans)
         said = ", ".join(f"{start / rate:.4g} s to {end / rate:.4g} s" for start, end in spans)
-        findings.append(
-            note(
-                "free-decay",
-                f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s: {len(spans)} "
-                f"free decay(s), {said}",
-            )
-        )
+        whole = f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s"
+        findings.append(note("free-decay", f"{whole}: {len(spans)} free decay(s), {said}"))
     if not decays:
         raise without[0]
     units = tuple(QUANTITIES[channel.quantity].si_unit for channel in channels)
@@ -140,8 +131,8 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     period = _period(scaled)
     swinging = _swinging(scaled, STEADY_PERIODS * period)
     size = np.sqrt(np.sum((swinging / np.std(swinging, axis=0)) ** 2, axis=1))
-    levels = _Levels(size, period, 0.0)
-    rms = _rms(size, levels.stretch)
+    stretch = period * -(-LEAST_STRETCH // period)
+    rms = _rms(size, stretch)
     # A channel that stands still for a while (saturated, switched off) says nothing about its noise.
     moving_rms = rms[rms > STILL * np.max(rms, initial=0.0)]
     quiet = float(np.quantile(moving_rms, 0.05)) if moving_rms.size else float("inf")
@@ -150,7 +141,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
             f"in recording '{name}' no decay stands out of the noise",
             hint="excite it more, or name `start` and `end`",
         )
-    return replace(levels, floor=quiet)
+    return _Levels(size, period, stretch, quiet)
 
 
 def _period(samples: FloatArray) -> int:

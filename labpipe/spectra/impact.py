@@ -16,7 +16,7 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance
 from labpipe.spectra.bands import line_range
-from labpipe.spectra.channels import READ_SAMPLES, checked_blocks
+from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
 from labpipe.spectra.covariance import ENOUGH_DOF
 from labpipe.spectra.damping import (
     HALF_WIDTH,
@@ -192,7 +192,7 @@ def exponential_window(n_sample: int, constant: float) -> FloatArray:
 
 def check_single_force(source: SampleSource) -> int:
     """The column of the hammer; DataError when the recording has not exactly one force."""
-    forces = [number for number, channel in enumerate(source.channels) if channel.role == "input"]
+    forces = columns_of(source.channels, "input")
     if len(forces) != 1:
         names = ", ".join(source.channels[number].name for number in forces)
         raise DataError(
@@ -235,12 +235,13 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     )
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are
     # chosen afterwards.
-    parts = _whole(
-        parts_of_spectra(spectra, dataclasses.replace(settings, band=None, exclude=()), layout, half_width)
-    )
-    parts = dataclasses.replace(
-        parts, dof=parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared)
-    )
+    everywhere = dataclasses.replace(settings, band=None, exclude=())
+    parts = parts_of_spectra(spectra, everywhere, layout, half_width)
+    dof = parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared)
+    covariance = parts.covariance
+    if isinstance(covariance, FactoredCovariance):
+        covariance = covariance.whole()
+    parts = dataclasses.replace(parts, dof=dof, covariance=covariance)
     if len(averages) == 1:
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
@@ -301,9 +302,8 @@ def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAv
     inputs, outputs = (
         tuple(columns[number] for number in kept) for columns in (layout.input_columns, layout.output_columns)
     )
-    return [averages[number] for number in kept], dataclasses.replace(
-        layout, input_columns=inputs, output_columns=outputs
-    )
+    layout = dataclasses.replace(layout, input_columns=inputs, output_columns=outputs)
+    return [averages[number] for number in kept], layout
 
 
 def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
@@ -352,9 +352,11 @@ class _HitAverage:
         self.n_found += 1
         if hit.fault:
             at = hit.start / self._source.sample_rate
-            message = (
-                f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._name(hit.fault)}"
-            )
+            fault = hit.fault
+            what, _, column = fault.rpartition(" ")
+            if column.isdigit():
+                fault = f"{what} '{self._source.channels[int(column) - 1].name}'"
+            message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {fault}"
             self.findings.append(note("hit-rejected", message))
             return
         samples = self._window(hit)
@@ -364,10 +366,6 @@ class _HitAverage:
         self._noise += self._noise_power(hit)
         self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
-
-    def _name(self, fault: str) -> str:
-        what, _, column = fault.rpartition(" ")
-        return f"{what} '{self._source.channels[int(column) - 1].name}'" if column.isdigit() else fault
 
     def _window(self, hit: Hit) -> FloatArray:
         rate, impact = self._source.sample_rate, self._settings.impact
@@ -383,11 +381,8 @@ class _HitAverage:
         """Mean |X|^2 over the lines of the noise of the force under its windows, by what the hammer shows in
         the second half of what follows the hit.
         """
-        rate, length, decay = (
-            self._source.sample_rate,
-            self._settings.impact.force_window,
-            self._settings.damping_window,
-        )
+        rate, length = self._source.sample_rate, self._settings.impact.force_window
+        decay = self._settings.damping_window
         rest = hit.samples[(self.n_sample + hit.trigger) // 2 :, self.force]
         ends = np.array([self._lines.start, self._lines.stop]) * rest.size // self.n_sample
         lines = slice(ends[0], ends[1] + 1)
@@ -424,20 +419,14 @@ class _HitAverage:
     def spectra(self) -> CrossSpectra:
         """The average over the accepted hits; DataError when there is none."""
         if not self._n_hit:
-            reason = (
-                f"{self.n_found} hit(s) found, none of them good"
-                if self.n_found
-                else "no hit whose block is complete"
-            )
-            raise DataError(
-                "; ".join(
-                    [f"recording '{self._source.name}': {reason}", *(f.message for f in self.findings[:1])]
-                ),
-                hint="record again without that; `impact` says what is left out",
-            )
-        frequency = np.arange(self._lines.start, self._lines.stop) * (
-            self._source.sample_rate / self.n_sample
-        )
+            reason = "no hit whose block is complete"
+            if self.n_found:
+                reason = f"{self.n_found} hit(s) found, none of them good"
+            what = [f"recording '{self._source.name}': {reason}", *(f.message for f in self.findings[:1])]
+            hint = "record again without that; `impact` says what is left out"
+            raise DataError("; ".join(what), hint=hint)
+        spacing = self._source.sample_rate / self.n_sample
+        frequency = np.arange(self._lines.start, self._lines.stop) * spacing
         return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
 
     def with_hits(self, parts: Parts, layout: Layout) -> Parts:
@@ -453,14 +442,10 @@ class _HitAverage:
         forces = np.array([amplitude[:, self.force] for _, _, amplitude in self._alone])
         if len(self._alone) < 2 or len(layout.inputs) != 1 or min(columns) < 0 or not np.all(forces):
             return parts
-        matrices: list[ComplexArray] = [
-            amplitude[:, columns, None] / amplitude[:, self.force, None, None]
-            for _, _, amplitude in self._alone
-        ]
-        numbers, peaks, _ = zip(*self._alone, strict=True)
-        return dataclasses.replace(
-            parts, hits=np.stack(matrices, axis=1), hit_numbers=numbers, hit_peaks=peaks
-        )
+        numbers, peaks, amplitudes = zip(*self._alone, strict=True)
+        alone = np.stack(amplitudes, axis=1)
+        hits: ComplexArray = alone[:, :, columns, None] / alone[:, :, self.force, None, None]
+        return dataclasses.replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
 
     @property
     def has_hit(self) -> bool:
@@ -487,15 +472,6 @@ class _HitAverage:
         return exponential_correlation(
             exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins))
         )
-
-
-def _whole(parts: Parts) -> Parts:
-    """The parts with their covariance as one array."""
-    return (
-        dataclasses.replace(parts, covariance=parts.covariance.whole())
-        if isinstance(parts.covariance, FactoredCovariance)
-        else parts
-    )
 
 
 def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
@@ -528,9 +504,8 @@ def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
 
 def _select(parts: Parts, chosen: BoolArray) -> Parts:
     """The parts on the chosen lines."""
-    by_line = {field.name: getattr(parts, field.name) for field in dataclasses.fields(parts)}
     arrays: dict[str, Any] = {
-        name: values[chosen] for name, values in by_line.items() if isinstance(values, np.ndarray)
+        name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
     }
     if isinstance(parts.covariance, BlockCovariance):
         arrays["covariance"] = dataclasses.replace(parts.covariance, blocks=parts.covariance.blocks[chosen])

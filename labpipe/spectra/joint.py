@@ -25,16 +25,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import DataError, SettingError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Blocks
-from labpipe.registry import nearest
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
 from labpipe.spectra.random import change_of_random, joined_spectra, welch_average
-from labpipe.spectra.random_lines import check_moved, due_to_drives, lower_of_drives
+from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
 # Neighbours on either side that tell the FRF of a line.
@@ -181,9 +180,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     covariance = covariance_by_neighbours(
         frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP
     )
-    open_loop = matrix[:, n + n_input :, n : n + n_input] @ np.linalg.pinv(
-        matrix[:, n : n + n_input, n : n + n_input], hermitian=True
-    )
+    open_loop = open_loop_estimate(matrix[:, n:, n:], n_input)
 
     def response_of(part: ComplexArray) -> ComplexArray:
         return joint_estimate(part, references, n_input, averages / 2).matrix
@@ -216,16 +213,12 @@ def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> 
     recording without any.
     """
     roles = {channel.name: channel.role for source in sources for channel in source.channels}
+    check_recorded(settings.reference, list(roles))
     for name in settings.reference:
-        if name not in roles:
-            raise ConfigError(
-                f"'{name}' is no channel of the recordings", hint=nearest(name, roles), field="reference"
-            )
         if roles[name] != "reference":
             part = "force" if roles[name] == "input" else "response"
             what = f"'{name}' is a {part} of the FRF; the reference is injected into the loop from outside"
-            hint = "record it, and give it role: reference in the rig file"
-            raise ConfigError(what, hint=hint, field="reference")
+            raise SettingError("reference", what, "record it, and give it role: reference in the rig file")
     for source in sources:
         if not {channel.name for channel in source.channels} & set(settings.reference):
             raise DataError(
@@ -272,6 +265,15 @@ def _strength_findings(
         f"{100 * np.mean(weak):.0f} % of the lines: the FRF is uncertain there beyond its covariance"
     )
     return (Finding("low-snr", what),)
+
+
+def open_loop_estimate(spectra: ComplexArray, n_input: int) -> ComplexArray:
+    """H1 = S_yu S_uu^-1 (n_line, n_output, n_input) [output unit / N] as if the loop were open, of *spectra*
+    (n_line, n, n) [unit^2/Hz], *n_input* forces first.
+    """
+    inverse = np.linalg.pinv(spectra[:, :n_input, :n_input], hermitian=True)
+    estimate: ComplexArray = spectra[:, n_input:, :n_input] @ inverse
+    return estimate
 
 
 def open_loop_note(

@@ -11,7 +11,7 @@ model"; here linear in its coefficients).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,26 +72,37 @@ def local_polynomials(
     its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j], S_vv from the residual. Equation
     (frf-local-polynomial).
     """
-    n_line = forces.shape[1] - 2 * half_width
-    starts = range(0, n_line, LINES_AT_ONCE)
-    parts = [
-        _window_fits(
-            forces[:, first : first + min(LINES_AT_ONCE, n_line - first) + 2 * half_width],
-            responses[:, first : first + min(LINES_AT_ONCE, n_line - first) + 2 * half_width],
-            degree,
-            half_width,
-        )
-        for first in starts
-    ]
-    weights = np.concatenate([weight for *_, weight in parts])[:CORRELATED]
-    return LocalFit(
-        np.concatenate([part[0] for part in parts]),
-        np.concatenate([part[1] for part in parts]),
-        np.concatenate([part[2] for part in parts]),
-        _correlation(weights),
-        np.concatenate([part[3] for part in parts]),
-        freedom(forces.shape[0], forces.shape[2], degree, half_width),
+    parts = [_window_fits(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
+    matrix, covariance, coherence, condition, weights = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
     )
+    dof = freedom(forces.shape[0], forces.shape[2], degree, half_width)
+    return LocalFit(matrix, covariance, coherence, _correlation(weights[:CORRELATED]), condition, dof)
+
+
+def _pieces(
+    forces: ComplexArray, responses: ComplexArray, half_width: int
+) -> Iterator[tuple[ComplexArray, ComplexArray]]:
+    """LINES_AT_ONCE lines of both at a time, with *half_width* more to either side."""
+    n_line = forces.shape[1] - 2 * half_width
+    for first in range(0, n_line, LINES_AT_ONCE):
+        around = slice(first, min(first + LINES_AT_ONCE, n_line) + 2 * half_width)
+        yield forces[:, around], responses[:, around]
+
+
+def _windows(
+    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Of the lines around every line (n_line, n_block, width, n): the forces times powers of the distance,
+    and the responses; and an orthonormal basis of those powers (width, degree + 1).
+    """
+    powers = (np.arange(-half_width, half_width + 1) / half_width)[:, None] ** np.arange(degree + 1)
+    u, y = (
+        np.lib.stride_tricks.sliding_window_view(s, 2 * half_width + 1, axis=1).transpose(1, 0, 3, 2)
+        for s in (forces, responses)
+    )
+    columns = (u[..., None, :] * powers[:, :, None]).reshape(*u.shape[:3], -1)
+    return columns, y, np.linalg.qr(powers)[0]
 
 
 def _window_fits(
@@ -102,11 +113,7 @@ def _window_fits(
     """
     n_block, _, n_input = forces.shape
     width = 2 * half_width + 1
-    offsets = np.arange(-half_width, half_width + 1) / half_width
-    powers = offsets[:, None] ** np.arange(degree + 1)
-    smooth = np.linalg.qr(powers)[0]
-    u, y = _windows(forces, width), _windows(responses, width)
-    columns = (u[..., None, :] * powers[:, :, None]).reshape(*u.shape[:3], -1)
+    columns, y, smooth = _windows(forces, responses, degree, half_width)
     whole_size = np.sqrt(np.sum(np.abs(columns) ** 2, axis=(1, 2)))
     columns, y = _without(columns, smooth), _without(y, smooth)
     n_line = columns.shape[0]
@@ -135,11 +142,6 @@ def _window_fits(
     return matrix, without_rounding(covariance), coherence, condition, weights
 
 
-def _windows(spectra: ComplexArray, width: int) -> ComplexArray:
-    """The lines around every line, (n_line, n_block, width, n_channel)."""
-    return np.lib.stride_tricks.sliding_window_view(spectra, width, axis=1).transpose(1, 0, 3, 2)
-
-
 def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
     """Columns (n_line, n_block, width, n) without what the leakage's polynomials (width, degree + 1)
     explain.
@@ -163,9 +165,8 @@ def _correlation(weights: ComplexArray) -> FloatArray:
     return np.array(shared)
 
 
-# Lines solved together, so that memory does not depend on the record; share of a column's power below which
-# it is noise of rounding.
-RATIONAL_LINES_AT_ONCE, ROUNDING = 2048, 1e-13
+# Share of a column's power below which it is noise of rounding.
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -200,15 +201,11 @@ def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half
     each block has its own leakage T, of which T(0) is the value at the line. The first and the last
     half_width lines are left out. Equation (frf-local-rational).
     """
-    n_line = forces.shape[1] - 2 * half_width
-    parts: list[tuple[ComplexArray, ComplexArray, FloatArray]] = []
-    for first in range(0, n_line, RATIONAL_LINES_AT_ONCE):
-        around = slice(first, first + min(RATIONAL_LINES_AT_ONCE, n_line - first) + 2 * half_width)
-        parts.append(_around_lines(forces[:, around], responses[:, around], degree, half_width))
-    noise: ComplexArray = np.concatenate([part[0] for part in parts])
-    leakage: ComplexArray = np.concatenate([part[1] for part in parts])
-    spread: FloatArray = np.concatenate([part[2] for part in parts])
+    parts = [_around_lines(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
+    noises, leakages, spreads = zip(*parts, strict=True)
     dof = noise_freedom(forces.shape[0], forces.shape[2], degree, half_width)
+    noise: ComplexArray = np.concatenate(noises)
+    leakage, spread = np.concatenate(leakages), np.concatenate(spreads)
     return LocalNoise(noise / dof, leakage, spread, dof, 2 * half_width + 1)
 
 
@@ -220,11 +217,8 @@ def _around_lines(
     """
     n_block, _, n_output = responses.shape
     width = 2 * half_width + 1
+    of_forces, y, smooth = _windows(forces, responses, degree, half_width)
     offsets = np.arange(-half_width, half_width + 1) / half_width
-    powers = offsets[:, None] ** np.arange(degree + 1)
-    smooth = np.linalg.qr(powers)[0]
-    u, y = _windows(forces, width), _windows(responses, width)
-    of_forces = (u[..., None, :] * powers[:, :, None]).reshape(*u.shape[:3], -1)
     residuals, leakage, spread = [], [], []
     for output in range(n_output):
         # The output's own column takes the pole: -a r Y on the right side.
@@ -251,7 +245,7 @@ def _solve(
     columns = columns / np.where(scale > 0, scale, 1.0)
     at_middle = smooth @ smooth[middle]
     of_columns, of_y = np.einsum("t,lbtc->lbc", at_middle, columns), np.einsum("t,lbt->lb", at_middle, y)
-    columns, rest = _rational_without(columns, smooth), _rational_without(y[..., None], smooth)
+    columns, rest = _without(columns, smooth), _without(y[..., None], smooth)
     rows = columns.reshape(n_line, n_block * width, n)
     inverse = np.linalg.pinv(hermitian(rows) @ rows, rcond=ROUNDING, hermitian=True)
     factors = inverse @ (hermitian(rows) @ rest.reshape(n_line, -1, 1))
@@ -261,13 +255,6 @@ def _solve(
         + np.einsum("lbp,lpq,lbq->lb", of_columns, inverse, of_columns.conj()).real
     )
     return residual[..., 0], of_y - (of_columns @ factors)[..., 0], spread
-
-
-def _rational_without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
-    """Columns (n_line, n_block, width, n) without what polynomials (width, degree + 1) explain, n the last
-    axis.
-    """
-    return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
 
 
 # Recordings of a random excitation -> FRF matrix by the local polynomial method, with the covariance from
@@ -312,7 +299,12 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width
     )
     lines = chosen - first
-    _check_condition(fitted.condition[lines], layout)
+    if np.any(fitted.condition[lines] > WORST_CONDITION):
+        what = (
+            f"the force {', '.join(port.label for port in layout.inputs)} is too smooth over the lines, or "
+            "too few recordings have it, to tell FRF and leakage apart"
+        )
+        raise DataError(what, hint="a random force in every direction, or leave `local` out")
     coherence = fitted.multiple_coherence[lines]
     power: FloatArray = np.mean(np.abs(blocks[:, half_width + chosen, n_input:]) ** 2, axis=0)
     return Parts(
@@ -352,13 +344,3 @@ def _spectra(source: SampleSource, n_sample: int) -> ComplexArray:
     samples = np.concatenate(list(checked_blocks(source)))
     whole = samples[: source.n_sample // n_sample * n_sample].reshape(-1, n_sample, samples.shape[1])
     return np.asarray(fft.rfft(whole, axis=1)[:, 1 : (n_sample + 1) // 2])
-
-
-def _check_condition(condition: FloatArray, layout: Layout) -> None:
-    if np.any(condition > WORST_CONDITION):
-        names = ", ".join(port.label for port in layout.inputs)
-        what = (
-            f"the force {names} is too smooth over the lines, or too few recordings have it, to tell FRF "
-            "and leakage apart"
-        )
-        raise DataError(what, hint="a random force in every direction, or leave `local` out")

@@ -14,12 +14,12 @@ from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, StoredCovariance
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
-from labpipe.spectra.channels import READ_SAMPLES, uncertainty_findings
+from labpipe.spectra.channels import READ_SAMPLES, columns_of, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import impact_parts
 from labpipe.spectra.joint import joint_parts
-from labpipe.spectra.periodic import LOW_SNR, periodic_parts, realisations, robust_mean
+from labpipe.spectra.periodic import periodic_parts, realisations, robust_mean
 from labpipe.spectra.ports import (
     Layout,
     Parts,
@@ -31,6 +31,7 @@ from labpipe.spectra.ports import (
 )
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciprocity_findings
 from labpipe.spectra.random import random_parts
+from labpipe.spectra.random_lines import LOW_SNR
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.stepped import stepped_parts
 from labpipe.spectra.swept_sine import sweep_parts
@@ -100,9 +101,8 @@ def _with_repeats(
         except (LabpipeError, np.linalg.LinAlgError):
             return response
         lines = np.isin(one.frequency, response.frequency)
-        if [
-            port.label for port in (*one.outputs, *one.inputs)
-        ] != ports or lines.sum() != response.frequency.size:
+        of_one = [port.label for port in (*one.outputs, *one.inputs)]
+        if of_one != ports or lines.sum() != response.frequency.size:
             return response
         alone.append(one.matrix[lines])
         names.append(source.name)
@@ -120,7 +120,7 @@ def _with_repeats(
 
 def _level(source: SampleSource) -> float:
     """r.m.s. of the force about its mean [N]."""
-    column = next(number for number, channel in enumerate(source.channels) if channel.role == "input")
+    column = columns_of(source.channels, "input")[0]
     count, total, square = 0, 0.0, 0.0
     for block in source.blocks(READ_SAMPLES):
         force = block[:, column]
@@ -145,13 +145,9 @@ def _of_sensor_places(
     responses = [_measure(members, settings, members[0].name, conditions) for members in places.values()]
     names = [port.channel for response in responses for port in response.outputs]
     if len(set(names)) < len(names):
-        responses = [
-            dataclasses.replace(
-                response,
-                outputs=tuple(dataclasses.replace(port, label=port.dof) for port in response.outputs),
-            )
-            for response in responses
-        ]
+        for number, response in enumerate(responses):
+            outputs = tuple(dataclasses.replace(port, label=port.dof) for port in response.outputs)
+            responses[number] = dataclasses.replace(response, outputs=outputs)
     return dataclasses.replace(join(responses), name=name)
 
 
@@ -167,24 +163,13 @@ def _measure(
     loop = feedback_of_records(sources, settings, layout) if settings.excitation in RECORDS else ()
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
-    evaluate = (
-        joint_parts
-        if settings.reference and settings.excitation == "random"
-        else EXCITATIONS[settings.excitation]
-    )
-    parts = evaluate(sources, settings, layout)
+    open_loop = EXCITATIONS[settings.excitation]
+    joint = bool(settings.reference) and settings.excitation == "random"
+    parts = (joint_parts if joint else open_loop)(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     # What is folded back from above half the sampling rate comes before its cause as well.
-    loop = () if aliasing else loop
-    findings = (
-        *source_findings(sources),
-        *uncertainty_findings(sources),
-        *mask_findings(bands),
-        *shaft,
-        *aliasing,
-        *parts.findings,
-        *loop,
-    )
+    of_lines = (*mask_findings(bands), *shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
+    findings = (*source_findings(sources), *uncertainty_findings(sources), *of_lines)
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor
     repeats_are = "sweeps" if settings.excitation == "sweep" else "hits"
@@ -205,15 +190,16 @@ def _measure(
         averages=parts.averages,
         covariance_dof=parts.dof,
         line_correlation=parts.line_correlation,
-        line_gains=None if parts.line_gains is None else parts.line_gains * _phase(sensor_factor)[:, None],
+        # Gains of a line on its neighbours' noise, of size one together.
+        line_gains=None
+        if parts.line_gains is None
+        else parts.line_gains * np.exp(1j * np.angle(sensor_factor))[:, None],
         blocks=parts.blocks,
         repeats=None if parts.hits is None else np.moveaxis(parts.hits, 1, 0) * sensor_factor,
         repeat_names=tuple(f"{repeats_are[:-1]} {number}" for number in parts.hit_numbers),
         repeat_levels=np.array(parts.hit_peaks) if parts.hit_peaks else None,
         repeats_are=repeats_are,
-        errors=sum_errors(
-            cleaned, settings, layout, (parts.frequency, matrix), EXCITATIONS[settings.excitation]
-        ),
+        errors=sum_errors(cleaned, settings, layout, (parts.frequency, matrix), open_loop),
         name=name,
         findings=findings,
         conditions=dict(conditions or {}),
@@ -238,17 +224,10 @@ def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovari
     flat = factor.reshape(factor.shape[0], -1)
     if isinstance(covariance, BlockCovariance):
         return covariance.times(flat)
-    corrected: ComplexArray = (
-        covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance
-    ) * flat[:, :, None]
+    whole = covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance
+    corrected: ComplexArray = whole * flat[:, :, None]
     corrected *= flat[:, None, :].conj()
     return handed_over(corrected)
-
-
-def _phase(values: ComplexArray) -> ComplexArray:
-    """Values (n_frequency, n_output, n_input) [any unit] of size 1."""
-    phase: ComplexArray = np.exp(1j * np.angle(values))
-    return phase
 
 
 def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:

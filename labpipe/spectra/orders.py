@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,8 +13,8 @@ from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, SMALLEST_ANGLE, directions
+from labpipe.spectra.channels import checked_blocks, columns_of
+from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, SMALLEST_ANGLE
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, shaft_motion
 
@@ -97,7 +97,7 @@ def track_order(
     """
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
-    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    outputs = columns_of(source.channels, "output")
     ports = tuple(
         Port(c.name, c.name, c.dof, c.angle, c.uncertainties)
         for c in (source.channels[number] for number in outputs)
@@ -129,38 +129,24 @@ def track_order(
     )
 
 
-def directional_track(track: OrderTrack) -> OrderTrack:
-    """The track as forward and backward circles: [f, b] = A^-1 [x, y], A = [[1, 1], [-j, j]], columns f and
-    b.
-
-    The orbit is an ellipse with the half axes |f| + |b| and ||f| - |b||. DataError unless two outputs have
-    known directions.
-    """
-    directions(track.ports, "responses")
-    return plane_track(track, track.planes[0])
-
-
 def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
-    """The track of one plane as forward and backward circles, columns f and b with the plane's name.
+    """The track of one plane as forward and backward circles, columns f and b with the plane's name: [f, b] =
+    A^-1 [x, y], A = [[1, 1], [-j, j]].
 
-    Equation (run-circles).
+    The orbit is an ellipse with the half axes |f| + |b| and ||f| - |b||. Equation (run-circles).
     """
-    turn = np.linalg.inv(FROM_DIRECTIONAL) @ np.linalg.inv(plane.directions)
+    to_xy = np.linalg.inv(plane.directions)
+    turn = np.linalg.inv(FROM_DIRECTIONAL) @ to_xy
     columns = list(plane.columns)
     amplitude = track.amplitude[:, columns] @ turn.T
-    variance = track.variance[:, columns] @ (np.abs(turn) ** 2).T
-    ports = tuple(Port(plane.labelled(circle), circle, circle) for circle in FORWARD_BACKWARD)
-    orbit = track.orbit[:, [track.planes.index(plane)]]
-    return OrderTrack(
-        order=track.order,
-        time=track.time,
-        speed=track.speed,
+    return replace(
+        track,
         amplitude=amplitude,
-        variance=variance,
-        ports=ports,
+        variance=track.variance[:, columns] @ (np.abs(turn) ** 2).T,
+        ports=tuple(Port(plane.labelled(circle), circle, circle) for circle in FORWARD_BACKWARD),
         overall=np.abs(amplitude),
-        orbit=orbit,
-        mean=track.mean[:, columns] @ np.linalg.inv(plane.directions).T,
+        orbit=track.orbit[:, [track.planes.index(plane)]],
+        mean=track.mean[:, columns] @ to_xy.T,
         planes=(plane,),
     )
 
@@ -248,7 +234,7 @@ def cascade_spectra(
     """
     length = round(source.sample_rate / resolution)
     motion = shaft_motion(source, lines)
-    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    outputs = columns_of(source.channels, "output")
     samples = np.concatenate(list(checked_blocks(source)))[:, outputs]
     count = samples.shape[0] // length
     if count < 2:
@@ -259,11 +245,8 @@ def cascade_spectra(
     window = np.hanning(length + 1)[:-1]
     starts = [int(start) for start in np.linspace(0, samples.shape[0] - length, min(count, MOST_BLOCKS))]
     blocks = np.stack([samples[start : start + length] for start in starts])
-    amplitude = (
-        2
-        * np.abs(np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window[:, None], axis=1))
-        / window.sum()
-    )
+    centred = (blocks - blocks.mean(axis=1, keepdims=True)) * window[:, None]
+    amplitude = 2 * np.abs(np.fft.rfft(centred, axis=1)) / window.sum()
     ends = [motion.angle(np.array([start, start + length]) / source.sample_rate) for start in starts]
     speed = np.array([float(np.diff(pair)[0]) for pair in ends]) * source.sample_rate / (2 * np.pi * length)
     frequency = np.arange(amplitude.shape[1]) * source.sample_rate / length

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,25 +22,31 @@ from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_periodic, joined_response
 from labpipe.spectra.feedback import feedback_of_periods
-from labpipe.spectra.joint import check_references, covariance_by_neighbours, open_loop_note
+from labpipe.spectra.joint import (
+    check_references,
+    covariance_by_neighbours,
+    open_loop_estimate,
+    open_loop_note,
+)
+from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import (
     LineSpectrum,
     PeriodAverage,
     RestMotion,
     excited_lines,
+    is_unsettled,
+    neighbourhood_mean,
     samples_per_period,
+    settling_finding,
     smoothed_noise,
 )
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
-from labpipe.spectra.quality import force_inverse
+from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.random import cut_at, rest_of_mean
-from labpipe.spectra.random_lines import check_moved
+from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.settling import is_unsettled, settling_finding
 
 # Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
-
-LOW_SNR = 10.0
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -64,41 +71,37 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
+    frequency = spectra[0].frequency
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
-    matrix = joined_response(mean, inverse, np.stack(noises) if len(noises) == len(spectra) else None)
-    covariance = None
-    if len(noises) == len(spectra) and settings.reference:
-        covariance = covariance_by_neighbours(spectra[0].frequency, matrix, mean, noises)
-    elif len(noises) == len(spectra):
-        covariance = covariance_of_periodic(matrix, inverse, np.stack(noises))
-    snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
-    if settings.reference and snr is not None:
-        for number, port in enumerate(layout.inputs):
-            check_moved(snr[:, number], spectra[0].frequency, settings.reference, [port.label])
-    findings: tuple[Finding, ...] = (
-        _no_covariance_finding(spectra[0].n_period)
-        if covariance is None
-        else _snr_findings(snr, mean, layout, not unsettled)
-    )
-    open_loop = (
-        None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
-    )
-    if open_loop is not None and covariance is not None:
-        findings = (*findings, open_loop_note(spectra[0].frequency, matrix, covariance, open_loop))
-    else:
-        findings = (
-            *findings,
-            *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, inverse, layout),
-            *(() if unsettled else _left_out_notes(single, lines, matrix, layout, settings.period)),
+    noise = np.stack(noises) if len(noises) == len(spectra) else None
+    matrix = joined_response(mean, inverse, noise)
+    covariance = snr = open_loop = None
+    if noise is None:
+        message = (
+            f"{spectra[0].n_period} period is left, so the noise of the FRF is unknown; record at least 2 "
+            "periods after the transient ones"
         )
-    averages = float(min(spectrum.n_period for spectrum in spectra))
-    dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
+        findings = [Finding("no-covariance", message)]
+    else:
+        snr = signal_to_noise(mean, noise)
+        findings = list(_snr_findings(snr, mean, layout, not unsettled))
+    if settings.reference and noise is not None and snr is not None:
+        for number, port in enumerate(layout.inputs):
+            check_moved(snr[:, number], frequency, settings.reference, [port.label])
+        covariance = covariance_by_neighbours(frequency, matrix, mean, noises)
+        power = np.tensordot([spectrum.n_period for spectrum in spectra], noise, axes=1)
+        open_loop = open_loop_estimate(mean @ hermitian(mean) + power, n_input)
+        findings.append(open_loop_note(frequency, matrix, covariance, open_loop))
+    else:
+        covariance = None if noise is None else covariance_of_periodic(matrix, inverse, noise)
+        findings += feedback_of_periods([s.select(lines) for s in single], matrix, inverse, layout)
+        findings += () if unsettled else _left_out_notes(single, lines, matrix, layout, settings.period)
     return Parts(
-        frequency=spectra[0].frequency,
+        frequency=frequency,
         matrix=matrix,
         covariance=covariance,
-        averages=averages,
-        dof=dof,
+        averages=float(min(spectrum.n_period for spectrum in spectra)),
+        dof=np.inf if noise is None else min(spectrum.dof for spectrum in spectra),
         findings=(*of_motion, *findings),
         snr=snr,
         change=None if unsettled else _change(spectra, [half for _, half, _ in averaged], lines, layout),
@@ -139,15 +142,14 @@ def _injected_lines(
     injected = np.ones(spectra[0].frequency.size, bool)
     for spectrum, source in zip(spectra, sources, strict=True):
         columns = [
-            number for number, channel in enumerate(source.channels) if channel.name in settings.reference
+            number
+            for number, channel in enumerate(source.channels)
+            if channel.name in settings.reference and np.any(spectrum.mean[:, number] != 0)
         ]
-        columns = [column for column in columns if np.any(spectrum.mean[:, column] != 0)]
         lines = excited_lines(spectrum, columns) if columns else np.zeros_like(injected)
         if not np.any(lines):
-            what = (
-                f"recording '{source.name}': no line of the reference {', '.join(settings.reference)} "
-                "exceeds its noise"
-            )
+            named = ", ".join(settings.reference)
+            what = f"recording '{source.name}': no line of the reference {named} exceeds its noise"
             raise DataError(what, hint="is it what is injected into this loop, and `period` its period?")
         injected &= lines
     if not np.any(injected):
@@ -156,22 +158,6 @@ def _injected_lines(
             hint="inject the same lines into every axis, one by one",
         )
     return injected
-
-
-def _open_loop(
-    spectra: Sequence[LineSpectrum], mean: ComplexArray, noises: Sequence[ComplexArray], n_input: int
-) -> ComplexArray:
-    """H1 = S_yu S_uu^-1 of all periods as if the loop were open, (n_line, n_output, n_input).
-
-    *mean* (n_line, n_channel, n_recording).
-    """
-    power = mean @ mean.conj().swapaxes(1, 2)
-    power = power + np.sum(
-        [spectrum.n_period * noise for spectrum, noise in zip(spectra, noises, strict=True)], axis=0
-    )
-    return np.asarray(
-        power[:, n_input:, :n_input] @ np.linalg.pinv(power[:, :n_input, :n_input], hermitian=True)
-    )
 
 
 def _change(
@@ -269,51 +255,24 @@ def _creep_note(creep: RestMotion, source: SampleSource) -> Finding:
     return note("rest-moves", message)
 
 
-def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
-    """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
-    std = np.sqrt(np.einsum("eljj->lje", noise).real)
-    ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
-    ratio[np.abs(mean) == 0] = 0.0
-    return np.minimum(np.max(ratio, axis=2), 1e12)
-
-
-def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
-    message = (
-        f"{n_period} period is left, so the noise of the FRF is unknown; record at least 2 periods "
-        "after the transient ones"
-    )
-    return (Finding("no-covariance", message),)
-
-
-def _snr_findings(
-    snr: FloatArray | None, mean: ComplexArray, layout: Layout, settled: bool
-) -> tuple[Finding, ...]:
+def _snr_findings(snr: FloatArray, mean: ComplexArray, layout: Layout, settled: bool) -> tuple[Finding, ...]:
     """Forces line by line, since their noise makes H too small there; responses by their power over the band,
     as lines weigh by noise.
 
     Not responses that have not *settled*: their scatter is not noise.
     """
-    assert snr is not None
     n_input = len(layout.inputs)
     poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
-    forces = (
-        Finding(
-            "low-snr",
-            f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise at "
-            f"{100 * share:.0f} % of the lines",
-        )
-        for port, share in zip(layout.inputs, poor, strict=True)
-        if share > POOR_SHARE
-    )
     size = np.max(np.abs(mean[:, n_input:]), axis=2)
     noise = np.divide(size, snr[:, n_input:], out=np.zeros_like(size), where=size > 0)
     weak = np.sum(noise**2, axis=0) * LOW_SNR**2 > np.sum(size**2, axis=0)
+    forces = (
+        low_snr(port.label, f" at {100 * share:.0f} % of the lines")
+        for port, share in zip(layout.inputs, poor, strict=True)
+        if share > POOR_SHARE
+    )
     responses = (
-        Finding(
-            "low-snr",
-            f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in "
-            "power over the band",
-        )
+        low_snr(port.label, ", in power over the band")
         for port, is_weak in zip(layout.outputs, weak, strict=True)
         if is_weak and settled
     )
@@ -337,7 +296,6 @@ class Distortion:
     gain: ComplexArray
     total: FloatArray
     noise: FloatArray
-    n_realisation: int
 
     @property
     def nonlinear(self) -> FloatArray:
@@ -376,9 +334,7 @@ def robust_distortion(
         axis=0,
     )
     total = np.var(matrices, axis=0, ddof=1)
-    return Distortion(
-        first.frequency, matrices.mean(axis=0), np.sqrt(total), np.sqrt(noise), len(realisations)
-    )
+    return Distortion(first.frequency, matrices.mean(axis=0), np.sqrt(total), np.sqrt(noise))
 
 
 # A kind of lines that the force leaves out is looked at from so many on; what moves there is named from this
@@ -504,20 +460,18 @@ def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
     for source in sources:
         forces = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "input")
         series.setdefault(forces, []).append(source)
-    counts = {len(members) / max(len(forces), 1) for forces, members in series.items()}
-    number = min(counts)
-    if len(counts) > 1 or number < 2 or number != int(number):
+    counts = {divmod(len(members), max(len(forces), 1)) for forces, members in series.items()}
+    number, rest = min(counts)
+    if len(counts) > 1 or number < 2 or rest:
         hint = "as many recordings of every force direction, two or more; leave `realisations` out for one"
         raise DataError(f"{len(sources)} recording(s) do not form realisations of one measurement", hint=hint)
+    # Of every set of forces as many recordings as it has forces, one realisation after the other.
+    sizes = [len(members) // number for members in series.values()]
+    pairs = list(zip(series.values(), sizes, strict=True))
     return [
-        [source for members in series.values() for source in _chunk(members, n, int(number))]
-        for n in range(int(number))
+        [source for members, size in pairs for source in members[n * size : (n + 1) * size]]
+        for n in range(number)
     ]
-
-
-def _chunk(series: list[SampleSource], n: int, number: int) -> list[SampleSource]:
-    size = len(series) // number
-    return series[n * size : (n + 1) * size]
 
 
 def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> FrequencyResponse:
@@ -532,24 +486,22 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     noise = np.empty(first.matrix.shape)
     for output, force in np.ndindex(first.matrix.shape[1:]):
         levels = robust_distortion(responses, output, force)
-        excess = _neighbours_mean(levels.total**2 - levels.noise**2, half_width)
+        # Over lines k-h ... k+h, truncated at the ends.
+        excess = neighbourhood_mean(
+            levels.total**2 - levels.noise**2, np.ones(levels.frequency.size, bool), half_width
+        )
         distortion[:, output, force] = np.sqrt(np.maximum(excess, 0.0))
         noise[:, output, force] = levels.noise
-    covariance = np.mean(
-        [response.covariance for response in responses if response.covariance is not None], axis=0
-    )
-    matrix = np.mean([response.matrix for response in responses], axis=0)
+    matrix = _mean_of(responses, "matrix")
     return dataclasses.replace(
         first,
         matrix=matrix,
-        covariance=(covariance + uncorrelated(distortion**2)) / m,
+        covariance=(_mean_of(responses, "covariance") + uncorrelated(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
         errors=_mean_errors(responses),
         change=_mean_of(responses, "change"),
         open_loop=_mean_of(responses, "open_loop"),
-        snr=None
-        if first.snr is None
-        else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
+        snr=_mean_of(responses, "snr"),
         averages=sum(response.averages for response in responses),
         covariance_dof=min(
             sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)
@@ -561,10 +513,10 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     )
 
 
-def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> ComplexArray | None:
+def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> Any:
     """The mean of an array that every response has, or None."""
-    present = [values for response in responses if (values := getattr(response, name)) is not None]
-    return np.asarray(np.mean(present, axis=0)) if len(present) == len(responses) else None
+    parts = [getattr(response, name) for response in responses]
+    return None if any(part is None for part in parts) else np.mean(parts, axis=0)
 
 
 def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:
@@ -574,14 +526,6 @@ def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, .
         MatrixError(errors[0].uncertainty, np.asarray(np.mean([error.change for error in errors], axis=0)))
         for errors in together
     )
-
-
-def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:
-    """Mean over lines k-h ... k+h, truncated at the ends."""
-    ones = np.ones(2 * half_width + 1)
-    middle = slice(half_width, half_width + values.size)
-    total, count = (np.convolve(terms, ones)[middle] for terms in (values, np.ones(values.size)))
-    return np.asarray(total / count)
 
 
 def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:

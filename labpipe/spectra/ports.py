@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port, StoredCovariance
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import EDGE, lines_in
-from labpipe.spectra.channels import check_in_time
+from labpipe.spectra.channels import check_in_time, columns_of
 from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.settings import FrfSettings
 
@@ -87,16 +87,21 @@ class Layout:
 
         Zero for an absent force.
         """
-        columns = np.array([*self.input_columns[recording], *self.output_columns[recording]])
-        if np.array_equal(columns, np.arange(values.shape[-1])):
-            return values
-        present = columns >= 0
-        for axis in range(values.ndim - axes, values.ndim):
-            values = np.take(values, np.maximum(columns, 0), axis=axis)
-            shape = [1] * values.ndim
-            shape[axis] = columns.size
-            values = values * present.reshape(shape)
+        columns = (*self.input_columns[recording], *self.output_columns[recording])
+        return at_columns(values, columns, axes)
+
+
+def at_columns(values: ComplexArray, columns: Sequence[int], axes: int) -> ComplexArray:
+    """*values* (..., n_channel) [any unit] at *columns* of its last *axes* axes; zero for a column -1."""
+    chosen = np.array(columns)
+    if np.array_equal(chosen, np.arange(values.shape[-1])):
         return values
+    for axis in range(values.ndim - axes, values.ndim):
+        values = np.take(values, np.maximum(chosen, 0), axis=axis)
+        shape = [1] * values.ndim
+        shape[axis] = chosen.size
+        values = values * (chosen >= 0).reshape(shape)
+    return values
 
 
 def find_layout(sources: Sequence[SampleSource]) -> Layout:
@@ -104,20 +109,10 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
 
     DataError when a recording lacks an output or quantities differ.
     """
-    forces = [_of_role(source, "input") for source in sources]
-    responses = [_of_role(source, "output") for source in sources]
-    inputs = _distinct(forces)
-    outputs = _distinct(responses)
-    _check_complete(sources, responses, outputs)
-    return Layout(
-        inputs=_ports(inputs, _sensors(forces, inputs)),
-        outputs=_ports(outputs, _sensors(responses, outputs)),
-        input_columns=tuple(_columns(channels, inputs) for channels in forces),
-        output_columns=tuple(_columns(channels, outputs) for channels in responses),
-        form=_form(forces, responses),
-        input_sensors=_sensors(forces, inputs),
-        output_sensors=_sensors(responses, outputs),
-    )
+    inputs, input_columns, input_sensors = _ports_of(sources, "input")
+    outputs, output_columns, output_sensors = _ports_of(sources, "output")
+    form = _form(input_sensors, output_sensors)
+    return Layout(inputs, outputs, input_columns, output_columns, form, input_sensors, output_sensors)
 
 
 def response_ports(
@@ -128,14 +123,7 @@ def response_ports(
     DataError as find_layout.
     """
     check_rates(sources)
-    responses = [_of_role(source, "output") for source in sources]
-    outputs = _distinct(responses)
-    _check_complete(sources, responses, outputs)
-    return (
-        _ports(outputs, _sensors(responses, outputs)),
-        tuple(_columns(channels, outputs) for channels in responses),
-        _sensors(responses, outputs),
-    )
+    return _ports_of(sources, "output")
 
 
 def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
@@ -170,43 +158,43 @@ def _key(channel: Channel) -> Key:
     return (channel.name, channel.dof, channel.angle, channel.delay, channel.response)
 
 
-def _sensors(channels: list[list[tuple[int, Channel]]], keys: list[Key]) -> tuple[Channel, ...]:
-    by_key = {_key(channel): channel for members in channels for _, channel in members}
-    return tuple(by_key[key] for key in keys)
+def _ports_of(
+    sources: Sequence[SampleSource], role: str
+) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
+    """Ports of the channels of a *role*, their columns in each recording, and the channels."""
+    columns = [_columns_of(source, role) for source in sources]
+    if role == "output":
+        _check_complete(sources, columns)
+    keys = list(dict.fromkeys(key for members in columns for key in members))
+    by_key = {key: s.channels[n] for s, of in zip(sources, columns, strict=True) for key, n in of.items()}
+    sensors = tuple(by_key[key] for key in keys)
+    places = tuple(tuple(members.get(key, -1) for key in keys) for members in columns)
+    return _ports(sensors), places, sensors
 
 
-def _of_role(source: SampleSource, role: str) -> list[tuple[int, Channel]]:
-    channels = [(number, channel) for number, channel in enumerate(source.channels) if channel.role == role]
-    if not channels:
+def _columns_of(source: SampleSource, role: str) -> dict[Key, int]:
+    """The columns of a recording's channels of a *role*; DataError without any."""
+    numbers = columns_of(source.channels, role)
+    if not numbers:
         what = "force (role: input)" if role == "input" else "response (role: output)"
         raise DataError(f"recording '{source.name}' has no {what}", hint="see the channels of the rig file")
-    check_in_time(source, [channel for _, channel in channels])
-    return channels
+    check_in_time(source, [source.channels[number] for number in numbers])
+    return {_key(source.channels[number]): number for number in numbers}
 
 
-def _distinct(channels: list[list[tuple[int, Channel]]]) -> list[Key]:
-    return list(dict.fromkeys(_key(channel) for members in channels for _, channel in members))
-
-
-def _columns(channels: list[tuple[int, Channel]], keys: list[Key]) -> tuple[int, ...]:
-    index = {_key(channel): number for number, channel in channels}
-    return tuple(index.get(key, -1) for key in keys)
-
-
-def _ports(keys: list[Key], sensors: tuple[Channel, ...]) -> tuple[Port, ...]:
+def _ports(sensors: Sequence[Channel]) -> tuple[Port, ...]:
     """Ports labelled by channel where that is unique, else by dof, else by both."""
-    names = [key[0] for key in keys]
-    dofs = [key[1] for key in keys]
+    names, dofs = [sensor.name for sensor in sensors], [sensor.dof for sensor in sensors]
     ports = []
-    for (name, dof, angle, *_), sensor in zip(keys, sensors, strict=True):
+    for sensor in sensors:
+        name, dof = sensor.name, sensor.dof
         unique = name if names.count(name) == 1 else dof if dofs.count(dof) == 1 else f"{name}@{dof}"
-        ports.append(Port(unique, name, dof, angle, sensor.uncertainties))
+        ports.append(Port(unique, name, dof, sensor.angle, sensor.uncertainties))
     return tuple(ports)
 
 
-def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[int, Channel]]]) -> str:
-    causes = {channel.quantity for members in forces for _, channel in members}
-    effects = {channel.quantity for members in responses for _, channel in members}
+def _form(forces: Sequence[Channel], responses: Sequence[Channel]) -> str:
+    causes, effects = ({channel.quantity for channel in channels} for channels in (forces, responses))
     if len(effects) > 1:
         hint = (
             "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), or "
@@ -218,16 +206,13 @@ def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[in
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
 
 
-def _check_complete(
-    sources: Sequence[SampleSource], responses: list[list[tuple[int, Channel]]], outputs: list[Key]
-) -> None:
+def _check_complete(sources: Sequence[SampleSource], columns: Sequence[dict[Key, int]]) -> None:
     """DataError when a recording lacks a response that another has."""
-    for source, channels in zip(sources, responses, strict=True):
-        missing = [key[0] for key in outputs if key not in [_key(channel) for _, channel in channels]]
+    outputs = dict.fromkeys(key for members in columns for key in members)
+    for source, members in zip(sources, columns, strict=True):
+        missing = ", ".join(key[0] for key in outputs if key not in members)
         if missing:
-            raise DataError(
-                f"recording '{source.name}' lacks the response {', '.join(missing)} of another recording"
-            )
+            raise DataError(f"recording '{source.name}' lacks the response {missing} of another recording")
 
 
 def check_rates(sources: Sequence[SampleSource]) -> None:
@@ -370,42 +355,49 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     inputs = _joined_ports([port for response in responses for port in response.inputs])
     rows, columns = ({port.label: number for number, port in enumerate(ports)} for ports in (outputs, inputs))
     _check_all_joined(responses, rows, columns)
-    whole = {name: _place(responses, name, rows, columns) for name in ("matrix", *QUALITIES)}
+    places = [
+        (np.array([rows[o.label] for o in part.outputs])[:, None], [columns[i.label] for i in part.inputs])
+        for part in responses
+    ]
+    shape = len(rows), len(columns)
+    whole = {name: _place(responses, name, places, shape) for name in ("matrix", *QUALITIES)}
     windows = {response.line_correlation for response in responses}
     return FrequencyResponse(
         frequency=first.frequency,
         outputs=outputs,
         inputs=inputs,
         form=first.form,
-        covariance=_covariance(responses, rows, columns),
+        covariance=_covariance(responses, places, shape),
         covariance_dof=min(response.covariance_dof for response in responses),
         averages=min(response.averages for response in responses),
         line_correlation=windows.pop() if len(windows) == 1 else (),
         blocks=first.blocks if all(response.blocks == first.blocks for response in responses) else None,
-        errors=_errors(responses, rows, columns),
+        errors=_errors(responses, places, shape),
         findings=tuple(dict.fromkeys(finding for response in responses for finding in response.findings)),
         conditions=first.conditions,
         **whole,
     )
 
 
+# Rows (n, 1) and columns of a response in the joined matrix.
+Place = tuple[IntArray, list[int]]
+
+
 def _place(
-    responses: Sequence[FrequencyResponse], name: str, rows: dict[str, int], columns: dict[str, int]
+    responses: Sequence[FrequencyResponse], name: str, places: Sequence[Place], shape: tuple[int, int]
 ) -> Any:
     """An array by output and input, its last two dimensions, of all responses; None where one has none."""
     parts = [getattr(response, name) for response in responses]
     if any(part is None for part in parts):
         return None
-    whole = np.zeros((*parts[0].shape[:-2], len(rows), len(columns)), parts[0].dtype)
-    for response, part in zip(responses, parts, strict=True):
-        o = np.array([rows[port.label] for port in response.outputs])[:, None]
-        i = np.array([columns[port.label] for port in response.inputs])
-        whole[..., o, i] = part
+    whole = np.zeros((*parts[0].shape[:-2], *shape), parts[0].dtype)
+    for (row, column), part in zip(places, parts, strict=True):
+        whole[..., row, column] = part
     return whole
 
 
 def _covariance(
-    responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]
+    responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> StoredCovariance:
     """Covariance (n_frequency, n, n) [unit^2] of all elements, a block for every response where they are
     alike; None where one has none.
@@ -415,21 +407,18 @@ def _covariance(
     ]
     if len(covariances) < len(responses):
         return None
-    places = [
-        np.array([rows[o.label] * len(columns) + columns[i.label] for o in part.outputs for i in part.inputs])
-        for part in responses
-    ]
-    if len({place.size for place in places}) == 1:
-        return BlockCovariance(np.array(places), np.stack(covariances, axis=1))
-    n = len(rows) * len(columns)
+    elements = [(row * shape[1] + column).ravel() for row, column in places]
+    if len({element.size for element in elements}) == 1:
+        return BlockCovariance(np.array(elements), np.stack(covariances, axis=1))
+    n = shape[0] * shape[1]
     whole = np.zeros((responses[0].n_frequency, n, n), np.complex128)
-    for place, covariance in zip(places, covariances, strict=True):
-        whole[:, place[:, None], place] = covariance
+    for element, covariance in zip(elements, covariances, strict=True):
+        whole[:, element[:, None], element] = covariance
     return whole
 
 
 def _errors(
-    responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]
+    responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> tuple[MatrixError, ...]:
     """The systematic errors of all responses; one of several responses is one error in all of them."""
     uncertainties = {
@@ -437,13 +426,11 @@ def _errors(
     }
     errors = []
     for source, uncertainty in uncertainties.items():
-        whole = np.zeros((responses[0].n_frequency, len(rows), len(columns)), np.complex128)
-        for response in responses:
-            o = np.array([rows[port.label] for port in response.outputs])[:, None]
-            i = np.array([columns[port.label] for port in response.inputs])
+        whole = np.zeros((responses[0].n_frequency, *shape), np.complex128)
+        for response, (row, column) in zip(responses, places, strict=True):
             for error in response.errors:
                 if error.uncertainty.source == source:
-                    whole[:, o, i] += error.change
+                    whole[:, row, column] += error.change
         errors.append(MatrixError(uncertainty, whole))
     return tuple(errors)
 
@@ -489,10 +476,9 @@ def _check_alike(response: FrequencyResponse, first: FrequencyResponse) -> None:
 def _joined_ports(ports: Sequence[Port]) -> tuple[Port, ...]:
     """Distinct ports, 2x before 10x."""
     distinct = {port.label: port for port in reversed(ports)}
-    return tuple(distinct[label] for label in sorted(distinct, key=_natural))
-
-
-def _natural(label: str) -> list[tuple[int, int, str]]:
-    return [
-        (1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", label) if part
-    ]
+    parts = {label: [part for part in re.split(r"(\d+)", label) if part] for label in distinct}
+    natural = {
+        label: [(1, int(part), "") if part.isdigit() else (0, 0, part) for part in split]
+        for label, split in parts.items()
+    }
+    return tuple(distinct[label] for label in sorted(distinct, key=natural.__getitem__))

@@ -12,8 +12,9 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import gamma_tail
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
-from labpipe.records.recording import Channel, SampleSource
+from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.channels import DerivedRecording, columns_of
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.windows import hann
 
@@ -70,6 +71,17 @@ def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
             hint="excite each direction in its own recording",
         )
     return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
+
+
+def signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
+    """|mean| / std of the mean [1] by line and channel, the largest over the recordings, (n_line, n_channel).
+
+    mean (n_line, n_channel, n_recording) [unit], noise (n_recording, n_line, n_channel, n_channel) [unit^2].
+    """
+    std = np.sqrt(np.maximum(np.einsum("eljj->lje", noise).real, 0.0))
+    ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
+    ratio[np.abs(mean) == 0] = 0.0
+    return np.minimum(np.max(ratio, axis=2), 1e12)
 
 
 def check_forces(s_uu: ComplexArray, layout: Layout) -> None:
@@ -232,14 +244,16 @@ def reciprocity_findings(response: FrequencyResponse) -> tuple[Finding, ...]:
         pairs = sorted(reciprocity(response), key=lambda pair: (pair.p_value, -pair.difference))
     except DataError:
         return ()
-    return tuple(note("reciprocity", _statement(pair)) for pair in pairs[:MOST_PAIRS])
-
-
-def _statement(pair: Reciprocity) -> str:
-    verdict = "within the noise" if pair.p_value > NOT_BY_CHANCE else "beyond the noise"
-    chance = f"= {pair.p_value:.2g}" if pair.p_value >= LEAST_CHANCE else f"< {LEAST_CHANCE:g}"
-    what = f"H of {pair.first} to {pair.second} and of {pair.second} to {pair.first}"
-    return f"{what} differ by {100 * pair.difference:.3g} % (rms), {verdict} (p {chance})"
+    return tuple(
+        note(
+            "reciprocity",
+            f"H of {pair.first} to {pair.second} and of {pair.second} to {pair.first} differ by "
+            f"{100 * pair.difference:.3g} % (rms), "
+            f"{'within' if pair.p_value > NOT_BY_CHANCE else 'beyond'} the noise "
+            f"(p {f'= {pair.p_value:.2g}' if pair.p_value >= LEAST_CHANCE else f'< {LEAST_CHANCE:g}'})",
+        )
+        for pair in pairs[:MOST_PAIRS]
+    )
 
 
 def _pair(
@@ -298,7 +312,7 @@ TOP_SHARE = 0.95
 MOST_POWER = 0.1
 
 
-class AliasingMonitor:
+class AliasingMonitor(DerivedRecording):
     """A recording that accumulates the power spectrum of its channels while its blocks are read.
 
     Satisfies SampleSource.
@@ -306,48 +320,23 @@ class AliasingMonitor:
 
     def __init__(self, source: SampleSource, hits: bool = False) -> None:
         """*hits*: hammer excitation; each segment is then centred on the largest force of its block."""
-        self._source = source
+        super().__init__(source)
         self._n = min(SEGMENT, 1 << (max(source.n_sample, 1).bit_length() - 1))
         self._window = hann(self._n)[:, None]
-        self._forces = [
-            number for number, channel in enumerate(source.channels) if hits and channel.role == "input"
-        ]
+        self._forces = columns_of(source.channels, "input") if hits else []
         self._power = np.zeros((self._n // 2 + 1, len(source.channels)))
         self._n_segment = 0
 
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        return self._source.channels
-
-    @property
-    def sample_rate(self) -> float:
-        return self._source.sample_rate
-
-    @property
-    def n_sample(self) -> int:
-        return self._source.n_sample
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        return self._source.findings
-
-    @property
-    def name(self) -> str:
-        return self._source.name
-
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """The recording's blocks (n, n_channel) [channel unit], unchanged."""
-        for block in self._source.blocks(n_sample):
+        for block in self.source.blocks(n_sample):
             if block.shape[0] >= self._n >= SHORTEST:
-                self._look(block)
+                hit = int(np.argmax(np.max(np.abs(block[:, self._forces]), axis=1))) if self._forces else 0
+                start = min(max(hit - self._n // 2, 0), block.shape[0] - self._n)
+                segment = block[start : start + self._n]
+                self._n_segment += 1
+                self._power += np.abs(fft.rfft((segment - segment.mean(axis=0)) * self._window, axis=0)) ** 2
             yield block
-
-    def _look(self, block: FloatArray) -> None:
-        strongest = int(np.argmax(np.max(np.abs(block[:, self._forces]), axis=1))) if self._forces else 0
-        start = min(max(strongest - self._n // 2, 0), block.shape[0] - self._n)
-        segment = block[start : start + self._n]
-        self._n_segment += 1
-        self._power += np.abs(fft.rfft((segment - segment.mean(axis=0)) * self._window, axis=0)) ** 2
 
     def powers(self, band: tuple[float, float] | None) -> FloatArray:
         """Mean power per line above and inside the band, (2, n_channel) [unit^2]; 0 without complete segments

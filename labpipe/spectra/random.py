@@ -323,39 +323,53 @@ def parts_of_spectra(
     first = product(s_yu, inverse_force)
     response = first if settings.estimator == "H1" else ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
     averages = sum(spectrum.averages for spectrum in spectra)
-    multiple = multiple_coherence(first, s_yu, s_yy)
-    enough = averages > n_input + 1
     covariance: StoredCovariance = None
-    if enough and settings.estimator == "H1":
+    if averages > n_input + 1 and settings.estimator == "H1":
         covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
-    elif enough:
+    elif averages > n_input + 1:
         instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
         covariance = covariance_of_random(matrix, response, instruments, averages, half_width)
-    return Parts(
+    return replace(
+        _parts(spectra, response, covariance, multiple_coherence(first, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
-        matrix=response,
-        covariance=covariance,
-        averages=averages,
-        dof=averages - n_input if enough else np.inf,
-        findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout)
-        if enough
-        else no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
-        multiple_coherence=multiple,
         partial_coherence=partial_coherence(np.einsum("fii->fi", inverse_force).real, first, s_yu, s_yy)
         if n_input > 1
         else None,
+    )
+
+
+def _parts(
+    spectra: Sequence[CrossSpectra],
+    response: ComplexArray,
+    covariance: StoredCovariance,
+    multiple: FloatArray,
+    s_yy: ComplexArray,
+    layout: Layout,
+) -> Parts:
+    """What every estimator has of its averages; a warning where these are too few for the noise."""
+    averages, n_input = sum(spectrum.averages for spectrum in spectra), response.shape[2]
+    message = (
+        f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; record "
+        "longer or shorten `block`"
+    )
+    return Parts(
+        frequency=spectra[0].frequency,
+        matrix=response,
+        covariance=covariance,
+        averages=averages,
+        dof=np.inf if covariance is None else averages - n_input,
+        findings=(Finding("no-covariance", message),)
+        if covariance is None
+        else coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout),
+        multiple_coherence=multiple,
         line_correlation=spectra[0].line_correlation,
     )
 
 
-def welch_average(
-    source: SampleSource, settings: FrfSettings, of_half: Sequence[int] | None = None
-) -> Halved:
-    """Spectra of forces, responses and the named references of a recording, and those of its first half;
-    DataError where it is short.
-
-    *of_half*: channels of the recording whose columns are needed of its first half, by default all.
+def block_average(source: SampleSource, settings: FrfSettings, n_channel: int) -> WelchAverage:
+    """The average of *n_channel* channels over the blocks of the settings, to be fed with the samples of a
+    recording; DataError for a block that holds hardly any.
     """
     assert settings.block is not None
     n_sample = round(settings.block * source.sample_rate)
@@ -366,19 +380,28 @@ def welch_average(
         )
     step = max(1, round(n_sample * (1 - settings.overlap)))
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
+    return WelchAverage(window_values(settings.window, n_sample), step, n_channel, lines, settings.detrend)
+
+
+def welch_average(
+    source: SampleSource, settings: FrfSettings, of_half: Sequence[int] | None = None
+) -> Halved:
+    """Spectra of forces, responses and the named references of a recording, and those of its first half;
+    DataError where it is short.
+
+    *of_half*: channels of the recording whose columns are needed of its first half, by default all.
+    """
     # Other references (tacho, temperature) are not part of the FRF matrix.
     columns = [
         number
         for number, channel in enumerate(source.channels)
         if channel.role != "reference" or channel.name in settings.reference
     ]
-    average = WelchAverage(
-        window_values(settings.window, n_sample), step, len(columns), lines, settings.detrend
-    )
+    average = block_average(source, settings, len(columns))
     half: CrossSpectra | None = None
     for block, ends_half in cut_at(checked_blocks(source), source.n_sample // 2):
         average.add(block if len(columns) == block.shape[1] else block[:, columns])
-        if ends_half and source.n_sample // 2 >= n_sample:
+        if ends_half and source.n_sample // 2 >= average.n_sample:
             chosen = None if of_half is None else [columns.index(column) for column in of_half]
             half = _in_all_channels(
                 average.spectra(source.sample_rate, chosen), columns, len(source.channels)
@@ -392,13 +415,13 @@ def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) 
     """
     if len(columns) == n_channel:
         return spectra
-    n_column = spectra.matrix.shape[2]
+    n_line, _, n_column = spectra.matrix.shape
+    rows = np.zeros((n_line, n_channel, n_column), np.complex128)
+    rows[:, columns] = spectra.matrix
     if n_column < len(columns):
-        matrix = np.zeros((spectra.frequency.size, n_channel, n_column), np.complex128)
-        matrix[:, columns] = spectra.matrix
-        return replace(spectra, matrix=matrix)
-    matrix = np.zeros((spectra.frequency.size, n_channel, n_channel), np.complex128)
-    matrix[:, np.array(columns)[:, None], columns] = spectra.matrix
+        return replace(spectra, matrix=rows)
+    matrix = np.zeros((n_line, n_channel, n_channel), np.complex128)
+    matrix[:, :, columns] = rows
     return replace(spectra, matrix=matrix)
 
 
@@ -415,27 +438,17 @@ def parts_of_single_forces(
     check_power(power)
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
-    multiple = multiple_coherence(response, s_yu, s_yy)
-    enough = averages > n_input + 1
-    findings = (
-        coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout)
-        if enough
-        else no_average_finding(averages)
-    )
-    residual = without_rounding(s_yy - response @ hermitian(s_yu)) if enough else s_yy
-    return Parts(
+    covariance: StoredCovariance = None
+    if averages > n_input + 1:
+        residual = without_rounding(s_yy - response @ hermitian(s_yu))
+        covariance = _covariance(
+            pooled_residual(residual, response, half_width), power * (averages - n_input)
+        )
+    return replace(
+        _parts(spectra, response, covariance, multiple_coherence(response, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
-        matrix=response,
-        covariance=_covariance(pooled_residual(residual, response, half_width), power * (averages - n_input))
-        if enough
-        else None,
-        averages=averages,
-        dof=averages - n_input if enough else np.inf,
-        findings=findings,
         coherence=coherence_by_power(power, s_yu, s_yy),
-        multiple_coherence=multiple,
         partial_coherence=partial_coherence(1 / power, response, s_yu, s_yy),
-        line_correlation=spectra[0].line_correlation,
     )
 
 
@@ -447,10 +460,7 @@ def _sum(
     """
     n_line, n_input, n_output = int(np.count_nonzero(chosen)), len(layout.inputs), len(layout.outputs)
     power = np.zeros((n_line, n_input))
-    s_yu, s_yy = (
-        np.zeros((n_line, n_output, n_input), np.complex128),
-        np.zeros((n_line, n_output, n_output), np.complex128),
-    )
+    s_yu, s_yy = (np.zeros((n_line, n_output, n), np.complex128) for n in (n_input, n_output))
     n_block = sum(spectrum.n_block for spectrum in spectra)
     for spectrum, inputs, outputs in zip(spectra, layout.input_columns, layout.output_columns, strict=True):
         ((force, column),) = [(number, column) for number, column in enumerate(inputs) if column >= 0]
@@ -470,12 +480,3 @@ def _covariance(residual: ComplexArray, power: FloatArray) -> BlockCovariance:
     elements = np.arange(n_output * n_input).reshape(n_output, n_input).T
     blocks = residual[:, None] / power[:, :, None, None]
     return BlockCovariance(elements, handed_over(blocks))
-
-
-def no_average_finding(averages: float) -> tuple[Finding, ...]:
-    """The warning of too few *averages* for the noise of the FRF."""
-    message = (
-        f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; record "
-        "longer or shorten `block`"
-    )
-    return (Finding("no-covariance", message),)

@@ -14,20 +14,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import DataError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Blocks
 from labpipe.registry import nearest
-from labpipe.spectra.bands import line_range
 from labpipe.spectra.channel_layout import ChannelLayout
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.feedback import feedback_of_drives
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
+from labpipe.spectra.random import block_average
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.welch import CrossSpectra, WelchAverage
-from labpipe.spectra.windows import window_values
+from labpipe.spectra.welch import CrossSpectra
 
 # What either excitation gives of all channels side by side, and how far noise covers it.
 
@@ -96,21 +95,17 @@ def snr_findings(
         if channel.role == "input" and np.any(acting):
             share = float(np.mean((size < LOW_SNR * noise)[:, :, number][acting]))
             if share > POOR_SHARE:
-                what = (
-                    f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise at "
-                    f"{100 * share:.0f} % of its lines"
-                )
-                findings.append(Finding("low-snr", what))
-        if channel.role == "output" and np.sum(noise[:, :, number] ** 2) * LOW_SNR**2 > np.sum(
-            size[:, :, number] ** 2
-        ):
-            what = (
-                f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise, in power "
-                "over the band"
-            )
-            findings.append(Finding("low-snr", what))
+                findings.append(low_snr(channel.name, f" at {100 * share:.0f} % of its lines"))
+        signal, scatter = (np.sum(part[:, :, number] ** 2) for part in (size, noise))
+        if channel.role == "output" and scatter * LOW_SNR**2 > signal:
+            findings.append(low_snr(channel.name, ", in power over the band"))
             weak.add(channel.name)
     return tuple(findings), weak
+
+
+def low_snr(label: str, where: str) -> Finding:
+    """The warning of a channel whose signal is hardly above its noise, and *where*."""
+    return Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise{where}")
 
 
 # Share of a drive's power that the others must leave it.
@@ -156,7 +151,15 @@ def random_lines(
         np.abs(vectors[:, :, layout.inputs]) > 0.1 * np.max(np.abs(vectors), axis=1)[:, None, layout.inputs]
     )
     findings, weak = snr_findings(vectors, covariance, layout.channels, excited)
-    _check_inputs(columns, residual / averages, frequency, drives, layout)
+    for number in layout.inputs:
+        moved = np.linalg.norm(columns[:, number], axis=1)
+        noise = np.sqrt(residual[:, number, number].real / averages)
+        strength = np.divide(moved, noise, out=np.full(moved.shape, np.inf), where=moved > 0)
+        check_moved(strength, frequency, drives, [layout.channels[number].name])
+    forces, responses = (
+        [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
+    )
+    fed_back = feedback_of_drives(sources, drives, forces, responses)
     return MeasuredLines(
         frequency=frequency,
         vectors=vectors,
@@ -171,28 +174,9 @@ def random_lines(
             sum(spectrum.n_block for spectrum in spectra),
             "H1",
         ),
-        findings=(*findings, *_unexplained(s_zz, residual, layout), *_fed_back(sources, drives, layout)),
+        findings=(*findings, *_unexplained(s_zz, residual, layout), *fed_back),
         weak=weak,
     )
-
-
-def _check_inputs(
-    columns: ComplexArray,
-    noise: ComplexArray,
-    frequency: FloatArray,
-    drives: Sequence[str],
-    layout: ChannelLayout,
-) -> None:
-    """DataError where the drives move a force no further than its noise does.
-
-    *columns*, *noise* of all channels as in `due_to_drives`.
-    """
-    for number in layout.inputs:
-        moved = np.linalg.norm(columns[:, number], axis=1)
-        strength = np.divide(
-            moved, np.sqrt(noise[:, number, number].real), out=np.full(moved.shape, np.inf), where=moved > 0
-        )
-        check_moved(strength, frequency, drives, [layout.channels[number].name])
 
 
 def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> tuple[str, ...]:
@@ -205,14 +189,7 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
     if settings.reference:
-        every = [channel.name for source in sources for channel in source.channels]
-        for name in settings.reference:
-            if name not in every:
-                raise ConfigError(
-                    f"'{name}' is no channel of the recordings",
-                    hint=nearest(name, dict.fromkeys(every)),
-                    field="reference",
-                )
+        check_recorded(settings.reference, [c.name for source in sources for c in source.channels])
         names = settings.reference
     elif len(names) > len(layout.inputs) > 0:
         what = (
@@ -220,7 +197,7 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
             f"({len(layout.inputs)})"
         )
         hint = f"name what is injected from outside, not what the loop makes: frf: {{reference: {names[0]}}}"
-        raise ConfigError(what, hint=hint, field="reference")
+        raise SettingError("reference", what, hint)
     if not names:
         hint = (
             "record the drives of the shakers as channels of quantity: voltage, role: reference, or use "
@@ -239,24 +216,21 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
     return names
 
 
+def check_recorded(references: Sequence[str], channels: Sequence[str]) -> None:
+    """SettingError for a reference that is none of the recorded *channels*."""
+    for name in references:
+        if name not in channels:
+            what = f"'{name}' is no channel of the recordings"
+            raise SettingError("reference", what, nearest(name, dict.fromkeys(channels)))
+
+
 def _welch(
     source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int, drives: Sequence[str]
 ) -> CrossSpectra:
     """Cross-spectra of the recorded channels, then the drives, of one recording."""
-    assert settings.block is not None
-    n_sample = round(settings.block * source.sample_rate)
-    if n_sample < 4:
-        raise DataError(
-            f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'",
-            hint="lengthen `block`",
-        )
     names = [channel.name for channel in source.channels]
     columns = np.array([*layout.columns[number], *(names.index(name) for name in drives)])
-    step = max(1, round(n_sample * (1 - settings.overlap)))
-    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
-    average = WelchAverage(
-        window_values(settings.window, n_sample), step, columns.size, lines, settings.detrend
-    )
+    average = block_average(source, settings, columns.size)
     for block in checked_blocks(source):
         average.add(block[:, np.maximum(columns, 0)] * (columns >= 0))
     return average.spectra(source.sample_rate)
@@ -293,16 +267,6 @@ def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "driv
         hint = "excite by independent random signals, one after the other or together"
         raise DataError(f"the {word}s {', '.join(drives)} are not independent", hint=hint)
     return np.linalg.cholesky(s_rr)
-
-
-def _fed_back(
-    sources: Sequence[SampleSource], drives: Sequence[str], layout: ChannelLayout
-) -> tuple[Finding, ...]:
-    """The warning `feedback` where a drive follows the responses: it is made in the loop."""
-    forces, responses = (
-        [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
-    )
-    return feedback_of_drives(sources, drives, forces, responses)
 
 
 def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout) -> tuple[Finding, ...]:

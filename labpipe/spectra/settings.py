@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, fields
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
 from labpipe.records.settings import Settings, setting
 
@@ -18,19 +18,8 @@ OF_LINES = ("band", "exclude", "mask", "directional", "result")
 KEYS: dict[str, tuple[str, ...]] = {
     "periodic": (*OF_LINES, "period", "skip", "smooth", "remove", "realisations", "reference"),
     "random": (
-        *OF_LINES,
-        *(
-            "block",
-            "window",
-            "overlap",
-            "detrend",
-            "estimator",
-            "local",
-            "degree",
-            "half_width",
-            "remove",
-            "reference",
-        ),
+        *(*OF_LINES, "block", "window", "overlap", "detrend", "estimator"),
+        *("local", "degree", "half_width", "remove", "reference"),
     ),
     "impact": (*OF_LINES, "block", "estimator", "impact", "windowed"),
     "stepped-sine": (*OF_LINES, "skip", "settle", "smooth"),
@@ -140,11 +129,11 @@ class FreeDecaySettings(Settings):
         for name in ("start", "end", "settle"):
             value = getattr(self, name)
             if value is not None and value < 0:
-                raise ConfigError(f"'{name}' must not be negative", field=name)
+                raise SettingError(name, f"'{name}' must not be negative")
         if self.end is not None and self.end <= (self.start or 0.0):
-            raise ConfigError("'end' must come after 'start'", field="end")
+            raise SettingError("end", "'end' must come after 'start'")
         if not 0 < self.trigger < 1:
-            raise ConfigError("'trigger' must lie between 0 and 100 %", field="trigger")
+            raise SettingError("trigger", "'trigger' must lie between 0 and 100 %")
 
 
 @dataclass(frozen=True)
@@ -236,10 +225,16 @@ class FrfSettings(Settings):
         self._check_keys()
         if not 0 <= self.overlap < 1:
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
-        self._check_windowed()
+        if self.windowed is not None and self.impact.decay is not None:
+            what = "'windowed' and impact.decay are two exponential windows"
+            raise SettingError("windowed", what, "leave out impact.decay: the data have their window already")
         self._check_local()
         self._check_result()
-        self._check_found()
+        if self.settle is not None and self.settle < 0:
+            raise SettingError("settle", "'settle' must not be negative")
+        if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
+            what = f"'mask' needs its 'width' with {self.excitation}"
+            raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
 
     def _check_keys(self) -> None:
         """ConfigError for keys that would change nothing under this excitation, or beside this way of
@@ -250,17 +245,17 @@ class FrfSettings(Settings):
             for field in fields(self)
             if "setting" in field.metadata and getattr(self, field.name) != field.default
         ]
-        for name in (name for name in given if name not in ("excitation", *KEYS[self.excitation])):
-            able = ", ".join(excitation for excitation in EXCITATIONS if name in KEYS[excitation])
-            what = f"'{name}' is not for {self.excitation} excitation"
-            raise ConfigError(what, hint=f"leave it out; excitations that take it: {able}", field=name)
-        if self.excitation != "random":
-            return
-        for name in (
-            name for name in given if name in (OF_POLYNOMIALS if self.local == "none" else OF_AVERAGES)
-        ):
-            what = f"'{name}' is for local: {'polynomial' if self.local == 'none' else 'none'}"
-            raise ConfigError(what, hint="leave it out", field=name)
+        idle: tuple[str, ...] = ()
+        if self.excitation == "random":
+            idle = OF_POLYNOMIALS if self.local == "none" else OF_AVERAGES
+        for name in given:
+            if name not in ("excitation", *KEYS[self.excitation]):
+                able = ", ".join(excitation for excitation in EXCITATIONS if name in KEYS[excitation])
+                what = f"'{name}' is not for {self.excitation} excitation"
+                raise SettingError(name, what, f"leave it out; excitations that take it: {able}")
+            if name in idle:
+                what = f"'{name}' is for local: {'polynomial' if self.local == 'none' else 'none'}"
+                raise SettingError(name, what, "leave it out")
 
     def _check_result(self) -> None:
         """ConfigError for keys of a response matrix beside spectra, and for drives that nothing uses."""
@@ -269,19 +264,15 @@ class FrfSettings(Settings):
             return
         if self.excitation not in ("periodic", "random"):
             what = f"'result: spectra' is for periodic and random excitation, not for {self.excitation}"
-            raise ConfigError(what, hint="leave it out", field="result")
+            raise SettingError("result", what, "leave it out")
         if self.reference and self.excitation != "random":
             what = "'reference' is for random excitation: periodic data need no drives"
-            raise ConfigError(what, hint="leave it out", field="reference")
-        matrix_only = {
-            "directional": self.directional,
-            "realisations": self.realisations,
-            "local": self.local != "none",
-            "estimator": self.estimator != "H1",
-        }
-        for name in (name for name, is_set in matrix_only.items() if is_set):
-            what = f"'{name}' belongs to a response matrix, not to result: spectra"
-            raise ConfigError(what, hint="leave it out", field=name)
+            raise SettingError("reference", what, "leave it out")
+        of_matrix = {"directional": False, "realisations": False, "local": "none", "estimator": "H1"}
+        for name, otherwise in of_matrix.items():
+            if getattr(self, name) != otherwise:
+                what = f"'{name}' belongs to a response matrix, not to result: spectra"
+                raise SettingError(name, what, "leave it out")
 
     def _check_reference(self) -> None:
         """ConfigError for a reference where no loop can be opened by it, and beside another estimator."""
@@ -289,36 +280,17 @@ class FrfSettings(Settings):
             return
         if self.local != "none":
             what = "'local' takes the loop as open, 'reference' as closed"
-            raise ConfigError(what, hint="leave one of them out", field="local")
+            raise SettingError("local", what, "leave one of them out")
         if self.estimator != "H1":
-            what = (
-                "with 'reference' the FRF is estimated by the joint input-output method, not by "
-                f"{self.estimator}"
-            )
-            raise ConfigError(what, hint="leave `estimator` out", field="estimator")
-
-    def _check_found(self) -> None:
-        """ConfigError for a settling time without steps, and for a mask without width where no block or
-        period sets one.
-        """
-        if self.settle is not None and self.settle < 0:
-            raise ConfigError("'settle' must not be negative", field="settle")
-        if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
-            hint = "mask: {speed: 50 Hz, width: 0.5 Hz}"
-            raise ConfigError(f"'mask' needs its 'width' with {self.excitation}", hint=hint, field="mask")
-
-    def _check_windowed(self) -> None:
-        if self.windowed is not None and self.impact.decay is not None:
-            hint = "leave out impact.decay: the data have their window already"
-            raise ConfigError(
-                "'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed"
-            )
+            what = "with 'reference' the FRF is estimated by the joint input-output method, not by "
+            raise SettingError("estimator", what + self.estimator, "leave `estimator` out")
 
     @property
     def gives(self) -> str:
         """What recordings become: DECAYS, SPECTRA or RESPONSES."""
-        by_excitation = {"decay": DECAYS}
-        return by_excitation.get(self.excitation, SPECTRA if self.result == SPECTRA else RESPONSES)
+        if self.excitation == "decay":
+            return DECAYS
+        return SPECTRA if self.result == SPECTRA else RESPONSES
 
     @property
     def single_averages(self) -> bool:
@@ -347,12 +319,12 @@ class FrfSettings(Settings):
             return
         if self.degree < 1:
             hint = "2 follows a resonance, 4 follows it better"
-            raise ConfigError(f"'degree' is {self.degree}", hint=hint, field="degree")
+            raise SettingError("degree", f"'degree' is {self.degree}", hint)
         if self.half_width is not None and self.half_width <= self.degree:
-            raise ConfigError("'half_width' must exceed 'degree'", hint="leave it out", field="half_width")
+            raise SettingError("half_width", "'half_width' must exceed 'degree'", "leave it out")
         if self.local != "none" and self.estimator != "H1":
             what = f"'local' takes the forces as exact, {self.estimator} does not"
-            raise ConfigError(what, hint="estimator: H1", field="estimator")
+            raise SettingError("estimator", what, "estimator: H1")
 
     def _check_length(self) -> None:
         """ConfigError where the length of a period or block is missing."""
@@ -361,9 +333,8 @@ class FrfSettings(Settings):
             return
         length = getattr(self, needed)
         if length is None:
-            raise ConfigError(
-                f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s"
-            )
+            hint = f"{self.excitation} excitation needs it, e.g. {needed}: 1 s"
+            raise ConfigError(f"'{needed}' is missing", hint=hint)
         if length <= 0:
             raise ConfigError(f"'{needed}' must be positive")
 

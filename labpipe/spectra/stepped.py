@@ -17,7 +17,7 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import ENOUGH_DOF, covariance_of_periodic, joined_response
 from labpipe.spectra.period_average import neighbourhood_mean
 from labpipe.spectra.ports import Layout, Parts, lines_left
-from labpipe.spectra.quality import force_inverse
+from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.sweeps import Dwell, find_dwells, loudest
 
@@ -142,8 +142,12 @@ def settle_time(courses: Sequence[Course]) -> float:
     All dwells decay alike: the sum over dwells and channels of what exceeds the noise, S(t) = S_1 exp(-2 (t -
     t_1) / tau), shows the transient up to t_1, and is continued from there. A transient of a/s standard
     deviations of a block leaves the mean of n blocks off by a tau / (n T) in standard errors s / sqrt(n).
-    DataError when the transient outlasts the dwells. Equation (frf-settle).
+    DataError when the transient outlasts the dwells, and without a dwell. Equation (frf-settle).
     """
+    if not courses:
+        raise DataError(
+            f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient", hint="state `settle`"
+        )
     longest = max(float(course.times[-1]) for course in courses)
     edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)
     time, excess, error = _binned(courses, edges)
@@ -262,6 +266,10 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     noise = np.stack([layout.padded(e, _noise(lines, half_width), 2) for e, lines in enumerate(columns)])
     inverse = force_inverse(mean[:, :n_input], layout)
     matrix = joined_response(mean, inverse, noise)
+    findings = [finding for _, finding in measured]
+    if n_alone:
+        what = f"{n_alone} dwell(s) are left out: not every recording has their frequency"
+        findings.append(Finding("dwells-left-out", what))
     return Parts(
         frequency=frequency[chosen],
         matrix=matrix,
@@ -269,8 +277,8 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
         + _of_frequency(frequency[chosen], matrix, common),
         averages=dof + 1,
         dof=dof * min(2 * half_width + 1, len(common)),
-        findings=(*(finding for _, finding in measured), *_alone(n_alone)),
-        snr=_signal_to_noise(mean, noise),
+        findings=tuple(findings),
+        snr=signal_to_noise(mean, noise),
     )
 
 
@@ -299,24 +307,6 @@ def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
     return np.asarray(neighbourhood_mean(noise * duration, np.ones(len(lines), bool), half_width) / duration)
 
 
-def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
-    """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
-    std = np.sqrt(np.maximum(np.einsum("eljj->lje", noise).real, 0.0))
-    ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
-    ratio[np.abs(mean) == 0] = 0.0
-    return np.minimum(np.max(ratio, axis=2), 1e12)
-
-
-def _alone(number: int) -> tuple[Finding, ...]:
-    if not number:
-        return ()
-    return (
-        Finding(
-            "dwells-left-out", f"{number} dwell(s) are left out: not every recording has their frequency"
-        ),
-    )
-
-
 def _lines(
     source: SampleSource, settings: FrfSettings, input_columns: Sequence[int], output_columns: Sequence[int]
 ) -> tuple[list[Line], Finding]:
@@ -328,7 +318,7 @@ def _lines(
         dwells = _loud_sines(samples[:, force], find_dwells(samples[:, force]))
         # The other forces are noise here, references know nothing of the steps.
         courses = _courses(samples[:, [force, *output_columns]], dwells, rate)
-        settle = _settle(courses) if settings.settle is None else settings.settle
+        settle = settle_time(courses) if settings.settle is None else settings.settle
     except DataError as error:
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
     settling = _Settling(settle, min(settle, _settle_of_force(courses, settle)), settings.skip)
@@ -362,13 +352,6 @@ def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:
     return kept
 
 
-def _periods_per_block(frequency: float, n_period: int) -> int:
-    """Whole periods per block, at least as many as hold LEAST_SAMPLES, so that there are at most MOST_BLOCKS
-    blocks.
-    """
-    return max(int(np.ceil(LEAST_SAMPLES * frequency)), -(-n_period // MOST_BLOCKS), 1)
-
-
 @dataclass(frozen=True)
 class _Settling:
     """Times after a step [s] that *responses* and *force* take to settle, and periods dropped in any case."""
@@ -399,21 +382,12 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
     return courses
 
 
-def _settle(courses: list[Course]) -> float:
-    """The time after a step [s] that the recording itself shows."""
-    if not courses:
-        raise DataError(
-            f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient", hint="state `settle`"
-        )
-    return settle_time(courses)
-
-
 def _settle_of_force(courses: list[Course], otherwise: float) -> float:
     """The time after a step [s] from which the force alone is steady: it gives the frequency, the more
     exactly the longer it is.
     """
     try:
-        return _settle([course.of(0) for course in courses])
+        return settle_time([course.of(0) for course in courses])
     except DataError:
         return otherwise
 
@@ -424,7 +398,8 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
     start = dwell.start + settling.samples(settling.responses, dwell, rate)
     # The last period may hold the beginning of the next step.
     n_period = int((dwell.stop - start) * dwell.frequency) - 1
-    per_block = _periods_per_block(dwell.frequency, max(n_period, 1))
+    # Whole periods per block: as many as hold LEAST_SAMPLES, and so many that there are at most MOST_BLOCKS.
+    per_block = max(int(np.ceil(LEAST_SAMPLES * dwell.frequency)), -(-n_period // MOST_BLOCKS), 1)
     count = n_period // per_block
     if count < LEAST_BLOCKS:
         length, needed = (
@@ -470,14 +445,13 @@ def _same(one: Line, other: Line) -> bool:
 
 
 def _average(group: list[Line]) -> Line:
-    total = sum(line.duration for line in group)
-    shares = [line.duration / total for line in group]
+    shares = np.array([line.duration for line in group]) / sum(line.duration for line in group)
     return Line(
-        frequency=sum(share * line.frequency for share, line in zip(shares, group, strict=True)),
-        variance=sum(share**2 * line.variance for share, line in zip(shares, group, strict=True)),
-        duration=total,
-        mean=np.sum([share * line.mean for share, line in zip(shares, group, strict=True)], axis=0),
-        noise=np.sum([share**2 * line.noise for share, line in zip(shares, group, strict=True)], axis=0),
+        frequency=float(shares @ [line.frequency for line in group]),
+        variance=float(shares**2 @ [line.variance for line in group]),
+        duration=sum(line.duration for line in group),
+        mean=np.tensordot(shares, [line.mean for line in group], axes=1),
+        noise=np.tensordot(shares**2, [line.noise for line in group], axes=1),
         dof=sum(line.dof for line in group),
     )
 

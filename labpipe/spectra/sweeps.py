@@ -69,14 +69,11 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
             "the frequency of the force runs on: a sweep, no dwells",
             hint="excitation: stepped-sine needs constant frequencies",
         )
-    return [
-        Dwell(
-            int(np.ceil(times[first])),
-            int(times[last - 1]),
-            float((last - 1 - first) / (times[last - 1] - times[first])),
-        )
-        for first, last in pieces
-    ]
+    dwells = []
+    for first, last in pieces:
+        begin, end = times[first], times[last - 1]
+        dwells.append(Dwell(int(np.ceil(begin)), int(end), float((last - 1 - first) / (end - begin))))
+    return dwells
 
 
 _HINT = "stepped-sine: one frequency after another, each kept; is it another excitation?"
@@ -86,18 +83,14 @@ def rising_crossings(force: FloatArray) -> FloatArray:
     """Times [samples] at which a *force* (n_sample,) [N] of mean zero rises through zero, between samples by
     a straight line.
     """
-
-    peak = scipy.ndimage.maximum_filter1d(np.abs(force), _longest_period(force))
+    power = np.abs(np.fft.rfft(force)) ** 2
+    lowest = int(np.searchsorted(np.cumsum(power), LOW_SHARE * power.sum()))
+    longest_period = max(3, int(1.5 * force.size / max(lowest, 1)))
+    peak = scipy.ndimage.maximum_filter1d(np.abs(force), longest_period)
     low, high = force < -HYSTERESIS * peak, force > HYSTERESIS * peak
     marks = np.flatnonzero(low | high)
     rises = np.flatnonzero(low[marks[:-1]] & high[marks[1:]])
     return _roots(force, marks[rises], marks[rises + 1])
-
-
-def _longest_period(force: FloatArray) -> int:
-    power = np.abs(np.fft.rfft(force)) ** 2
-    lowest = int(np.searchsorted(np.cumsum(power), LOW_SHARE * power.sum()))
-    return max(3, int(1.5 * force.size / max(lowest, 1)))
 
 
 def _roots(force: FloatArray, before: IntArray, after: IntArray) -> FloatArray:
@@ -127,9 +120,8 @@ def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]
     pieces, first = [], 0
     line = _Line()
     for number, time in enumerate(times):
-        if number - first >= 3 and abs(
-            time - line.at(number - first)
-        ) > WITHIN * scatter * line.slope * line.spread(number - first):
+        at = number - first
+        if at >= 3 and abs(time - line.at(at)) > WITHIN * scatter * line.slope * line.spread(at):
             pieces.append((first, number))
             first, line = number, _Line()
         line.add(float(number - first), time)
@@ -317,7 +309,9 @@ def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
     """The run of crossings *times* (n,) [samples] cut where its frequency turns, as ranges of the crossings
     of the whole record.
     """
-    level = _smooth(-np.log(np.diff(times)))
+    # Running median; the values at the ends are repeated.
+    padded = np.pad(-np.log(np.diff(times)), AT_END // 2, mode="edge")
+    level = np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1)
     wide = float(np.ptp(level))
     turns, extreme, sign = [], 0, 0.0
     for number, value in enumerate(level):
@@ -333,12 +327,6 @@ def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
             sign, extreme = -sign, number
     edges = [0, *turns, times.size - 1]
     return [(offset + first, offset + last + 1) for first, last in itertools.pairwise(edges)]
-
-
-def _smooth(values: FloatArray) -> FloatArray:
-    """Running median (n,) of AT_END values (n,) [any unit]; those at the ends are repeated."""
-    padded = np.pad(values, AT_END // 2, mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1))
 
 
 def _continue(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
@@ -413,9 +401,9 @@ def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> Found
         if not inside or not _follows(window, frequency, further, sweep.level):
             break
         end, frequency = end + sign * width, further
-    return (
-        replace(sweep, stop=end, last=frequency) if sign > 0 else replace(sweep, start=end, first=frequency)
-    )
+    if sign > 0:
+        return replace(sweep, stop=end, last=frequency)
+    return replace(sweep, start=end, first=frequency)
 
 
 def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
@@ -440,16 +428,8 @@ def _sweep(force: FloatArray, run: Sequence[FloatArray]) -> FoundSweep:
     first, last = float(np.median(frequency[:AT_END])), float(np.median(frequency[-AT_END:]))
     start, stop = int(times[0]), int(np.ceil(times[-1]))
     level = float(np.sqrt(np.mean(force[start:stop] ** 2)))
-    return FoundSweep(
-        start,
-        stop,
-        first,
-        last,
-        law,
-        abs(float(lines[law][0])),
-        level,
-        _stays(frequency, middle, curves[law]),
-    )
+    growth, steps = abs(float(lines[law][0])), _stays(frequency, middle, curves[law])
+    return FoundSweep(start, stop, first, last, law, growth, level, steps)
 
 
 def _stays(frequency: FloatArray, middle: FloatArray, law: FloatArray) -> bool:
@@ -543,27 +523,23 @@ def rate_findings(
     peaks = _peaks(frequency, matrix)
     if not peaks:
         return ()
-    excess = [
-        max(sweep.rate_at(p.frequency / rate) * rate**2 for sweep in sweeps) / _allowance(p) for p in peaks
-    ]
+    allowed = [largest_rate(p.frequency, p.damping_ratio) for p in peaks]
+    fastest = [max(sweep.rate_at(p.frequency / rate) * rate**2 for sweep in sweeps) for p in peaks]
+    excess = np.array(fastest) / allowed
     worst = int(np.argmax(excess))
-    peak, times = peaks[worst], excess[worst]
-    if times <= 1:
+    peak = peaks[worst]
+    if excess[worst] <= 1:
         return ()
     width = peak.high - peak.low
     lines, enough = width * n_sample / rate, LEAKING_LINES if leaking else FEWEST_LINES
     message = (
         f"the resonance at {peak.frequency:.4g} Hz, {width:.3g} Hz wide (half power), is swept at "
-        f"{times * _allowance(peak):.3g} Hz/s, {times:.3g} times the rate of ISO 7626-2 "
-        f"({_allowance(peak):.3g} Hz/s): it does not reach its steady amplitude"
+        f"{fastest[worst]:.3g} Hz/s, {excess[worst]:.3g} times the rate of ISO 7626-2 "
+        f"({allowed[worst]:.3g} Hz/s): it does not reach its steady amplitude"
     )
     if lines >= enough:
-        why = (
-            "since the ringing that the record lacks is estimated"
-            if leaking
-            else ("since the record holds all that rings")
-        )
-        return (note("sweep-rate", f"{message}; the FRF does not suffer, {why}"),)
+        why = "ringing that the record lacks is estimated" if leaking else "record holds all that rings"
+        return (note("sweep-rate", f"{message}; the FRF does not suffer, since the {why}"),)
     needed = (
         f"{lines:.2g} lines in its width are too few, {enough:.3g} would do: sweep slower, or record "
         "until the response is at rest"
@@ -571,18 +547,13 @@ def rate_findings(
     return (Finding("sweep-rate", f"{message}; {needed}"),)
 
 
-def _allowance(peak: HalfPower) -> float:
-    return largest_rate(peak.frequency, peak.damping_ratio)
-
-
 def _peaks(frequency: FloatArray, matrix: ComplexArray) -> list[HalfPower]:
     """The highest peak of every FRF that has one with its half-power points in the band."""
     peaks = []
-    for row, column in itertools.product(range(matrix.shape[1]), range(matrix.shape[2])):
+    band = float(frequency[0]), float(frequency[-1])
+    for column in matrix.reshape(frequency.size, -1).T:
         try:
-            peaks.append(
-                half_power(frequency, matrix[:, row, column], (float(frequency[0]), float(frequency[-1])))
-            )
+            peaks.append(half_power(frequency, column, band))
         except (DataError, np.linalg.LinAlgError):
             continue
     return [peak for peak in peaks if peak.damping_ratio > 0]

@@ -104,12 +104,13 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         )
     n_sample = _common_length(swept)
     blocks = np.concatenate(
-        [
-            layout.padded(number, _transforms(swept_recording, n_sample), 1)
-            for number, swept_recording in enumerate(swept)
-        ]
+        [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
     )
-    spectra = _in_band(blocks, rate / n_sample, _common_band(sweeps, rate), n_input, settings)
+    # What every sweep passes.
+    band = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
+    if band[0] >= band[1]:
+        raise DataError("the sweeps have no band in common", hint="one test for each band")
+    spectra = _in_band(blocks, rate / n_sample, band, n_input, settings)
     spectra = spectra.select(
         lines_left(spectra.frequency, settings) & _driven_lines(spectra.blocks[:, :, :n_input])
     )
@@ -191,14 +192,6 @@ def _with_repeats(parts: Parts, spectra: _Spectra, n_input: int) -> Parts:
     )
 
 
-def _common_band(sweeps: Sequence[FoundSweep], rate: float) -> tuple[float, float]:
-    """Frequencies [Hz] that every sweep passes; DataError without any."""
-    low, high = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
-    if low >= high:
-        raise DataError("the sweeps have no band in common", hint="one test for each band")
-    return low, high
-
-
 def _in_band(
     blocks: ComplexArray, spacing: float, band: tuple[float, float], n_input: int, settings: FrfSettings
 ) -> _Spectra:
@@ -271,16 +264,15 @@ def _without_leakage(
     )
     if not leaking:
         return spectra, ()
-    kept = (
-        f"; on {np.count_nonzero(~is_determined)} lines swept next to its ends it cannot be told from the "
-        "response, and their uncertainty holds what it may be"
-        if not np.all(is_determined)
-        else ""
-    )
     message = (
         "the responses had not come to rest before a sweep, or at the end of the record: this leakage is "
-        f"estimated over the lines and taken out{kept}"
+        "estimated over the lines and taken out"
     )
+    if not np.all(is_determined):
+        message += (
+            f"; on {np.count_nonzero(~is_determined)} lines swept next to its ends it cannot be told from "
+            "the response, and their uncertainty holds what it may be"
+        )
     return spectra, (note("sweep-leakage", message),)
 
 
@@ -410,23 +402,17 @@ def _lines_averaged(width: int, half_width: int) -> float:
 
 def _notes(swept: Sequence[_Swept], n_sample: int, rate: float) -> tuple[Finding, ...]:
     """What sweeps each recording holds: number, band, law and rate."""
-    return tuple(
-        note(
-            "sweeps",
-            f"'{recording.name}': {len(recording.sweeps)} sweep(s): "
-            f"{'; '.join(dict.fromkeys(_description(sweep, rate) for sweep in recording.sweeps))}; "
+    notes = []
+    for run in swept:
+        bands = ", ".join(f"{sweep.low * rate:.3g}-{sweep.high * rate:.3g} Hz" for sweep in run.left_out)
+        message = (
+            f"'{run.name}': {len(run.sweeps)} sweep(s): "
+            f"{'; '.join(dict.fromkeys(_description(sweep, rate) for sweep in run.sweeps))}; "
             f"{n_sample / rate:.4g} s of each with what follows it are transformed, lines every "
-            f"{rate / n_sample:.3g} Hz{_cut_note(recording, rate)}",
+            f"{rate / n_sample:.3g} Hz{bands and f'; left out, since the record cuts it: {bands}'}"
         )
-        for recording in swept
-    )
-
-
-def _cut_note(swept: _Swept, rate: float) -> str:
-    if not swept.left_out:
-        return ""
-    bands = ", ".join(f"{sweep.low * rate:.3g}-{sweep.high * rate:.3g} Hz" for sweep in swept.left_out)
-    return f"; left out, since the record cuts it: {bands}"
+        notes.append(note("sweeps", message))
+    return tuple(notes)
 
 
 def _description(sweep: FoundSweep, rate: float) -> str:

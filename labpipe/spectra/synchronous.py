@@ -23,8 +23,9 @@ from labpipe.display import plain_text
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.spectra.channels import READ_SAMPLES, checked_blocks
+from labpipe.spectra.channels import FORCE, READ_SAMPLES, DerivedRecording, checked_blocks, columns_of
 from labpipe.spectra.period_average import samples_per_period
+from labpipe.spectra.ports import ORDER_OF
 from labpipe.spectra.settings import FrfSettings, ShaftLines
 from labpipe.spectra.shaft import STRETCH, ShaftMotion, at_rest, shaft_motion, steady
 from labpipe.spectra.windows import hann
@@ -33,36 +34,35 @@ from labpipe.spectra.windows import hann
 # channels.
 
 
-@dataclass(frozen=True)
-class WithoutSynchronous:
+class WithoutSynchronous(DerivedRecording):
     """A recording minus its synchronous part; satisfies SampleSource.
 
     amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI].
     """
 
-    source: SampleSource
-    motion: ShaftMotion
-    amplitude: ComplexArray
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        return self.source.channels
-
-    @property
-    def sample_rate(self) -> float:
-        return self.source.sample_rate
-
-    @property
-    def n_sample(self) -> int:
-        return self.source.n_sample
-
-    @property
-    def name(self) -> str:
-        return self.source.name
+    def __init__(self, source: SampleSource, motion: ShaftMotion, amplitude: ComplexArray) -> None:
+        super().__init__(source)
+        self.motion, self.amplitude = motion, amplitude
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        return (*self.source.findings, *_remove(self.source.channels, self.motion, self.amplitude))
+        """Those of the source, and notes on the subtracted amplitudes of every channel, 0-to-peak."""
+        low, high = self.motion.speed_range
+        speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"
+        removed = [
+            note(
+                "synchronous-removed",
+                f"channel {channel.name}: the part synchronous with {speed} was taken out, "
+                + ", ".join(
+                    f"{order}x {plain_text(abs(value), channel.unit, 3)}"
+                    for order, value in enumerate(amplitudes, 1)
+                )
+                + " 0-to-peak",
+            )
+            for channel, amplitudes in zip(self.channels, self.amplitude.T, strict=True)
+            if is_cleaned(channel)
+        ]
+        return (*self.source.findings, *removed)
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h
@@ -97,26 +97,20 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
             motion, amplitude = refined, better
-    return WithoutSynchronous(
-        source, motion, amplitude * [is_cleaned(channel) for channel in source.channels]
-    )
+    cleaned = amplitude * [is_cleaned(channel) for channel in source.channels]
+    return WithoutSynchronous(source, motion, cleaned)
 
 
 def is_cleaned(channel: Channel) -> bool:
     """Whether a channel's synchronous part is taken out: not that of the tacho and of other references that
     are no force or motion.
     """
-    return channel.role != "reference" or channel.quantity in (
-        "force",
-        "displacement",
-        "velocity",
-        "acceleration",
-    )
+    return channel.role != "reference" or channel.quantity == FORCE or channel.quantity in ORDER_OF
 
 
 def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
     """Power of the fitted harmonics of every output over that of the first block."""
-    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    outputs = columns_of(source.channels, "output")
     power = next(iter(source.blocks(READ_SAMPLES)))[:, outputs].var(axis=0)
     return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
 
@@ -155,45 +149,21 @@ def _refine(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     """
     stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
     window = hann(stretch)
-    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    outputs = columns_of(source.channels, "output")
     amplitudes, rest, start = [], np.empty((0, len(outputs))), 0
     for block in source.blocks(READ_SAMPLES):
         samples = np.concatenate([rest, block[:, outputs]])
         n_whole = samples.shape[0] // stretch
-        turns = (
-            shaft_turns(motion, start, n_whole * stretch, source.sample_rate, 1)
-            .conj()
-            .reshape(n_whole, stretch)
-        )
+        turns = shaft_turns(motion, start, n_whole * stretch, source.sample_rate, 1).conj()
         pieces = samples[: n_whole * stretch].reshape(n_whole, stretch, len(outputs))
-        amplitudes.append(
-            np.einsum("s,ks,ksc->kc", window, turns, pieces - pieces.mean(axis=1, keepdims=True))
-        )
+        pieces = pieces - pieces.mean(axis=1, keepdims=True)
+        amplitudes.append(np.einsum("s,ks,ksc->kc", window, turns.reshape(n_whole, stretch), pieces))
         rest, start = samples[n_whole * stretch :], start + n_whole * stretch
     joined = np.concatenate(amplitudes)
     size = np.linalg.norm(joined, axis=0)
     joined = joined / np.where(size > 0, size, 1.0)
     turn = np.angle(np.sum(joined[1:] * joined[:-1].conj()))
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
-
-
-def _remove(channels: Sequence[Channel], motion: ShaftMotion, amplitude: ComplexArray) -> tuple[Finding, ...]:
-    """Notes on the subtracted amplitudes of every channel, 0-to-peak."""
-    low, high = motion.speed_range
-    speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"
-    return tuple(
-        note(
-            "synchronous-removed",
-            f"channel {channel.name}: the part synchronous with {speed} was taken out, "
-            + ", ".join(
-                f"{order}x {plain_text(abs(value), channel.unit, 3)}"
-                for order, value in enumerate(amplitudes, 1)
-            )
-            + " 0-to-peak",
-        )
-        for channel, amplitudes in zip(channels, amplitude.T, strict=True)
-        if is_cleaned(channel)
-    )
 
 
 # A harmonic of which less than the larger share is left after the mean over periods lies on a line, and that
@@ -252,19 +222,16 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
     }
     bands = tuple((line - 0.4 / settings.period, line + 0.4 / settings.period) for line in on_lines.values())
     findings = tuple(
-        _drop(source, order, line, (low + high) / 2)
+        Finding(
+            "shaft-line",
+            f"{source.name}: the excited line {line:g} Hz lies on {order}x of the shaft's "
+            f"{(low + high) / 2:.6g} Hz, so its runout cannot be told from the response there; the line is "
+            "left out",
+        )
         for order, line in on_lines.items()
         if fitted.acting[min(round(line * settings.period), fitted.acting.size - 1)]
     )
     return Cleaned(WithoutSynchronous(source, motion, amplitude), bands, findings)
-
-
-def _drop(source: SampleSource, order: int, line: float, speed: float) -> Finding:
-    message = (
-        f"{source.name}: the excited line {line:g} Hz lies on {order}x of the shaft's {speed:.6g} Hz, so its "
-        "runout cannot be told from the response there; the line is left out"
-    )
-    return Finding("shaft-line", message)
 
 
 def smooth_motion(motion: ShaftMotion, sample_rate: float) -> ShaftMotion:
@@ -359,7 +326,7 @@ def _refined_between(
         return motion
     assert lines.speed is not None and settings.period is not None
     duration = source.n_sample / source.sample_rate
-    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    outputs = columns_of(source.channels, "output")
     best = motion
     most = _fit(source, motion, lines.harmonics, n_sample, settings.skip, n_period).likelihood
     # On a line nothing is left of 1x; from a quarter of a turn to either side a speed beside it is found.
@@ -434,9 +401,8 @@ def lines_of_shaft(
         tacho = next((channel.name for channel in source.channels if channel.quantity == "tacho"), None)
         if tacho is None or at_rest(source, ShaftLines(tacho=tacho)):
             continue
-        low, high = smooth_motion(
-            shaft_motion(source, ShaftLines(tacho=tacho)), source.sample_rate
-        ).speed_range
+        motion = shaft_motion(source, ShaftLines(tacho=tacho))
+        low, high = smooth_motion(motion, source.sample_rate).speed_range
         if high > STEADY * low:
             continue
         width = source.sample_rate / source.n_sample
@@ -444,13 +410,10 @@ def lines_of_shaft(
             hit = frequency[(frequency > order * low - width) & (frequency < order * high + width)]
             if hit.size:
                 named = ", ".join(f"{line:g} Hz" for line in hit[:3])
-                what = (
+                message = (
                     f"{source.name}: the excited line {named} lies on {order}x of the shaft's "
-                    f"{np.mean([low, high]):.6g} Hz by {tacho}, so "
+                    f"{np.mean([low, high]):.6g} Hz by {tacho}, so its runout counts as response there; "
+                    f"remove: {{tacho: {tacho}, harmonics: 2}} takes it out and drops the line"
                 )
-                cure = (
-                    f"its runout counts as response there; remove: {{tacho: {tacho}, harmonics: 2}} "
-                    "takes it out and drops the line"
-                )
-                findings.append(Finding("shaft-line", what + cure))
+                findings.append(Finding("shaft-line", message))
     return tuple(findings)

@@ -124,13 +124,8 @@ class LineProducts(SegmentProducts):
     """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, for blocks of few lines."""
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
-        super().__init__(
-            window,
-            lines,
-            n_channel,
-            trend,
-            max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel)),
-        )
+        n_together = max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel))
+        super().__init__(window, lines, n_channel, trend, n_together)
         self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
         self._tapered = np.empty((self._room, self._n, n_channel))
         self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
@@ -139,11 +134,8 @@ class LineProducts(SegmentProducts):
         np.multiply(segments, self._taper, out=self._tapered[place])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        amplitude, first, n_line = (
-            fft.rfft(self._tapered[:n_segment], axis=1),
-            self._lines[0],
-            len(self._lines),
-        )
+        amplitude = fft.rfft(self._tapered[:n_segment], axis=1)
+        first, n_line = self._lines[0], len(self._lines)
         disturbed = slice(first, first + self._trend.shape[1])
         for number, trend in enumerate(self._trend):
             amplitude[:, disturbed] -= trend[None, :, None] * coefficients[:, number, None, :]
@@ -222,12 +214,8 @@ class PackedProducts(SegmentProducts):
             for m in range(k + 1):
                 positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
                 left, right = self._crossed[k, m], self._crossed[m, k].conj()
-                even, cross, odd, turned = (
-                    positive + negative,
-                    left + right,
-                    positive - negative,
-                    left - right,
-                )
+                even, odd = positive + negative, positive - negative
+                cross, turned = left + right, left - right
                 matrix[2 * k, 2 * m] = (even + cross) * 0.25
                 matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
                 matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
@@ -273,10 +261,8 @@ class RowProducts(SegmentProducts):
     def _transform(self, number: int) -> None:
         transformed = fft.fft(self._pair, axis=1, overwrite_x=True).T
         n, lines, kept = self._n, self._lines, self._amplitude[number, :, 1:]
-        positive, negative = (
-            transformed[lines[0] : lines[-1] + 1],
-            transformed[n - lines[-1] : n - lines[0] + 1][::-1],
-        )
+        positive = transformed[lines[0] : lines[-1] + 1]
+        negative = transformed[n - lines[-1] : n - lines[0] + 1][::-1]
         for start in range(0, len(lines), CACHED_ROWS):
             chunk = slice(start, start + CACHED_ROWS)
             kept[0, chunk] = positive[chunk]
@@ -417,7 +403,7 @@ class WelchAverage:
         *detrend*: trend subtracted from every segment before the window: its mean (constant), a straight line
         (linear), or none.
         """
-        self._step, self._window = step, window
+        self._step, self._window, self.n_sample = step, window, window.size
         self._lines = range(window.size // 2 + 1)[lines]
         self._basis = trend_basis(detrend, window.size)
         trend = _significant_lines(fft.rfft(window * self._basis, axis=1)[:, lines])
@@ -481,10 +467,8 @@ class WelchAverage:
         self._products.flush()
         n_block = self._products.n_block
         if n_block == 0:
-            have, need = (
-                sum(piece.shape[0] for piece in self._rest) / sample_rate,
-                self._window.size / sample_rate,
-            )
+            have = sum(piece.shape[0] for piece in self._rest) / sample_rate
+            need = self._window.size / sample_rate
             raise DataError(
                 f"the recording is {have:g} s long, too short for one block of {need:g} s",
                 hint="shorten `block`",

@@ -49,8 +49,6 @@ def window_values(name: str, n_sample: int) -> FloatArray:
     """
     if name == "hann":
         return hann(n_sample)
-    # Only rare windows are worth the time of this import.
-
     kind, *parameters = name.split()
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.estimation.budget import contribute
+from labpipe.estimation.budget import contribute, full_errors
 from labpipe.estimation.derived import INTERVAL, with_systematic
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, random_part
@@ -22,15 +22,8 @@ def with_error(name: str, unit: str, value: float, std_error: float, quantile: f
     """value +- quantile standard errors."""
     reach = quantile * std_error
     ratio = value / std_error if std_error > 0 else None
-    return Parameter(
-        name,
-        value,
-        unit,
-        std_error=std_error,
-        t_ratio=ratio,
-        ci95=(value - reach, value + reach),
-        significant=abs(value) > reach,
-    )
+    plain = Parameter(name, value, unit, std_error=std_error, t_ratio=ratio)
+    return replace(plain, ci95=(value - reach, value + reach), significant=abs(value) > reach)
 
 
 def from_log(name: str, unit: str, log: float, log_error: float, quantile: float) -> Parameter:
@@ -47,15 +40,8 @@ def relative_change(name: str, log: float, log_error: float, quantile: float) ->
     """exp(log) - 1 with its interval: a relative difference."""
     factor = from_log(name, "1", log, log_error, quantile)
     assert factor.ci95 is not None
-    low, high = factor.ci95
-    return Parameter(
-        name,
-        factor.value - 1,
-        "1",
-        std_error=factor.std_error,
-        ci95=(low - 1, high - 1),
-        significant=not low <= 1 <= high,
-    )
+    low, high = (end - 1 for end in factor.ci95)
+    return replace(factor, value=factor.value - 1, ci95=(low, high), significant=not low <= 0 <= high)
 
 
 def chance(name: str, p_value: float | None) -> Parameter:
@@ -84,7 +70,7 @@ def with_budget(
     degrees of freedom behind the random parts, None where these are known. Intervals of the *logarithmic*
     amounts are those of a factor.
     """
-    random = np.array([np.nan if amount.full_error is None else amount.full_error for amount in amounts])
+    random = full_errors(amounts)
     whole = Budget(tuple(amount.name for amount in amounts), random, dof, tuple(sources), changes)
     smallest = CANCELLED * np.hypot(np.nan_to_num(random), whole.systematic)
     counted = np.where((np.abs(changes) > smallest) & np.isfinite(random), changes, 0.0)
@@ -92,16 +78,13 @@ def with_budget(
         return tuple(amounts), None
     kept = [number for number, row in enumerate(counted) if np.any(row)] or list(range(len(sources)))
     budget = replace(whole, sources=tuple(sources[number] for number in kept), changes=counted[kept])
-    stated = contribute(with_systematic(amounts, budget), budget, INTERVAL)
-    return tuple(_as_factor(amount) if amount.name in logarithmic else amount for amount in stated), budget
-
-
-def _as_factor(amount: Parameter) -> Parameter:
-    """The amount with the interval of its logarithm."""
-    if amount.combined is None or amount.coverage_factor is None or not amount.value > 0:
-        return amount
-    reach = float(np.exp(amount.coverage_factor * amount.combined / amount.value))
-    return replace(amount, ci95=(amount.value / reach, amount.value * reach))
+    stated = list(contribute(with_systematic(amounts, budget), budget, INTERVAL))
+    for number, amount in enumerate(stated):
+        factor, error = amount.coverage_factor, amount.combined
+        if amount.name in logarithmic and factor is not None and error is not None and amount.value > 0:
+            reach = float(np.exp(factor * error / amount.value))
+            stated[number] = replace(amount, ci95=(amount.value / reach, amount.value * reach))
+    return tuple(stated), budget
 
 
 # Errors that tests have in common: the uncertainty of one sensor, one mass, which no repetition shows and

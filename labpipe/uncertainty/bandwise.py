@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -53,9 +54,8 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     Equation (comp-bands).
     """
     names = _parameters(settings, tests)
-    pairs = [
-        (a, b, name) for name in names for a in tests.fits[0] for b in tests.fits[1] if a.band_hz == b.band_hz
-    ]
+    every = itertools.product(names, *tests.fits)
+    pairs = [(a, b, name) for name, a, b in every if a.band_hz == b.band_hz]
     usable = [
         (a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error
     ]

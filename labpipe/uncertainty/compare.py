@@ -21,11 +21,10 @@ from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.registry import nearest
 from labpipe.spectra.quality import reciprocity
-from labpipe.uncertainty.amounts import chance, from_log, joint_errors, relative_change, with_error
+from labpipe.uncertainty.amounts import chance, from_log, joint_errors, relative_change
 from labpipe.uncertainty.bandwise import bandwise, two_tests
-from labpipe.uncertainty.observations import Campaign, campaign_of, group_of
+from labpipe.uncertainty.observations import Campaign, campaign_of, fits_named, group_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
 from labpipe.uncertainty.weighted import WeightedFit, repeatability, weighted_fit, weighted_mean
 
@@ -83,7 +82,7 @@ def _power(campaign: Campaign) -> Comparison:
     fit, centre = power_fit(campaign), _centre(campaign, campaign.condition)
     x = _draw(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
-    exponent = with_error("exponent", "1", float(fit.values[1]), fit.std_error(1), fit.quantile)
+    exponent = fit.amount("exponent", "1", 1)
     level = from_log("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
     settings = campaign.settings
     amount = display.amount_text(level.value, level.std_error, campaign.unit)
@@ -91,38 +90,26 @@ def _power(campaign: Campaign) -> Comparison:
     law += f"^({display.with_error(exponent.value, exponent.std_error)})"
     amounts = [exponent, level]
     if settings.second:
-        amounts.append(
-            with_error("second_exponent", "1", float(fit.values[2]), fit.std_error(2), fit.quantile)
-        )
-        second = display.with_error(float(fit.values[2]), fit.std_error(2))
+        second = fit.amount("second_exponent", "1", 2)
+        amounts.append(second)
         law += (
             f" ({settings.second} / {_centre(campaign, campaign.second):.5g} "
-            f"{campaign.second_unit})^({second})"
+            f"{campaign.second_unit})^({display.with_error(second.value, second.std_error)})"
         )
     return _comparison(campaign, fit, amounts, law, np.column_stack([x, values]))
 
 
 def _line(campaign: Campaign) -> Comparison:
-    x, centre = campaign.condition, float(np.mean(campaign.condition))
-    columns = np.column_stack(
-        [np.ones_like(x), *(values - np.mean(values) for values in _conditions(campaign))]
-    )
+    settings, conditions = campaign.settings, np.array(_conditions(campaign))
+    centre = float(np.mean(campaign.condition))
+    columns = np.vstack([np.ones(conditions.shape[1]), conditions - conditions.mean(axis=1)[:, None]]).T
     fit = weighted_fit(columns, campaign.value, campaign.std_error)
-    setting = np.linalg.norm(
-        [slope * values for slope, values in zip(fit.values[1:], _conditions(campaign), strict=True)], axis=0
-    )
-    errors = np.hypot(campaign.std_error, setting * campaign.settings.setting_error)
+    setting = np.linalg.norm(fit.values[1:, None] * conditions, axis=0)
+    errors = np.hypot(campaign.std_error, setting * settings.setting_error)
     fit = weighted_fit(columns, campaign.value, joint_errors(errors, campaign.common))
-    slope = with_error(
-        "slope",
-        f"{campaign.unit}/{campaign.condition_unit}",
-        float(fit.values[1]),
-        fit.std_error(1),
-        fit.quantile,
-    )
-    level = with_error("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
-    drawn = _draw(x)
-    settings = campaign.settings
+    slope = fit.amount("slope", f"{campaign.unit}/{campaign.condition_unit}", 1)
+    level = fit.amount("level", campaign.unit, 0)
+    drawn = _draw(campaign.condition)
     where = (
         f"{display.amount_text(level.value, level.std_error, campaign.unit)} at {settings.condition} "
         f"{centre:.5g} {campaign.condition_unit}"
@@ -130,14 +117,13 @@ def _line(campaign: Campaign) -> Comparison:
     change = display.with_error(slope.value, slope.std_error, slope.unit)
     amounts = [slope, level]
     if settings.second:
-        unit = f"{campaign.unit}/{campaign.second_unit}"
-        amounts.append(with_error("second_slope", unit, float(fit.values[2]), fit.std_error(2), fit.quantile))
+        second = fit.amount("second_slope", f"{campaign.unit}/{campaign.second_unit}", 2)
+        amounts.append(second)
         where += f" and {settings.second} {float(np.mean(campaign.second)):.5g} {campaign.second_unit}"
-        change += f" and {display.with_error(float(fit.values[2]), fit.std_error(2), unit)}"
+        change += f" and {display.with_error(second.value, second.std_error, second.unit)}"
     law = f"{campaign.subject} is {where} and changes by {change}"
-    return _comparison(
-        campaign, fit, amounts, law, np.column_stack([drawn, level.value + slope.value * (drawn - centre)])
-    )
+    line = np.column_stack([drawn, level.value + slope.value * (drawn - centre)])
+    return _comparison(campaign, fit, amounts, law, line)
 
 
 def _draw(x: FloatArray) -> FloatArray:
@@ -155,21 +141,9 @@ def _comparison(
     statement = f"{law}: {verdict} (p = {p_value:.2g}){fits}."
     if fit.inflated:
         statement += " The points scatter more than their errors, which are enlarged accordingly."
-    return Comparison(
-        name=campaign.settings.name,
-        kind="trend",
-        subject=campaign.subject,
-        unit=campaign.unit,
-        points=campaign.points(),
-        amounts=(*amounts, chance("p_value", p_value), *second, chance("scatter_p", fit.p_value)),
-        verdict=verdict,
-        statement=statement,
-        condition=campaign.settings.condition,
-        condition_unit=campaign.condition_unit,
-        second=campaign.settings.second,
-        second_unit=campaign.second_unit,
-        line=tuple((float(a), float(b)) for a, b in line),
-    )
+    stated = (*amounts, chance("p_value", p_value), *second, chance("scatter_p", fit.p_value))
+    comparison = campaign.comparison(stated, verdict, statement)
+    return replace(comparison, line=tuple((float(a), float(b)) for a, b in line))
 
 
 # Difference of two groups of tests: up against down, before against after, paired by condition.
@@ -217,20 +191,8 @@ def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result:
     p_value = mean.p_of(0)
     verdict = "different" if p_value < campaign.settings.level else "no difference"
     pairs = f"{mean.dof + 1} condition(s) tested both ways" if campaign.settings.over else "all tests"
-    return Comparison(
-        name=campaign.settings.name,
-        kind=campaign.settings.kind,
-        subject=campaign.subject,
-        unit=campaign.unit,
-        points=campaign.points(),
-        amounts=(amount, chance("p_value", p_value), chance("scatter_p", mean.p_value)),
-        verdict=verdict,
-        statement=f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).",
-        condition=campaign.settings.condition,
-        condition_unit=campaign.condition_unit,
-        second=campaign.settings.second,
-        second_unit=campaign.second_unit,
-    )
+    amounts = (amount, chance("p_value", p_value), chance("scatter_p", mean.p_value))
+    return campaign.comparison(amounts, verdict, f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).")
 
 
 def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -245,29 +207,25 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, Floa
     groups = np.array([observation.group for observation in campaign.observations])
     for name in (first, second):
         if name not in groups:
-            what = (
-                f"no test has {campaign.settings.group}: {name}"
-                if campaign.settings.group
-                else f"no test '{name}'"
-            )
+            group = campaign.settings.group
+            what = f"no test has {group}: {name}" if group else f"no test '{name}'"
             raise ConfigError(what, hint=f"known: {', '.join(sorted(set(groups)))}")
     pairs = []
     for members in _strata(campaign):
         of_first, of_second = members & (groups == first), members & (groups == second)
         if np.any(of_first) and np.any(of_second):
-            means = [weighted_mean(logs[part], errors[part]) for part in (of_first, of_second)]
-            changes = [
-                np.average(relative[:, part], axis=1, weights=errors[part] ** -2.0)
-                for part in (of_first, of_second)
-            ]
-            error = float(np.hypot(means[0].std_error(0), means[1].std_error(0)))
-            pairs.append((means[1].values[0] - means[0].values[0], error, changes[1] - changes[0]))
+            parts = of_first, of_second
+            before, after = (weighted_mean(logs[part], errors[part]) for part in parts)
+            old, new = (np.average(relative[:, part], axis=1, weights=errors[part] ** -2.0) for part in parts)
+            error = float(np.hypot(before.std_error(0), after.std_error(0)))
+            pairs.append((after.values[0] - before.values[0], error, new - old))
     if not pairs:
         raise ConfigError(
             f"{first} and {second} were tested at no common '{', '.join(campaign.settings.over)}'",
             hint="leave `over` out",
         )
-    return np.array([f[0] for f in pairs]), np.array([f[1] for f in pairs]), np.array([f[2] for f in pairs]).T
+    differences, spreads, changes = (np.array(column) for column in zip(*pairs, strict=True))
+    return differences, spreads, changes.T
 
 
 def _strata(campaign: Campaign) -> list[BoolArray]:
@@ -305,36 +263,34 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
     The largest relative difference is that of coupled pairs. DataError without a response that can be tested.
     Equation (comp-reciprocity).
     """
-    points = [
-        ComparedPoint(
-            response.name, pair.difference, group=f"{pair.first}-{pair.second}", p_value=pair.p_value
-        )
-        for response in responses
-        for pair in reciprocity(response)
-    ]
-    if not points:
+    pairs = [(response.name, pair) for response in responses for pair in reciprocity(response)]
+    if not pairs:
         raise DataError("there is no response whose reciprocity can be tested")
-    least = min(point.p_value for point in points if point.p_value is not None)
-    p_value = min(1.0, least * len(points))
-    coupled = [point.value for point in points if point.value < UNCOUPLED]
-    largest = max(coupled) if coupled else float("nan")
+    p_value = min(1.0, min(pair.p_value for _, pair in pairs) * len(pairs))
+    coupled = [pair.difference for _, pair in pairs if pair.difference < UNCOUPLED]
+    largest = max(coupled, default=float("nan"))
     verdict = "not reciprocal" if p_value < settings.level else "reciprocal"
-    coupled_text = (
-        f"coupled pairs differ by at most {100 * largest:.2g} % rms"
-        if coupled
-        else "no pair is coupled above the noise"
+    statement = (
+        f"{len(pairs)} pair(s) of dofs in {len(responses)} test(s), {len(coupled)} of them coupled; "
+        + (
+            f"coupled pairs differ by at most {100 * largest:.2g} % rms"
+            if coupled
+            else "no pair is coupled above the noise"
+        )
+        + f": {verdict} (p = {p_value:.2g}, corrected for the number of pairs)."
     )
-    count = f"{len(points)} pair(s) of dofs in {len(responses)} test(s), {len(coupled)} of them coupled"
     return Comparison(
         name=settings.name,
         kind="reciprocity",
         subject="|H_ij - H_ji| / |H|",
         unit="1",
-        points=tuple(points),
+        points=tuple(
+            ComparedPoint(test, pair.difference, group=f"{pair.first}-{pair.second}", p_value=pair.p_value)
+            for test, pair in pairs
+        ),
         amounts=(chance("p_value", p_value), Parameter("difference", largest, "1", derived=True)),
         verdict=verdict,
-        statement=f"{count}; {coupled_text}: {verdict} (p = {p_value:.2g}, corrected for the number of "
-        "pairs).",
+        statement=statement,
     )
 
 
@@ -358,13 +314,7 @@ class Evidence:
 
     def fits_of(self, settings: CompareSettings) -> list[Fit]:
         """The fits that the settings name; ConfigError where there is none."""
-        named = [fit for fit in self.fits if fit.name == settings.fit]
-        if not named:
-            raise ConfigError(
-                f"no fit '{settings.fit}' to compare",
-                hint=nearest(settings.fit, {fit.name for fit in self.fits}),
-            )
-        return named
+        return fits_named(settings.fit, self.fits)
 
     def campaign(self, settings: CompareSettings, parameter: str = "") -> Campaign:
         """The observations of the settings; *parameter*: in place of theirs."""

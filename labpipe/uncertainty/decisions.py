@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,9 +146,9 @@ def global_risk(
         half, centre = (high - low) / 2, (low + high) / 2
         true = centre + half * nodes
         density = np.exp(-(((true - mean) / spread) ** 2) / 2) / (spread * math.sqrt(2 * math.pi))
-        accepted = np.array(
-            [0.0 if acceptance is None else conformance(at, error, acceptance) for at in true]
-        )
+        accepted = np.zeros(NODES)
+        if acceptance is not None:
+            accepted = np.array([conformance(at, error, acceptance) for at in true])
         part = half * weights * density
         if limits.hold(centre):
             false_rejection += float(part @ (1.0 - accepted))
@@ -171,7 +171,8 @@ def joint_conformance(values: FloatArray, covariance: FloatArray, limits: Sequen
     low = np.array([limit.low for limit in limits]) - values
     high = np.array([limit.high for limit in limits]) - values
     factor = _lower_factor(covariance)
-    roots = np.sqrt(list(itertools.islice(_primes(), n)))
+    primes = (number for number in itertools.count(2) if all(number % k for k in range(2, number)))
+    roots = np.sqrt(list(itertools.islice(primes, n)))
     points = np.abs(2 * np.modf((np.arange(LATTICE) + 0.5)[:, None] * roots)[0] - 1)
     drawn = np.zeros((LATTICE, n))
     probability = np.ones(LATTICE)
@@ -187,10 +188,6 @@ def joint_conformance(values: FloatArray, covariance: FloatArray, limits: Sequen
         inside = np.clip(below + points[:, row] * (above - below), 1e-300, 1 - 1e-16)
         drawn[:, row] = ndtri(inside)
     return float(np.clip(probability.mean(), 0.0, 1.0))
-
-
-def _primes() -> Iterator[int]:
-    return (number for number in itertools.count(2) if all(number % k for k in range(2, number)))
 
 
 def _lower_factor(covariance: FloatArray) -> FloatArray:

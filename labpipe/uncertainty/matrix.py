@@ -13,8 +13,8 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile
-from labpipe.errors import ConfigError, FitError
-from labpipe.quantities import QUANTITIES, UnitError, si_amount
+from labpipe.errors import ConfigError, FitError, SettingError
+from labpipe.quantities import QUANTITIES
 from labpipe.records.comparison import (
     Beside,
     ConditionAxis,
@@ -29,6 +29,7 @@ from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, change_in, random_error
 from labpipe.uncertainty.bandwise import holm
+from labpipe.uncertainty.observations import check_single, condition_of
 from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
 from labpipe.uncertainty.weighted import weighted_mean
 
@@ -52,11 +53,9 @@ def repeat(parameters: Sequence[Parameter]) -> Repeated:
         [np.nan if parameter.std_error is None else parameter.std_error for parameter in parameters]
     )
     if not np.all(errors > 0):
-        return Repeated(
-            _of_scatter(parameters[0], float(np.mean(values)), scatter or 0.0, values.size),
-            values.size,
-            scatter=scatter,
-        )
+        plain, error = float(np.mean(values)), (scatter or 0.0) / float(np.sqrt(values.size))
+        reach = float(student_quantile(0.975, values.size - 1) * error)
+        return Repeated(_parameter(parameters[0], plain, error, error, reach), values.size, scatter=scatter)
     mean = weighted_mean(values, errors)
     full = np.array([parameter.full_error or 0.0 for parameter in parameters])
     common = float(np.mean(np.sqrt(np.maximum(full**2 - errors**2, 0.0))))
@@ -68,24 +67,11 @@ def repeat(parameters: Sequence[Parameter]) -> Repeated:
     return Repeated(parameter, values.size, scatter=scatter, p_value=mean.p_value)
 
 
-def _of_scatter(like: Parameter, value: float, scatter: float, number: int) -> Parameter:
-    error = scatter / np.sqrt(number)
-    if not error > 0:
-        return replace(
-            like,
-            value=value,
-            std_error=None,
-            std_error_inflated=None,
-            ci95=None,
-            t_ratio=None,
-            significant=None,
-        )
-    return _parameter(
-        like, value, float(error), float(error), float(student_quantile(0.975, number - 1) * error)
-    )
-
-
 def _parameter(like: Parameter, value: float, noise: float, whole: float, reach: float) -> Parameter:
+    """The coefficient with another value and error; without an error where that is zero."""
+    if not whole > 0:
+        without = replace(like, value=value, std_error=None, std_error_inflated=None, ci95=None)
+        return replace(without, t_ratio=None, significant=None)
     return Parameter(
         like.name,
         value,
@@ -113,17 +99,21 @@ def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
     / sqrt(s^2 + s_0^2) of the errors by noise, Holm's correction over all of them, at *level* [1]. Equation
     (comp-validity).
     """
-    place = next(
-        (
-            n
-            for n, axis in enumerate(matrix.axes)
-            if axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES)
-        ),
-        None,
-    )
-    if place is None or len(matrix.axes[place].levels) < 2:
+    places = [
+        n
+        for n, axis in enumerate(matrix.axes)
+        if axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES)
+    ]
+    if not places or len(matrix.axes[places[0]].levels) < 2:
         return ""
-    pairs = list(_pairs(matrix, place))
+    place = places[0]
+    # (level of the amplitude, coefficient, p-value against the smallest amplitude).
+    pairs = [
+        (point.place[place], name, p_value)
+        for points in _along(matrix, place).values()
+        for point, name in itertools.product(points[1:], matrix.names)
+        if (p_value := _chance(points[0], point, name)) is not None
+    ]
     corrected = holm(np.array([chance for _, _, chance in pairs]))
     differing = [(number, name) for (number, name, _), p in zip(pairs, corrected, strict=True) if p < level]
     axis = matrix.axes[place]
@@ -135,35 +125,21 @@ def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
     return f"The coefficients of small motions hold up to {valid}; at {changed} {names} differ"
 
 
-def _pairs(matrix: ConditionMatrix, place: int) -> Sequence[tuple[int, str, float]]:
-    """(level of the amplitude, coefficient, p-value against the smallest amplitude) at equal other
-    conditions.
-    """
+def _along(matrix: ConditionMatrix, axis: int) -> dict[tuple[int, ...], list[MatrixPoint]]:
+    """The points along an axis, in its order, by their place on the other axes."""
     groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
-    for point in matrix.points:
-        groups.setdefault(point.place[:place] + point.place[place + 1 :], []).append(point)
-    return [
-        (point.place[place], name, chance)
-        for points in groups.values()
-        for point, name in itertools.product(
-            sorted(points, key=lambda one: one.place[place])[1:], matrix.names
-        )
-        if (chance := _chance(min(points, key=lambda one: one.place[place]), point, name)) is not None
-    ]
+    for point in sorted(matrix.points, key=lambda point: point.place[axis]):
+        groups.setdefault(point.place[:axis] + point.place[axis + 1 :], []).append(point)
+    return groups
 
 
 def _chance(first: MatrixPoint, other: MatrixPoint, name: str) -> float | None:
-    a, b = first.value(name), other.value(name)
-    if (
-        a is None
-        or b is None
-        or a.parameter.derived
-        or a.parameter.std_error is None
-        or b.parameter.std_error is None
-    ):
+    """p-value of the difference of a coefficient of two points."""
+    pair = [value.parameter for point in (first, other) if (value := point.value(name)) is not None]
+    errors = [parameter.std_error for parameter in pair if parameter.std_error is not None]
+    if len(errors) < 2 or pair[0].derived or not any(errors):
         return None
-    size = float(np.hypot(a.parameter.std_error, b.parameter.std_error))
-    return 2 * normal_tail(abs(b.parameter.value - a.parameter.value) / size) if size > 0 else None
+    return 2 * normal_tail(abs(pair[1].value - pair[0].value) / float(np.linalg.norm(errors)))
 
 
 # The path of the shaft's rest position over the static load, and its slope against the stiffness from
@@ -181,25 +157,15 @@ def equilibrium_paths(
     ConfigError where x or y is no displacement. Equation (comp-path).
     """
     number = [axis.name for axis in matrix.axes].index(settings.load)
-    groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
-    for point in matrix.points:
-        groups.setdefault(point.place[:number] + point.place[number + 1 :], []).append(point)
+    axes = [axis for axis in matrix.axes if axis.name != settings.load]
     paths = []
-    for others, points in groups.items():
+    # In the order of the other conditions.
+    for others, points in sorted(_along(matrix, number).items()):
         if len(points) > 1:
-            ordered = sorted(points, key=lambda point: point.place[number])
-            loads = np.array([matrix.axes[number].levels[point.place[number]] for point in ordered])
-            paths.append(
-                EquilibriumPath(
-                    _at(matrix, number, others), _path(settings, loads, ordered, fits), settings.clearance
-                )
-            )
+            loads = np.array([matrix.axes[number].levels[point.place[number]] for point in points])
+            at = ", ".join(axis.text(axis.levels[n]) for axis, n in zip(axes, others, strict=True))
+            paths.append(EquilibriumPath(at, _path(settings, loads, points, fits), settings.clearance))
     return tuple(paths)
-
-
-def _at(matrix: ConditionMatrix, number: int, others: tuple[int, ...]) -> str:
-    axes = [axis for n, axis in enumerate(matrix.axes) if n != number]
-    return ", ".join(axis.text(axis.levels[n]) for axis, n in zip(axes, others, strict=True))
 
 
 def _path(
@@ -209,9 +175,7 @@ def _path(
 
     At the ends, of the outer three.
     """
-    rest = [_rest(settings, point) for point in points]
-    position = np.array([place for place, _ in rest])
-    error = np.array([spread for _, spread in rest])
+    position, error = (np.array(part) for part in zip(*(_rest(settings, p) for p in points), strict=True))
     path = []
     for n, point in enumerate(points):
         weights = _slope_weights(loads, n)
@@ -309,12 +273,10 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
     if not all(name in estimated for name in STIFFNESS):
         return None
     chosen = [fit.parameter(name) for name in STIFFNESS]
-    errors = np.array(
-        [np.nan if (error := random_error(fit, parameter)) is None else error for parameter in chosen]
-    )
-    stiffness = np.array([parameter.value for parameter in chosen]).reshape(2, 2) + settings.support * np.eye(
-        2
-    )
+    # None, where there is no error, becomes NaN.
+    errors = np.array([random_error(fit, parameter) for parameter in chosen], np.float64)
+    stiffness = np.array([parameter.value for parameter in chosen]).reshape(2, 2)
+    stiffness = stiffness + settings.support * np.eye(2)
     if not np.all(np.isfinite(errors)) or abs(np.linalg.det(stiffness)) == 0:
         return None
     inverse = np.linalg.inv(stiffness)
@@ -371,13 +333,14 @@ def condition_matrix(
     points = tuple(
         _point(settings, place, of_place, members, names, amounts) for place, of_place, members in cells
     )
+    every = itertools.product(*(range(len(axis.levels)) for axis in axes))
     matrix = ConditionMatrix(
         name=settings.name,
         fit=settings.fit,
         axes=axes,
         names=names,
         points=points,
-        missing=_missing(axes, groups),
+        missing=tuple(place for place in every if place not in groups),
     )
     if theory is not None:
         matrix = replace(matrix, points=tuple(_beside_theory(matrix, point, theory) for point in points))
@@ -399,10 +362,7 @@ def _choose(settings: MatrixSettings, fits: Sequence[Fit]) -> list[Fit]:
     chosen = [fit for fit in fits if fit.name == settings.fit]
     if not chosen:
         raise FitError(f"no test has a fit '{settings.fit}'")
-    tests = [fit.test for fit in chosen]
-    twice = next((test for test in tests if tests.count(test) > 1), None)
-    if twice is not None:
-        raise ConfigError(f"fit '{settings.fit}' has several results in test '{twice}'", hint="fit one band")
+    check_single(chosen, "fit one band")
     return chosen
 
 
@@ -415,23 +375,11 @@ def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[st
 
     ConfigError for a test that lacks it, or has it in another dimension.
     """
-    pairs = []
-    for fit in fits:
-        of_test = conditions.get(fit.test, {})
-        if name not in of_test:
-            hint = nearest(name, of_test) if of_test else "write it under the test's `conditions`"
-            raise ConfigError(f"test '{fit.test}' has no condition '{name}'", hint=hint)
-        try:
-            pairs.append(si_amount(of_test[name]))
-        except UnitError as error:
-            raise ConfigError(
-                f"condition {name} of test '{fit.test}': {error.what}", hint=error.hint
-            ) from None
+    pairs = [condition_of(name, fit.test, conditions.get(fit.test, {})) for fit in fits]
     units = sorted({unit for _, unit in pairs})
     if len(units) > 1:
-        raise ConfigError(
-            f"the condition '{name}' has the units {', '.join(units)}", hint="write it in one dimension"
-        )
+        what = f"the condition '{name}' has the units {', '.join(units)}"
+        raise ConfigError(what, hint="write it in one dimension")
     return Amounts(units[0], np.array([value for value, _ in pairs]))
 
 
@@ -449,17 +397,12 @@ def _axes(
 
 def _names(settings: MatrixSettings, fits: Sequence[Fit]) -> tuple[str, ...]:
     """The coefficients of the matrix: those named, or those that all tests have."""
-    common = [
-        p.name
-        for p in fits[0].parameters
-        if all(any(q.name == p.name for q in fit.parameters) for fit in fits)
-    ]
+    names_of = [[parameter.name for parameter in fit.parameters] for fit in fits]
     for name in settings.parameters:
-        if not any(parameter.name == name for fit in fits for parameter in fit.parameters):
-            names = [parameter.name for parameter in fits[0].parameters]
-            raise ConfigError(
-                f"fit '{settings.fit}' has no '{name}'", hint=nearest(name, names), field="parameters"
-            )
+        if not any(name in names for names in names_of):
+            what = f"fit '{settings.fit}' has no '{name}'"
+            raise SettingError("parameters", what, nearest(name, names_of[0]))
+    common = (name for name in names_of[0] if all(name in names for names in names_of))
     return settings.parameters or tuple(common)
 
 
@@ -480,13 +423,6 @@ def _point(
     codes = dict.fromkeys(finding.code for fit in fits for finding in of_level(WARNING, fit.findings))
     values = tuple(repeat(parameters) for parameters in of_name.values() if parameters)
     return MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
-
-
-def _missing(
-    axes: Sequence[ConditionAxis], places: Mapping[tuple[int, ...], Any]
-) -> tuple[tuple[int, ...], ...]:
-    every = itertools.product(*(range(len(axis.levels)) for axis in axes))
-    return tuple(place for place in every if place not in places)
 
 
 def _beside_theory(matrix: ConditionMatrix, point: MatrixPoint, theory: PointTheory) -> MatrixPoint:

@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.comparison import ComparedPoint
+from labpipe.records.comparison import ComparedPoint, Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
@@ -133,6 +133,23 @@ class Campaign:
     def points(self) -> tuple[ComparedPoint, ...]:
         return tuple(observation.point() for observation in self.observations)
 
+    def comparison(self, amounts: Sequence[Parameter], verdict: str, statement: str) -> Comparison:
+        """The comparison of these tests."""
+        return Comparison(
+            name=self.settings.name,
+            kind=self.settings.kind,
+            subject=self.subject,
+            unit=self.unit,
+            points=self.points(),
+            amounts=tuple(amounts),
+            verdict=verdict,
+            statement=statement,
+            condition=self.settings.condition,
+            condition_unit=self.condition_unit,
+            second=self.settings.second,
+            second_unit=self.second_unit,
+        )
+
 
 def campaign_of(
     settings: CompareSettings,
@@ -152,21 +169,13 @@ def campaign_of(
         amounts = [condition_of(name, fit.test, of_test) for name in settings.over]
         units.add(tuple(unit for _, unit in amounts))
         first, second = (*(value for value, _ in amounts), float("nan"), float("nan"))[:2]
-        observations.append(
-            Observation(
-                fit,
-                _parameter(parameter or settings.parameter, fit),
-                first,
-                second,
-                group_of(settings, fit.test, of_test),
-            )
-        )
+        group = group_of(settings, fit.test, of_test)
+        estimate = _parameter(parameter or settings.parameter, fit)
+        observations.append(Observation(fit, estimate, first, second, group))
     if len(units) > 1:
         listed = ", ".join(sorted(" and ".join(pair) for pair in units))
-        raise ConfigError(
-            f"the condition '{', '.join(settings.over)}' has the units {listed}",
-            hint="write it in one dimension",
-        )
+        what = f"the condition '{', '.join(settings.over)}' has the units {listed}"
+        raise ConfigError(what, hint="write it in one dimension")
     if len(observations) < 2:
         raise FitError(
             f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed"
@@ -178,26 +187,32 @@ def campaign_of(
     return Campaign(settings, tuple(observations), *(*units.pop(), "", "")[:2])
 
 
+def fits_named(name: str, fits: Sequence[Fit]) -> list[Fit]:
+    """The *fits* of that name; ConfigError where there is none."""
+    named = [fit for fit in fits if fit.name == name]
+    if not named:
+        raise ConfigError(f"no fit '{name}' to compare", hint=nearest(name, {fit.name for fit in fits}))
+    return named
+
+
+def check_single(fits: Sequence[Fit], hint: str) -> None:
+    """ConfigError for a test with several of the *fits*."""
+    tests = [fit.test for fit in fits]
+    twice = next((fit for fit in fits if tests.count(fit.test) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"fit '{twice.name}' has several results in test '{twice.test}'", hint=hint)
+
+
 def _choose(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
     """The fit of every test; ConfigError where there is none, or several in a test."""
-    named = [fit for fit in fits if fit.name == settings.fit]
-    if not named:
-        raise ConfigError(
-            f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in fits})
-        )
+    named = fits_named(settings.fit, fits)
     chosen = [fit for fit in named if not settings.term or fit.term == settings.term]
     if not chosen:
         raise ConfigError(
             f"fit '{settings.fit}' has no term '{settings.term}'",
             hint=nearest(settings.term, {f.term for f in named}),
         )
-    tests = [fit.test for fit in chosen]
-    twice = next((test for test in tests if tests.count(test) > 1), None)
-    if twice is not None:
-        raise ConfigError(
-            f"fit '{settings.fit}' has several results in test '{twice}'",
-            hint="name one with `term`, or fit one band",
-        )
+    check_single(chosen, "name one with `term`, or fit one band")
     return chosen
 
 
@@ -211,9 +226,8 @@ def _parameter(name: str, fit: Fit) -> Parameter:
 
 def _condition(name: str, test: str, conditions: Mapping[str, Any]) -> str:
     if name not in conditions:
-        raise ConfigError(
-            f"test '{test}' has no condition '{name}'", hint="write it under the test's `conditions`"
-        )
+        hint = nearest(name, conditions) if conditions else "write it under the test's `conditions`"
+        raise ConfigError(f"test '{test}' has no condition '{name}'", hint=hint)
     return str(conditions[name])
 
 

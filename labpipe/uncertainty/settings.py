@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray, IntArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.records.comparison import Comparison
 from labpipe.records.settings import Settings, setting, settings_of
 from labpipe.records.uncertain import Uncertain
@@ -56,18 +56,14 @@ class MatrixTheorySettings(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.bearing) == bool(self.table):
-            raise ConfigError(
-                "one of 'bearing' and 'table' is needed", hint="bearing: FILE, or table: FILE.csv"
-            )
+            what, hint = "one of 'bearing' and 'table' is needed", "bearing: FILE, or table: FILE.csv"
+            raise ConfigError(what, hint=hint)
         if self.table and (self.entries or self.axes):
-            raise ConfigError(
-                "'entries' and 'axes' belong to a bearing file",
-                hint="name the columns of the table as the conditions",
-            )
+            what = "'entries' and 'axes' belong to a bearing file"
+            raise ConfigError(what, hint="name the columns of the table as the conditions")
         if self.axes and len({axis.lstrip("-") for axis in self.axes}) != 2:
-            raise ConfigError(
-                "'axes' names two dofs, those that are x and y", hint="for example axes: [-z, y]"
-            )
+            what = "'axes' names two dofs, those that are x and y"
+            raise ConfigError(what, hint="for example axes: [-z, y]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,21 +129,17 @@ class MatrixSettings(Settings):
         for names, what in ((self.over, "over"), (self.beside, "beside"), (self.parameters, "parameters")):
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:
-                raise ConfigError(f"'{what}' names '{twice}' twice", field=what)
+                raise SettingError(what, f"'{what}' names '{twice}' twice")
         if self.path is not None and self.path.load not in self.over:
-            raise ConfigError(
-                f"the load '{self.path.load}' of the path is none of 'over'",
-                hint=f"over: {', '.join(self.over)}",
-            )
+            what = f"the load '{self.path.load}' of the path is none of 'over'"
+            raise ConfigError(what, hint=f"over: {', '.join(self.over)}")
         if not 0 <= self.tolerance < 1:
             raise ConfigError("'tolerance' must be at least 0 and below 100 %")
         if not 0 < self.level < 1:
             raise ConfigError("'level' must lie between 0 and 100 %")
         if self.theory is not None and self.theory.bearing and len(self.theory.entries) != len(self.over):
-            hint = "for example over: [speed, load] with entries: [speed, load]"
-            raise ConfigError(
-                f"'theory.entries' names one entry for each of {len(self.over)} conditions", hint=hint
-            )
+            what = f"'theory.entries' names one entry for each of {len(self.over)} conditions"
+            raise ConfigError(what, hint="for example over: [speed, load] with entries: [speed, load]")
 
 
 # The kinds of comparisons: what each of them computes, which keys of a comparison it takes, and what is true
@@ -247,13 +239,11 @@ class CompareSettings(Settings):
         if self.setting_error < 0:
             raise ConfigError("'setting_error' must not be negative")
         if self.estimate and self.theory is None:
-            raise ConfigError(
-                "'estimate' has no loop whose unknowns can be fitted", hint="theory: {bearing: FILE}"
-            )
+            what = "'estimate' has no loop whose unknowns can be fitted"
+            raise ConfigError(what, hint="theory: {bearing: FILE}")
         if len(set(self.estimate)) < len(self.estimate):
-            raise ConfigError(
-                "'estimate' names an unknown twice", hint=", ".join(dict.fromkeys(self.estimate))
-            )
+            hint = ", ".join(dict.fromkeys(self.estimate))
+            raise ConfigError("'estimate' names an unknown twice", hint=hint)
         self._check_theory()
 
     def _check_keys(self) -> None:
@@ -264,14 +254,13 @@ class CompareSettings(Settings):
         for key in self.written:
             if key not in ("kind", *kind.keys):
                 hint = f"leave it out; kinds that take it: {', '.join(takers(key))}"
-                raise ConfigError(f"'{key}' is not for the kind {self.kind}", hint=hint, field=key)
+                raise SettingError(key, f"'{key}' is not for the kind {self.kind}", hint)
         for needed in kind.needs:
             if not getattr(self, needed):
                 raise ConfigError(f"'{needed}' is missing", hint=f"a comparison of kind {self.kind} needs it")
         if "groups" in kind.needs and len(self.groups) != 2:
-            raise ConfigError(
-                f"two groups are compared, not {len(self.groups)}", hint="for example groups: [up, down]"
-            )
+            what = f"two groups are compared, not {len(self.groups)}"
+            raise ConfigError(what, hint="for example groups: [up, down]")
         if kind.settings is not None and self.kind_settings is None:
             object.__setattr__(self, "kind_settings", kind.settings())
         if not isinstance(self.kind_settings, kind.settings or type(None)):
@@ -293,9 +282,9 @@ class CompareSettings(Settings):
         if len(self.over) > most:
             what = f"a comparison of kind {self.kind} goes over {most} condition(s), not {len(self.over)}"
             several = (name for name in COMPARISONS if comparison_kind(name).conditions > 1)
-            raise ConfigError(what, hint=f"two: {', '.join(several)}; more: matrix", field="over")
+            raise SettingError("over", what, f"two: {', '.join(several)}; more: matrix")
         if len(set(self.over)) < len(self.over):
-            raise ConfigError(f"'over' names '{self.condition}' twice", field="over")
+            raise SettingError("over", f"'over' names '{self.condition}' twice")
         if not 0 <= self.tolerance < 1:
             raise ConfigError("'tolerance' must be at least 0 and below 100 %")
 
@@ -306,13 +295,10 @@ class CompareSettings(Settings):
         if self.theory is None:
             return
         loop = comparison_kind(self.kind).loop
-        useless = next(
-            (name for name in ("shaft", "arm") if loop and getattr(self.theory, name) is not None), None
-        )
-        if useless is not None:
-            raise ConfigError(
-                f"'theory.{useless}' is not for the kind {self.kind}", hint="leave it out", field="theory"
-            )
+        for name in ("shaft", "arm") if loop else ():
+            if getattr(self.theory, name) is not None:
+                what = f"'theory.{name}' is not for the kind {self.kind}"
+                raise SettingError("theory", what, "leave it out")
         if not self.over:
             if not loop:
                 raise ConfigError("'over' is missing", hint="the condition at which the theory is evaluated")
@@ -323,14 +309,10 @@ class CompareSettings(Settings):
         if len(self.theory.entry) != len(self.over):
             what = f"'theory.entry' names {len(self.theory.entry)} entries for {len(self.over)} conditions"
             raise ConfigError(what, hint="for example over: [speed, load] with entry: [speed, loads.z]")
-        estimated = next(
-            (entry for entry in self.theory.entry if entry.rpartition(".")[2] in self.estimate), None
-        )
-        if estimated is not None:
-            raise ConfigError(
-                f"'{estimated}' is set by '{self.condition}', so it is not estimated",
-                hint="leave one of them out",
-            )
+        for entry in self.theory.entry:
+            if entry.rpartition(".")[2] in self.estimate:
+                what = f"'{entry}' is set by '{self.condition}', so it is not estimated"
+                raise ConfigError(what, hint="leave one of them out")
 
 
 def comparison_kind(name: str) -> ComparisonKind:
@@ -339,11 +321,9 @@ def comparison_kind(name: str) -> ComparisonKind:
     A plug-in's function counts as one that takes every key, over one condition.
     """
     entry = COMPARISONS.load(name)
-    return (
-        entry
-        if isinstance(entry, ComparisonKind)
-        else ComparisonKind(entry, tuple(settings_of(CompareSettings)))
-    )
+    if isinstance(entry, ComparisonKind):
+        return entry
+    return ComparisonKind(entry, tuple(settings_of(CompareSettings)))
 
 
 def takers(key: str) -> tuple[str, ...]:

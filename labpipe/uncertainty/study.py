@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.measured import measured_part, select_ports
@@ -77,9 +77,8 @@ class StudySettings(Settings):
 
     def __post_init__(self) -> None:
         if self.repeats < FEWEST_REPEATS:
-            raise ConfigError(
-                f"'repeats' must be at least {FEWEST_REPEATS}", hint="500 give the coverage to 1 %"
-            )
+            what = f"'repeats' must be at least {FEWEST_REPEATS}"
+            raise ConfigError(what, hint="500 give the coverage to 1 %")
         if not self.noise or min(self.noise) <= 0:
             raise ConfigError("'noise' needs levels above zero", hint="for example noise: [1 %, 2 %]")
         if any(count != round(count) or count < 2 for count in self.lines):
@@ -134,21 +133,16 @@ def _bounds_of_response(exact: FrequencyResponse, truth: RigTruth, settings: Fit
     Empty where the fit's parameters differ from the rig's.
     """
     rows, columns = select_ports(exact, settings.input, settings.output)
-    setup = Setup(
-        tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings
-    )
+    outputs, inputs = tuple(exact.outputs[n] for n in rows), tuple(exact.inputs[n] for n in columns)
+    setup = Setup(outputs, inputs, settings)
     model = constrain(settings.kind.model(setup), settings)
     if any(name not in truth for name in model.names):
         return {}
-    measured = measured_part(exact, rows, columns, _lines(exact.frequency, settings))
+    measured = measured_part(exact, rows, columns, lines_in(exact.frequency, settings.band))
     problem = OutputError(measured, model, whitener(measured))
     jacobian = problem.jacobian(np.array([truth[name] for name in model.names]))
     deviations = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     return {name: float(deviation) for name, deviation in zip(model.names, deviations, strict=True)}
-
-
-def _lines(frequency: FloatArray, settings: FitSettings) -> BoolArray:
-    return np.ones(frequency.shape, bool) if settings.band is None else lines_in(frequency, settings.band)
 
 
 def source_of(
@@ -227,11 +221,8 @@ def workers(jobs: int) -> Iterator[Workers]:
 def _repeat(
     source: Source, fits: Sequence[FitSettings], numbers: Sequence[int], seed: tuple[int, ...]
 ) -> list[tuple[int, list[Outcome]]]:
-    numbered = []
-    for number in numbers:
-        response = source.response((*seed, number))
-        numbered.append((number, [_outcome(response, settings) for settings in fits]))
-    return numbered
+    responses = ((number, source.response((*seed, number))) for number in numbers)
+    return [(number, [_outcome(response, fit) for fit in fits]) for number, response in responses]
 
 
 def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings) -> Outcome:
@@ -368,13 +359,22 @@ def run_study(
     __name__ == "__main__"`. ConfigError for lines or runs that the rig does not have.
     """
     plain = [replace(fit, compare=False, sliding=None) for fit in fits]
+    counts: list[int | None] = [int(count) for count in settings.lines] or [None]
+    cases: list[StudyCase] = []
     with workers(jobs) as crew:
-        cases = [
-            case for level_cases in _cases(rig, settings, plain, frf, crew, tell) for case in level_cases
-        ]
+        for noise, count in product(settings.noise, counts):
+            source = source_of(rig, noise, count, settings.runs, frf)
+            tell(f"study     noise {100 * noise:g} %, {source.n_line} lines, {settings.repeats} repeats")
+            outcomes = crew.outcomes(source, plain, range(settings.repeats), (settings.seed,))
+            cases += (
+                summarise(
+                    of_fit, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line
+                )
+                for fit, of_fit in zip(plain, outcomes, strict=True)
+            )
         thresholds = [
             _threshold(rig, settings, fit, limit, frf, crew, tell, cases)
-            for fit, limit in _searches(settings, plain)
+            for limit, fit in product(settings.success if settings.thresholds else (), plain)
         ]
     return Study(
         rig.name,
@@ -385,31 +385,6 @@ def run_study(
         tuple(thresholds),
         settings.printed,
     )
-
-
-def _cases(
-    rig: Any,
-    settings: StudySettings,
-    fits: Sequence[FitSettings],
-    frf: FrfSettings | None,
-    crew: Workers,
-    tell: Tell,
-) -> Iterator[list[StudyCase]]:
-    counts: list[int | None] = [int(count) for count in settings.lines] or [None]
-    for noise, count in product(settings.noise, counts):
-        source = source_of(rig, noise, count, settings.runs, frf)
-        tell(f"study     noise {100 * noise:g} %, {source.n_line} lines, {settings.repeats} repeats")
-        outcomes = crew.outcomes(source, fits, range(settings.repeats), (settings.seed,))
-        yield [
-            summarise(
-                fit_outcomes, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line
-            )
-            for fit, fit_outcomes in zip(fits, outcomes, strict=True)
-        ]
-
-
-def _searches(settings: StudySettings, fits: Sequence[FitSettings]) -> list[tuple[FitSettings, float]]:
-    return [(fit, limit) for limit in settings.success for fit in fits] if settings.thresholds else []
 
 
 def _threshold(

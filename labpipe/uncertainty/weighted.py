@@ -4,7 +4,7 @@ outliers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,10 @@ class WeightedFit:
 
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
+
+    def amount(self, name: str, unit: str, number: int) -> Parameter:
+        """The parameter [unit] with its error and interval."""
+        return with_error(name, unit, float(self.values[number]), self.std_error(number), self.quantile)
 
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""
@@ -165,20 +169,15 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
         for q in (1 - TAIL, TAIL)
     ]
     low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
-    spread = (
-        float(np.sqrt(within_sum / chi2_quantile(1 - TAIL, n - a))),
-        float(np.sqrt(within_sum / chi2_quantile(TAIL, n - a))),
-    )
-    part = float(np.sqrt(max((between - within) / n_0, 0.0)))
-    error = float(np.sqrt(between / n))
+    least, most = (float(np.sqrt(within_sum / chi2_quantile(q, n - a))) for q in (1 - TAIL, TAIL))
     return Components(
         mean=float(np.mean(values)),
-        mean_error=error,
+        mean_error=float(np.sqrt(between / n)),
         within=float(np.sqrt(within)),
-        within_ci=spread,
-        between=part,
+        within_ci=(least, most),
+        between=float(np.sqrt(max((between - within) / n_0, 0.0))),
         between_ci=(low, high),
-        p_value=_tail(f, a, n),
+        p_value=f_tail(f, a - 1, n - a),
         settings=a,
         repeats=n,
     )
@@ -198,54 +197,42 @@ def _mean(campaign: Campaign, scatter: Components) -> Parameter:
     return with_error("mean", campaign.unit, scatter.mean, error, coverage_factor(1 - 2 * TAIL, dof))
 
 
-def _tail(f: float, a: int, n: int) -> float:
-    return f_tail(f, a - 1, n - a)
-
-
 def repeatability(campaign: Campaign) -> Comparison:
     """Variance components of the parameter, and a test of the scatter within settings against the fits'
     standard errors.
 
     Equation (comp-repeatability).
     """
-    values, settings = campaign.value, campaign.settings
-    scatter = components(values, np.array([observation.group for observation in campaign.observations]))
+    settings, unit = campaign.settings, campaign.unit
+    groups = np.array([observation.group for observation in campaign.observations])
+    scatter = components(campaign.value, groups)
     mean = _mean(campaign, scatter)
     noise = float(np.sqrt(np.mean(campaign.std_error**2)))
     ratio = (scatter.within / noise) ** 2
     dof = scatter.repeats - scatter.settings
     noise_p = chi2_tail(ratio * dof, dof)
     verdict = "settings differ" if scatter.p_value < settings.level else "settings alike"
-    unit = campaign.unit
     percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
     result = (
         f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings "
         f"{percent[1]:.3g} % (p = {scatter.p_value:.2g})"
     )
-    explained = (
-        "agrees with the fits' standard errors"
-        if noise_p >= settings.level
-        else "exceeds the fits' standard errors"
+    explained = f"{'agrees with' if noise_p >= settings.level else 'exceeds'} the fits' standard errors"
+    amounts = (
+        mean,
+        Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
+        Parameter("between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0),
+        Parameter("noise", noise, unit, derived=True),
+        chance("p_value", scatter.p_value),
+        chance("noise_p", noise_p),
     )
-    return Comparison(
-        name=settings.name,
-        kind="repeatability",
-        subject=campaign.subject,
-        unit=unit,
-        points=campaign.points(),
-        amounts=(
-            mean,
-            Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
-            Parameter(
-                "between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0
-            ),
-            Parameter("noise", noise, unit, derived=True),
-            chance("p_value", scatter.p_value),
-            chance("noise_p", noise_p),
-        ),
-        verdict=verdict,
-        statement=f"{result}: {verdict}; the scatter within {explained} (p = {noise_p:.2g}).",
+    statement = f"{result}: {verdict}; the scatter within {explained} (p = {noise_p:.2g})."
+    return replace(
+        campaign.comparison(amounts, verdict, statement),
         condition=settings.group,
+        condition_unit="",
+        second="",
+        second_unit="",
     )
 
 
@@ -324,15 +311,12 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
             rest = weighted_mean(values[others], errors[others])
             variance = errors[n] ** 2 + rest.std_error(0) ** 2
         else:
-            rest = weighted_mean(values[others], errors[np.ix_(others, others)])
-            weights = _mean_weights(errors[np.ix_(others, others)])
-            variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * float(weights @ errors[others, n])
+            covariance = errors[np.ix_(others, others)]
+            rest = weighted_mean(values[others], covariance)
+            # The weights of the values in their generalised least-squares mean.
+            weights = np.linalg.solve(covariance, np.ones(values.size - 1))
+            shared = float(weights @ errors[others, n] / weights.sum())
+            variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * shared
         differences[n] = values[n] - rest.values[0]
         chances[n] = 2 * normal_tail(abs(differences[n]) / np.sqrt(variance))
     return differences, chances
-
-
-def _mean_weights(covariance: FloatArray) -> FloatArray:
-    """Weights (n,) [1] of values in their generalised least-squares mean."""
-    inverse = np.linalg.solve(covariance, np.ones(covariance.shape[0]))
-    return np.asarray(inverse / inverse.sum())

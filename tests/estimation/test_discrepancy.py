@@ -12,8 +12,9 @@ import pytest
 
 from labpipe.errors import FitError
 from labpipe.estimation import discrepancy
-from labpipe.estimation.discrepancy import _quantiles, course, evidence, mixture
+from labpipe.estimation.discrepancy import course, evidence, mixture
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel, extensions
+from labpipe.estimation.statistics import mixture_interval
 
 
 def noise(n: int, x: int) -> np.ndarray:
@@ -231,7 +232,7 @@ def test_ends_of_one_wide_component_are_those_of_a_normal_distribution() -> None
     rng = np.random.default_rng(0)
     for _ in range(200):
         mean, deviation = 1e10 * rng.normal(), 10 ** rng.uniform(9, 13)
-        low, high = _quantiles(np.ones(1), np.array([mean]), np.array([deviation]))
+        low, high = mixture_interval(np.ones(1), np.array([mean]), np.array([deviation]))
         assert (low - mean) / deviation == pytest.approx(-1.959963984540054, rel=1e-9)
         assert (high - mean) / deviation == pytest.approx(1.959963984540054, rel=1e-9)
 

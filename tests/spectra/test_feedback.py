@@ -103,6 +103,17 @@ def test_hits_and_shakers_on_a_levitated_rotor_are_no_feedback() -> None:
     assert feedback([struck], FrfSettings("impact", block=1.5)) == []
 
 
+def test_a_loop_is_found_whichever_recording_of_a_force_shows_it() -> None:
+    """The same two recordings in either order: one of a levitated rotor, one with a force from outside."""
+    (closed,) = recordings(rig(), 1, ["random"])
+    outside = open_loop(1, (5.0, 500.0), 0.05)
+    force, motion_of = (
+        replace(channel, name=name) for channel, name in zip(outside.channels, ("f_x", "x"), strict=True)
+    )
+    other = replace(outside, channels=(force, motion_of))
+    assert len(feedback([other, closed], RANDOM)) == len(feedback([closed, other], RANDOM)) == 1
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -152,6 +152,8 @@ def test_a_recording_without_a_decay_is_left_out_beside_others() -> None:
 
 
 def test_recordings_that_do_not_fit_together_are_refused() -> None:
+    with pytest.raises(DataError, match="no recordings"):
+        free_decays([], SETTINGS)
     with pytest.raises(DataError, match="different sampling rates"):
         free_decays([recorded(struck((0.5,), 4.0)), recorded(struck((0.5,), 4.0), rate=2048.0)], SETTINGS)
     with pytest.raises(DataError, match="lacks the response y2"):
