@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.interpolate import lagrange
 from scipy.optimize import brentq
 
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
@@ -74,7 +73,7 @@ def threshold(load: float, about: float, mesh: tuple[int, int], n_wave: int = 24
     """Threshold [rpm]; the film solved at three speeds within 1 %, its coefficients as parabolas between."""
     speeds = about * np.array([0.99, 1.0, 1.01]) * RPM
     films = np.array([coefficients(FILM, (0.0, -load), speed, *mesh)[1:] for speed in speeds]).reshape(3, 8)
-    parabolas = [lagrange(speeds / speeds[1] - 1, column) for column in films.T]
+    parabolas = [np.poly1d(np.polyfit(speeds / speeds[1] - 1, column, 2)) for column in films.T]
 
     def excess(speed: float) -> float:
         stiffness, damping = np.array([parabola(speed / speeds[1] - 1) for parabola in parabolas]).reshape(
