@@ -36,7 +36,7 @@ SHIPPED = Path(__file__).with_name("entry_points.txt")
 
 
 @functools.cache
-def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
+def _shipped_entries() -> Mapping[str, Mapping[str, EntryPoint]]:
     """Group -> name -> entry of labpipe's own tables, read from their file: metadata of an earlier
     installation may lie beside it.
     """
@@ -58,7 +58,7 @@ def _of_others(kind: str) -> Mapping[str, EntryPoint]:
     Cached, since it reads the metadata of every installed package.
     """
     group = group_of(kind)
-    shipped = _shipped().get(group, {})
+    shipped = _shipped_entries().get(group, {})
     return {entry.name: entry for entry in entry_points(group=group) if entry.name not in shipped}
 
 
@@ -82,21 +82,21 @@ class Registry:
         self._loaded: dict[str, Any] = {}
 
     @property
-    def _shipped(self) -> Mapping[str, EntryPoint]:
-        return {**self._own, **_shipped().get(group_of(self.kind), {})}
+    def _shipped_entries(self) -> Mapping[str, EntryPoint]:
+        return {**self._own, **_shipped_entries().get(group_of(self.kind), {})}
 
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first, in the order of their file."""
-        shipped = self._shipped
+        shipped = self._shipped_entries
         return (*shipped, *(name for name in _of_others(self.kind) if name not in shipped))
 
     def load(self, name: str) -> Any:
         """The object of that name; ConfigError with the nearest known name for an unknown one."""
         if name in self._loaded:
             return self._loaded[name]
-        if name in self._shipped:
+        if name in self._shipped_entries:
             # Asked for thousands of times in a study; entries of others may be installed anew.
-            return self._loaded.setdefault(name, self._shipped[name].load())
+            return self._loaded.setdefault(name, self._shipped_entries[name].load())
         entry = _of_others(self.kind).get(name)
         if entry is None:
             raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))

@@ -54,7 +54,7 @@ def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_besi
     """Results write details in this order: with another one the same fit has other bytes on another
     worker.
     """
-    shipped = list(registry._shipped()["labpipe.fit_detail"])
+    shipped = list(registry._shipped_entries()["labpipe.fit_detail"])
     others = [
         EntryPoint(name, "elsewhere:x", "labpipe.fit_detail") for name in ("theirs", *reversed(shipped))
     ]
@@ -63,6 +63,6 @@ def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_besi
     try:
         table = Registry("fit detail")
         assert table.names() == (*shipped, "theirs")
-        assert table.load(shipped[0]) is registry._shipped()["labpipe.fit_detail"][shipped[0]].load()
+        assert table.load(shipped[0]) is registry._shipped_entries()["labpipe.fit_detail"][shipped[0]].load()
     finally:
         registry._of_others.cache_clear()

@@ -94,7 +94,7 @@ def record_of(entry: Any, kind: Any) -> Any:
     if kind is Any:
         return entry
     if origin in (types.UnionType, Union):
-        return None if entry is None else record_of(entry, _present(kind, entry))
+        return None if entry is None else record_of(entry, _kind_of_value(kind, entry))
     if origin is tuple:
         return _tuple(entry, get_args(kind))
     if origin in (dict, Mapping):
@@ -109,7 +109,7 @@ def record_of(entry: Any, kind: Any) -> Any:
     return _scalar(entry, kind)
 
 
-def _present(kind: Any, entry: Any) -> Any:
+def _kind_of_value(kind: Any, entry: Any) -> Any:
     """The type of a value that may be missing: of several text for a text, where that may be, else the
     first.
     """

@@ -156,13 +156,15 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
         line_correlation=tuple(
             complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())
         ),
-        line_gains=np.stack(_numbered(columns, pairs, "gain", n_gain), 1) if n_gain else None,
+        line_gains=np.stack(_numbered_matrices(columns, pairs, "gain", n_gain), 1) if n_gain else None,
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         errors=tuple(
             MatrixError(Uncertainty(**entry), change)
-            for entry, change in zip(errors, _numbered(columns, pairs, "error", len(errors)), strict=True)
+            for entry, change in zip(
+                errors, _numbered_matrices(columns, pairs, "error", len(errors)), strict=True
+            )
         ),
-        repeats=np.stack(_numbered(columns, pairs, "repeat", n_repeat)) if n_repeat else None,
+        repeats=np.stack(_numbered_matrices(columns, pairs, "repeat", n_repeat)) if n_repeat else None,
         repeat_names=tuple(contents.get("repeats", ())),
         repeat_levels=np.array(contents["repeat_levels"]) if "repeat_levels" in contents else None,
         repeats_are=contents.get("repeats_are", "recordings"),
@@ -182,7 +184,7 @@ def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) 
     return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
 
 
-def _numbered(
+def _numbered_matrices(
     columns: dict[str, FloatArray], pairs: list[list[str]], name: str, count: int
 ) -> list[ComplexArray]:
     """The complex matrices (n_line, n_output, n_input) whose columns end in the *name* and a number."""

@@ -194,7 +194,7 @@ def chart_canvas(chart: Chart, canvases: dict[Frame, Canvas] | None = None) -> C
     with style(grid=not has_cells):
         canvas = Canvas(figsize=chart.size)
         if canvases is not None and not has_cells and not has_names and chart.columns == 1:
-            canvas = _emptied(canvases.setdefault(_frame(chart), canvas))
+            canvas = _without_contents(canvases.setdefault(_frame(chart), canvas))
         canvas.set_layout_engine("constrained")
         drawn = canvas.axes or _panels(canvas, chart)
         handles: dict[int, Artist] = {}
@@ -224,7 +224,7 @@ def _frame(chart: Chart) -> Frame:
     return chart.size, tuple(chart.heights), chart.shared, *panels
 
 
-def _emptied(canvas: Canvas) -> Canvas:
+def _without_contents(canvas: Canvas) -> Canvas:
     """The canvas with nothing in its panels; what stands around them is written anew."""
     around = [*canvas.legends, *(legend for axes in canvas.axes if (legend := axes.get_legend()))]
     inside = [(axes.lines, axes.patches, axes.collections, axes.texts) for axes in canvas.axes]

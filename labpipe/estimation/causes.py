@@ -57,7 +57,7 @@ def stated_findings(
     said: dict[str, list[str]] = {"mass": [], "stated-value": []}
     for number in map(int, np.flatnonzero(pulls.far)):
         code = "mass" if uncertainties[number].unit == "kg" else "stated-value"
-        said[code].append(_asked(uncertainties[number], pulls, number, values))
+        said[code].append(_contradiction(uncertainties[number], pulls, number, values))
     what = (
         "Each is judged with all others within what was stated, and counts in the intervals with its "
         "distance. One of these numbers is "
@@ -70,7 +70,7 @@ def stated_findings(
     ]
 
 
-def _asked(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:
+def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:
     size, unit = uncertainty.std_error, uncertainty.unit
     asked, error = pulls.asked[number] * size, pulls.error[number] * size
     relative = unit == "1"

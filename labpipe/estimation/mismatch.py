@@ -184,14 +184,14 @@ def judge(
     if minimum is None:
         return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, judged.factor)
     if minimum.p_value >= MISMATCH_P:
-        return _biased(judged, minimum)
+        return _by_bias(judged, minimum)
     if judged.uneven(minimum):
         return _of_uneven_noise(judged, minimum)
     return (
         _of_one_line(judged, minimum)
         or _with_model_error(judged, minimum)
         or _with_coefficient_error(judged, minimum)
-        or _unexplained(judged, minimum)
+        or _by_excess(judged, minimum)
     )
 
 
@@ -206,7 +206,7 @@ def excess(estimate: Estimate) -> float | None:
     return float(np.sqrt(reduced))
 
 
-def _biased(judged: _Judge, own: _Minimum) -> Judgement:
+def _by_bias(judged: _Judge, own: _Minimum) -> Judgement:
     """The model is right: what another estimator than ml is away from it is its bias."""
     estimate, estimator = judged.estimate, judged.settings.estimator
     away = own.values - estimate.values
@@ -334,7 +334,7 @@ def _noise_weights(judged: _Judge, own: _Minimum) -> Weights | None:
     return np.broadcast_to(1 / np.sqrt(scatter), (measured.omega.size, scatter.size)).astype(np.complex128)
 
 
-def _unexplained(judged: _Judge, own: _Minimum) -> Judgement:
+def _by_excess(judged: _Judge, own: _Minimum) -> Judgement:
     """No model error can be told from the coefficients: the excess over the noise is counted as noise.
 
     Where the noise is not known, it is that of the residual, and neighbours that are alike count as one.

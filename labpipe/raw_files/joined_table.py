@@ -194,7 +194,7 @@ class ResampledTable:
         for number in sorted({number for number, _ in chosen}):
             table = self._tables[number]
             names = list(dict.fromkeys(name for n, name in chosen if n == number))
-            times, rows = _timed(table, names)
+            times, rows = _times_and_rows(table, names)
             rate = (times.size - 1) / (times[-1] - times[0])
             if rate > self.sample_rate * (1 + SAME_RATE):
                 raise DataError(
@@ -233,7 +233,7 @@ def _time_of(table: Table) -> str:
     return "" if table.sample_rate is not None else table.columns[0]
 
 
-def _timed(table: Table, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+def _times_and_rows(table: Table, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """Times (n,) [s] and rows (n, n_name) [unit of the file] of a table."""
     time = _time_of(table)
     rows = np.concatenate(list(table.chunks([time, *names] if time else names)))

@@ -36,10 +36,10 @@ def touch(path: Path) -> None:
     """Read all attributes and datasets of a file."""
     with h5py.File(path, "r") as file:
         dict(file.attrs.items())
-        file.visititems(_touched)
+        file.visititems(_touch)
 
 
-def _touched(_: str, item: object) -> None:
+def _touch(_: str, item: object) -> None:
     dict(item.attrs.items())  # type: ignore[attr-defined]
     if isinstance(item, h5py.Dataset) and item.shape and h5py.check_ref_dtype(item.dtype) is None:
         rows = max(1, PART * item.shape[0] // max(item.size, 1))

@@ -141,7 +141,7 @@ class MdfTable:
         """
         # The library finishes a copy of a file that is being written, and forgets it where that fails.
         with TemporaryDirectory(prefix="labpipe-mdf-") as folder:
-            file, reason = self._opened(folder)
+            file, reason = self._open_file(folder)
             if not reason:
                 try:
                     with file:
@@ -153,7 +153,7 @@ class MdfTable:
                     reason = str(error)
         raise not_readable(self.path, "MDF file", reason)
 
-    def _opened(self, folder: str) -> tuple[Any, str]:
+    def _open_file(self, folder: str) -> tuple[Any, str]:
         """The file, or why it cannot be opened."""
         with _quiet(), _kept_young():
             try:

@@ -229,11 +229,11 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
     header = lines.needed(_HEADER_LINES)
     title = _name(header[0])
     try:
-        point, form = _cut(header[5], _POINT), _cut(header[6], _FORM)
+        point, form = _columns(header[5], _POINT), _columns(header[6], _FORM)
         function, ordinate_type, n_value = _integer(point[0]), _integer(form[0]), _integer(form[1])
         even, start, step = _integer(form[2]) == 1, _real(form[3]), _real(form[4])
         response, reference = _point(point[4:7]), _point(point[7:10])
-        abscissa, ordinate, denominator = (_axis(_cut(line, _AXIS)) for line in header[7:10])
+        abscissa, ordinate, denominator = (_axis(_columns(line, _AXIS)) for line in header[7:10])
         layout = _layout(lines, kind, ordinate_type, n_value, even)
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", lines.path) from None
@@ -269,7 +269,7 @@ def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bo
     return NumberLayout(lines.position, end, n_value, parts, even, width)
 
 
-def _cut(line: str, widths: tuple[int, ...]) -> list[str]:
+def _columns(line: str, widths: tuple[int, ...]) -> list[str]:
     fields, position = [], 0
     for width in widths:
         fields.append(line[position : position + width].strip())

@@ -169,16 +169,16 @@ def to_peaks(value: Any, setting: Setting) -> tuple[tuple[str, tuple[Band, ...]]
 def to_integer(value: Any, setting: Setting) -> int:  # noqa: ARG001 (one signature for the whole table)
     """A whole number from zero to LARGEST_INTEGER."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
-        raise UnitError(f"'{_shown(value)}' is not a whole number of at least 0")
+        raise UnitError(f"'{_text_of(value)}' is not a whole number of at least 0")
     if int(value) > LARGEST_INTEGER:
-        raise UnitError(f"'{_shown(value)}' is beyond what can be counted here", f"up to {LARGEST_INTEGER}")
+        raise UnitError(f"'{_text_of(value)}' is beyond what can be counted here", f"up to {LARGEST_INTEGER}")
     return int(value)
 
 
 def to_flag(value: Any, setting: Setting) -> bool:  # noqa: ARG001
     """true or false."""
     if not isinstance(value, bool):
-        raise UnitError(f"'{_shown(value)}' is neither true nor false")
+        raise UnitError(f"'{_text_of(value)}' is neither true nor false")
     return value
 
 
@@ -232,7 +232,7 @@ def to_matrix(value: Any, setting: Setting) -> tuple[tuple[float, ...], ...]:
     """A list of rows of equal length."""
     if not _is_list(value) or not all(_is_list(row) for row in value):
         raise UnitError(
-            f"'{_shown(value)}' is not a matrix",
+            f"'{_text_of(value)}' is not a matrix",
             f"write rows, for example [[2 {setting.unit}, 0], [0, 2 {setting.unit}]]",
         )
     rows = tuple(to_values(row, setting) for row in value)
@@ -297,7 +297,7 @@ def to_groups(value: Any, setting: Setting) -> tuple[tuple[str, ...], ...]:
     # An empty tuple is the default; an empty list of a file is a slip.
     if not _is_list(value) or value == []:
         raise UnitError(
-            f"'{_shown(value)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]"
+            f"'{_text_of(value)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]"
         )
     entries = list(value)
     if all(_is_list(entry) for entry in entries):
@@ -312,7 +312,7 @@ def to_section(value: Any, setting: Setting) -> Any:
         return value
     if not isinstance(value, Mapping):
         raise UnitError(
-            f"'{_shown(value)}' is not a section of settings",
+            f"'{_text_of(value)}' is not a section of settings",
             f"give a {setting.section.__name__} or a mapping of its entries",
         )
     try:
@@ -330,7 +330,7 @@ def to_entries(value: Any, setting: Setting) -> tuple[Any, ...]:
     """A list of sections; a section may make its entries from an object of another package."""
     value = getattr(setting.section, "entries_from", lambda entries: entries)(value)
     if not _is_list(value):
-        raise UnitError(f"'{_shown(value)}' is not a list of sections", "each entry begins with '- '")
+        raise UnitError(f"'{_text_of(value)}' is not a list of sections", "each entry begins with '- '")
     return tuple(to_section(entry, setting) for entry in value)
 
 
@@ -363,7 +363,7 @@ CONVERTERS: dict[str, Callable[[Any, Setting], Any]] = {
 
 def _text(value: Any, wanted: str) -> str:
     if not isinstance(value, str):
-        raise UnitError(f"'{_shown(value)}' is not {wanted}")
+        raise UnitError(f"'{_text_of(value)}' is not {wanted}")
     return value
 
 
@@ -388,10 +388,10 @@ def _pairs(value: Any, of: str, example: str = "", shown: str = "") -> list[tupl
     ):
         return list(value)
     hint = f"write for example {example}" if example else ""
-    raise UnitError(f"'{shown or _shown(value)}' is not a mapping of {of}", hint)
+    raise UnitError(f"'{shown or _text_of(value)}' is not a mapping of {of}", hint)
 
 
-def _shown(value: Any) -> str:
+def _text_of(value: Any) -> str:
     if value is None:
         return "(nothing)"
     return (

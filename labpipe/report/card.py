@@ -41,7 +41,7 @@ def response_card(response: FrequencyResponse, file: str) -> Document:
     shown = (response_figure(response), phase_figure(response), *spectral_blocks(response))
     sections = (
         Section("The file", _response_facts(response, file)),
-        Section("Findings", _carried(response.findings)),
+        Section("Findings", _content_blocks(response.findings)),
         Section("Frequency response", shown),
     )
     return _card(file, "Frequency response", sections)
@@ -51,7 +51,7 @@ def spectra_card(spectra: ChannelSpectra, file: str) -> Document:
     """The card of a file that holds spectra of all channels."""
     sections = (
         Section("The file", (Paragraph(f"File {file}, test {spectra.name or '(without a name)'}."),)),
-        Section("Findings", _carried(spectra.findings)),
+        Section("Findings", _content_blocks(spectra.findings)),
         Section("Spectra of all channels", channel_blocks(spectra)),
     )
     return _card(file, "Spectra of all channels", sections)
@@ -106,7 +106,7 @@ def _findings(findings: Sequence[Finding], nothing: str, kind: str = "passed") -
     return tuple(Paragraph(f"{finding.code}: {finding.message}", finding.level) for finding in findings)
 
 
-def _carried(findings: Sequence[Finding]) -> tuple[Block, ...]:
+def _content_blocks(findings: Sequence[Finding]) -> tuple[Block, ...]:
     """What the file says of itself: that it says nothing is no test that was passed."""
     return _findings(findings, "The file carries no warnings; nothing was checked here.", "note")
 

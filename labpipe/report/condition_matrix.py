@@ -132,19 +132,19 @@ def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint]
     for point, value in _values(points, name):
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
     largest = float(np.nanmax(np.abs(values))) or 1.0
-    texts = [[_plain(value) if np.isfinite(value) else "none" for value in row] for row in values]
+    texts = [[_number_text(value) if np.isfinite(value) else "none" for value in row] for row in values]
     chart = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
     where = f" at {at}" if at else ""
-    caption = f"{_titled(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
+    caption = f"{_title(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
     return Figure(chart, caption, f"Map of {name} of {matrix.name}")
 
 
-def _titled(name: str, unit: str) -> str:
+def _title(name: str, unit: str) -> str:
     """A name with its unit, if any."""
     return f"{name} [{legible(unit)}]" if legible(unit) else name
 
 
-def _plain(value: float) -> str:
+def _number_text(value: float) -> str:
     """Four digits, zeros at the end too, without an exponent where the number is readable."""
     if not 1 / READABLE < abs(value) < READABLE:
         return f"{value:.4g}"
@@ -217,9 +217,7 @@ def _matrix_blocks(matrix: ConditionMatrix) -> tuple[Block, ...]:
 
 def _points_table(matrix: ConditionMatrix) -> Table:
     """Every point with its tests, what stands beside, and warnings of its tests."""
-    beside = [
-        _titled(entry.name, condition_unit(entry.name, entry.unit)) for entry in matrix.points[0].beside
-    ]
+    beside = [_title(entry.name, condition_unit(entry.name, entry.unit)) for entry in matrix.points[0].beside]
     header = (*_axis_titles(matrix), "tests", *beside, "warnings")
     rows = tuple(
         (*_levels(matrix, point), str(len(point.tests)), *_beside(point), ", ".join(point.warnings) or "none")
@@ -230,7 +228,7 @@ def _points_table(matrix: ConditionMatrix) -> Table:
 
 
 def _axis_titles(matrix: ConditionMatrix) -> tuple[str, ...]:
-    return tuple(_titled(axis.name, axis.shown_unit) for axis in matrix.axes)
+    return tuple(_title(axis.name, axis.shown_unit) for axis in matrix.axes)
 
 
 def _levels(matrix: ConditionMatrix, point: MatrixPoint) -> tuple[str, ...]:
@@ -267,7 +265,7 @@ def _coefficient_table(matrix: ConditionMatrix, name: str) -> Table:
     having = _values(matrix.points, name)
     unit = matrix.unit_of(name)
     none = "none" if any(value.theory is not None for _, value in having) else ""
-    header = (_titled(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
+    header = (_title(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
     rows = tuple(
         (*_levels(matrix, point), *_value_cells(value, unit), _theory(value, unit) or none)
         for point, value in having

@@ -108,7 +108,7 @@ def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -
     else:
         levels = _levels(samples, name)
         settle = levels.period if decay.settle is None else round(decay.settle * rate)
-        spans = _found(levels, decay.trigger, settle)
+        spans = _spans_of_decay(levels, decay.trigger, settle)
         if decay.end is not None:
             spans = [(start, min(end, round(decay.end * rate))) for start, end in spans]
         spans = [span for span in spans if span[1] - span[0] >= LEAST_PERIODS * levels.period]
@@ -187,7 +187,7 @@ def _rms(size: FloatArray, stretch: int) -> FloatArray:
     return np.sqrt(np.mean(whole**2, axis=1))
 
 
-def _found(levels: _Levels, trigger: float, settle: int) -> list[tuple[int, int]]:
+def _spans_of_decay(levels: _Levels, trigger: float, settle: int) -> list[tuple[int, int]]:
     """Spans from the settled peak after every hit to the next hit or to the noise."""
     hits = _hits(levels, trigger)
     spans = []

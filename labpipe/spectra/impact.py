@@ -245,7 +245,7 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     if len(averages) == 1:
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
-        parts = _undamped(parts, settings.damping_window, correlation)
+        parts = _without_window(parts, settings.damping_window, correlation)
     chosen = lines_left(parts.frequency, settings)
     parts = _select(dataclasses.replace(parts, findings=(*findings, *parts.findings)), chosen)
     errors = [average.force_noise()[chosen] for average in averages]
@@ -474,7 +474,7 @@ class _HitAverage:
         )
 
 
-def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
+def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
     """The parts without the window's damping, with the noise that this leaves and its correlation between
     lines.
     """

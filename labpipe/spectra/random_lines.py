@@ -174,7 +174,7 @@ def random_lines(
             sum(spectrum.n_block for spectrum in spectra),
             "H1",
         ),
-        findings=(*findings, *_unexplained(s_zz, residual, layout), *fed_back),
+        findings=(*findings, *_unexplained_findings(s_zz, residual, layout), *fed_back),
         weak=weak,
     )
 
@@ -269,7 +269,9 @@ def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "driv
     return np.linalg.cholesky(s_rr)
 
 
-def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout) -> tuple[Finding, ...]:
+def _unexplained_findings(
+    s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout
+) -> tuple[Finding, ...]:
     """Warnings for channels of whose power in the band the drives leave much unexplained."""
     power, rest = (np.sum(np.einsum("lcc->lc", matrix).real, axis=0) for matrix in (s_zz, residual))
     return tuple(

@@ -150,7 +150,7 @@ def settle_time(courses: Sequence[Course]) -> float:
         )
     longest = max(float(course.times[-1]) for course in courses)
     edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)
-    time, excess, error = _binned(courses, edges)
+    time, excess, error = _bin_means(courses, edges)
     seen = excess > SEEN * error
     last = int(np.argmin(seen)) if not np.all(seen) else seen.size
     if last == 0:
@@ -167,7 +167,7 @@ def settle_time(courses: Sequence[Course]) -> float:
     return end + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
 
 
-def _binned(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean time [s] in each bin that is not empty, excess [1] as a sum over dwells and channels, and its
     standard error under noise.
     """

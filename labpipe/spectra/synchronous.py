@@ -90,10 +90,10 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         raise DataError(
             f"recording '{source.name}' is shorter than two revolutions", hint="give the speed in Hz or rpm"
         )
-    amplitude = _fitted(source, motion, lines.harmonics)
+    amplitude = _harmonics(source, motion, lines.harmonics)
     if lines.speed is not None:
         refined = steady(_refine(source, motion, lines.speed), duration)
-        better = _fitted(source, refined, lines.harmonics)
+        better = _harmonics(source, refined, lines.harmonics)
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
             motion, amplitude = refined, better
@@ -126,7 +126,7 @@ def shaft_turns(
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
 
 
-def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
+def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
     """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic,
     n_channel).
     """

@@ -334,7 +334,7 @@ def _check(settings: FitSettings) -> None:
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
     section: DynamicStiffnessSettings = settings.model_settings
     stator = stator_of(spectra, band, settings.input, settings.output)
-    given = _given(settings, stator)
+    given = _given_numbers(settings, stator)
     balance = balance_of(stator, given)
     noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
     solved = _solved_fit(stator, given, balance, settings, noise)
@@ -385,7 +385,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
 
 
-def _given(settings: FitSettings, stator: Stator) -> Given:
+def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
     section: DynamicStiffnessSettings = settings.model_settings
     mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
     if mass is not None and mass.value == 0:

@@ -70,12 +70,12 @@ def stator_of(
 
     ConfigError for channels that give no motion in x and y, FitError for too few lines.
     """
-    motions = [*_measured(spectra, DISPLACEMENT), *_measured(spectra, ACCELERATION)]
-    check_names(spectra, _measured(spectra, FORCE), inputs, FORCE, "input")
+    motions = [*_columns_of_quantity(spectra, DISPLACEMENT), *_columns_of_quantity(spectra, ACCELERATION)]
+    check_names(spectra, _columns_of_quantity(spectra, FORCE), inputs, FORCE, "input")
     check_names(spectra, motions, outputs, f"{DISPLACEMENT} or {ACCELERATION}", "output")
     to_axes = np.zeros((6, len(spectra.channels)))
     for number, quantity in enumerate(QUANTITIES):
-        columns = _chosen(spectra, quantity, inputs if quantity == FORCE else outputs)
+        columns = _chosen_columns(spectra, quantity, inputs if quantity == FORCE else outputs)
         if columns or quantity != ACCELERATION:
             to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
     lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
@@ -87,15 +87,15 @@ def stator_of(
     return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
 
 
-def _measured(spectra: ChannelSpectra, quantity: str) -> list[int]:
+def _columns_of_quantity(spectra: ChannelSpectra, quantity: str) -> list[int]:
     """Columns of a quantity in its role; of accelerations else those of sums, as references."""
     columns = spectra.columns(quantity, ROLES[quantity])
     return columns or (spectra.columns(quantity, "reference") if quantity == ACCELERATION else [])
 
 
-def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
+def _chosen_columns(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
     """Columns of a quantity by name, else all that do not act through a chosen sum."""
-    columns = _measured(spectra, quantity)
+    columns = _columns_of_quantity(spectra, quantity)
     if names:
         return named_columns(spectra, columns, names)
     summed = {term.channel for n in columns for term in spectra.channels[n].terms}
@@ -121,7 +121,7 @@ def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> 
     channels = [spectra.channels[n] for n in columns]
     if not channels:
         what = f"there is no {quantity} channel with role {ROLES[quantity]}"
-        raise ConfigError(what, hint=_needed(quantity))
+        raise ConfigError(what, hint=_missing_channels(quantity))
     angles = np.array([direction(channel) for channel in channels])
     _check_once(channels, quantity)
     directions = np.stack([np.cos(angles), np.sin(angles)])
@@ -131,11 +131,11 @@ def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> 
     if np.linalg.svd(directions, compute_uv=False)[-1] < PARALLEL or len(channels) < 2:
         listed = ", ".join(f"{channel.name} ({channel.dof})" for channel in channels)
         what = f"{quantity} channels {listed} do not give the motion in x and in y"
-        raise ConfigError(what, hint=_needed(quantity))
+        raise ConfigError(what, hint=_missing_channels(quantity))
     return np.asarray(np.linalg.pinv(directions.T))
 
 
-def _needed(quantity: str) -> str:
+def _missing_channels(quantity: str) -> str:
     what = {
         FORCE: "the forces on the stator",
         DISPLACEMENT: "displacements of the stator against the shaft in x and y",

@@ -325,14 +325,14 @@ class Frames:
         every = [] if keep is None else sorted(keep.glob("*.frames"))
         self.files = [path for path in every if path.stat().st_size >= len(self._head) + self._frame]
         self.n_earlier = sum((path.stat().st_size - len(self._head)) // self._frame for path in self.files)
-        self._streams = [*(self._reopened(path) for path in self.files), stream]
+        self._streams = [*(self._reopen(path) for path in self.files), stream]
         self.kept: Kept | None = None
         if keep is not None:
             keep.mkdir(parents=True, exist_ok=True)
             self.files.append(keep / f"{int(self.files[-1].stem) + 1 if self.files else 1:04}.frames")
             self.kept = Kept(self.files[-1], self._frame, self._head)
 
-    def _reopened(self, path: Path) -> BinaryIO:
+    def _reopen(self, path: Path) -> BinaryIO:
         stream = path.open("rb")
         if stream.readline(1 << 16) != self._head:
             hint = "name another folder, or remove these frames"
@@ -378,7 +378,7 @@ class Frames:
         for number, path in enumerate(files, 1):
             paths.append(write_path(f"recording{f'-{number}' if len(files) > 1 else ''}.parquet"))
             self._rest = b""
-            with self._reopened(path) as stream, pq.ParquetWriter(paths[-1], schema) as writer:
+            with self._reopen(path) as stream, pq.ParquetWriter(paths[-1], schema) as writer:
                 while text := stream.read(1 << 22):
                     writer.write_table(pa.table(list(self._rows(text).T), schema=schema))
         return paths

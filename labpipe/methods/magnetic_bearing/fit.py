@@ -277,7 +277,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         magnet_settings.passive_damping,
         between,
     )
-    best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
+    best = magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))
     error = magnet_error(rotor, best)
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
     vifs, covariances = inflation_factors(best.design), (best.covariance, whole)
@@ -319,7 +319,7 @@ def _matrix(mass: object) -> FloatArray:
     return np.diag(values) if values.ndim == 1 else values
 
 
-def _given(
+def _uncertainties_of_mass(
     rotor: Levitation, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""

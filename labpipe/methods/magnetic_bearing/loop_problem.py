@@ -102,7 +102,7 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     return Unknown(name, float(value), unit)
 
 
-def _changed(settings: Any, changes: Mapping[str, Any]) -> Any:
+def _with_changes(settings: Any, changes: Mapping[str, Any]) -> Any:
     return replace(settings, **changes) if settings and changes else settings
 
 
@@ -117,10 +117,10 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     if "negative_stiffness" in own:
         own["static_stiffness"] = None
     blocks = tuple(
-        _changed(block, changes.get(str(n), {})) for n, block in enumerate(file.loop.controller, 1)
+        _with_changes(block, changes.get(str(n), {})) for n, block in enumerate(file.loop.controller, 1)
     )
     changed = replace(file, loop=replace(file.loop, controller=blocks, **changes.get("loop", {})), **own)
-    return changed if magnet is None else replace(changed, magnet=_changed(file.magnet, magnet))
+    return changed if magnet is None else replace(changed, magnet=_with_changes(file.magnet, magnet))
 
 
 def response_errors(

@@ -16,7 +16,7 @@ from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
-from labpipe.methods.modal.moved import MovedMode, apart, unloaded
+from labpipe.methods.modal.moved import MovedMode, mean_of_points, without_load
 from labpipe.methods.modal.poles import damping_ratio
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
@@ -286,8 +286,10 @@ def model_errors(
             if np.argmin(np.abs(refined.poles - mode_moved.pole)) == mode:
                 shifted = shifted + mode_moved.shifts[seen]
         points = seen, shifted, of_points
-        unmoved = unloaded(*points, refined.shapes[:, mode]) if moving else {}
-        differing = {f"{name}_{number}": interval for name, interval in (unmoved or apart(*points)).items()}
+        unmoved = without_load(*points, refined.shapes[:, mode]) if moving else {}
+        differing = {
+            f"{name}_{number}": interval for name, interval in (unmoved or mean_of_points(*points)).items()
+        }
         errors_by_mode[number] = ModelError(mixed, rows, differing, unloaded=bool(unmoved))
     return errors_by_mode
 

@@ -68,10 +68,10 @@ class MovedMode:
         """
         size, damping = np.abs(self.poles / self.pole), self.poles.real / np.abs(self.poles)
         relative = np.abs(damping / (self.pole.real / abs(self.pole)))
-        return np.where(self._seen[:, None], np.log(np.column_stack([size, relative])), 0.0)
+        return np.where(self._is_seen[:, None], np.log(np.column_stack([size, relative])), 0.0)
 
     @property
-    def _seen(self) -> BoolArray:
+    def _is_seen(self) -> BoolArray:
         size = np.linalg.norm(self.residues, axis=1)
         near = np.abs(self.poles - self.pole) < FARTHEST * -2 * self.pole.real
         return np.asarray((size > HARDLY * np.max(size)) & near & (self.poles.real < 0))
@@ -80,7 +80,7 @@ class MovedMode:
         """What takes every point from its own pole to the mean one, (n_line, n_point, n_reference) [unit of
         the FRF]; *s* (n_line,) [rad/s].
         """
-        point_poles = np.where(self._seen, self.poles, self.pole)
+        point_poles = np.where(self._is_seen, self.poles, self.pole)
         (a, b), _ = pole_functions(s, np.append(point_poles, self.pole), hysteretic=False)
         change = np.einsum("lp,pr->lpr", a[:, -1:] - a[:, :-1], self.residues)
         return np.asarray(change + np.einsum("lp,pr->lpr", b[:, -1:] - b[:, :-1], self.residues.conj()))
@@ -90,7 +90,7 @@ class MovedMode:
         of fewer than three.
         """
         size = np.linalg.norm(self.residues, axis=1)
-        shown = (size > SHOWS * np.max(size)) & self._seen
+        shown = (size > SHOWS * np.max(size)) & self._is_seen
         if np.count_nonzero(shown) < FEWEST_POINTS:
             return ()
         poles = self.poles[shown]
@@ -310,7 +310,9 @@ def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> Moved
     return None
 
 
-def apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str, tuple[float, float, float]]:
+def mean_of_points(
+    seen: list[int], values: FloatArray, errors: FloatArray
+) -> dict[str, tuple[float, float, float]]:
     """Mean and ends of ln f_n and ln zeta over the points, where these disagree in one of them beyond noise:
     what moves from point to point loads it, and smears the damping of all points together.
 
@@ -330,7 +332,7 @@ def apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str, 
     return dict(zip(("f_n", "zeta"), ends, strict=True))
 
 
-def unloaded(
+def without_load(
     seen: list[int], values: FloatArray, errors: FloatArray, shape: ComplexArray
 ) -> dict[str, tuple[float, float, float]]:
     """Mean and ends of ln f_n and ln zeta where the mode does not move, phi^2 = 0: a mass there changes

@@ -46,7 +46,9 @@ def rotor(
 
     system = load_system(rotor_path, overrides)
     band = _band(speeds, system.rig.speed)
-    entry, document = _declared(system, band) if system.is_uncertain else _plain(system, band, steps)
+    entry, document = (
+        _with_intervals(system, band) if system.is_uncertain else _by_theory(system, band, steps)
+    )
     if json_path is not None:
         with output_file(json_path) as path:
             path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
@@ -56,7 +58,7 @@ def rotor(
             path.write_bytes(render(document))
 
 
-def _plain(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[dict[str, Any], Document]:
+def _by_theory(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[dict[str, Any], Document]:
     """JSON entry and report of a rotor by theory alone, after its lines."""
     import numpy as np
 
@@ -77,7 +79,7 @@ def _plain(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[
     return rotor_entry(theory), rotor_document(theory)
 
 
-def _declared(system: RotorSystem, band: tuple[float, float]) -> tuple[dict[str, Any], Document]:
+def _with_intervals(system: RotorSystem, band: tuple[float, float]) -> tuple[dict[str, Any], Document]:
     """The same of a file whose numbers carry uncertainties, with intervals."""
     from labpipe.artefacts.json_file import entry_of, without_nan
     from labpipe.methods.rotor_system.evaluate import declared_result

@@ -491,7 +491,7 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
         )
     explained = explanations(posterior)
     if any(explanation.fall > TELLING and explanation.test for explanation in explained):
-        yield Finding("tests-disagree", "tests of one rotor disagree: " + _explained(posterior, explained))
+        yield Finding("tests-disagree", "tests of one rotor disagree: " + _explanations(posterior, explained))
     for name, z in posterior.contradicted:
         yield Finding(
             "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
@@ -499,7 +499,7 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
     yield from _notes(posterior)
 
 
-def _explained(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
+def _explanations(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
     """The best two explanations in words."""
 
     def words(cause: Explanation) -> str:

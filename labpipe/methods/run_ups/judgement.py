@@ -198,7 +198,9 @@ class _Smooth:
                 np.linalg.solve(np.diag(weight) + stiffness * weight.mean() * rough, np.diag(weight))
                 for stiffness in STIFFNESSES
             ]
-            rows[probe] = min(smoothers, key=lambda smoother: _left(smoother, readings[:, probe], weight))
+            rows[probe] = min(
+                smoothers, key=lambda smoother: _cross_validation(smoother, readings[:, probe], weight)
+            )
         self._matrices = between @ rows
         self.fitted = np.einsum("pfn,np->fp", self._matrices, readings)
         dof = np.maximum(n - np.trace(rows, axis1=1, axis2=2), 1.0)
@@ -227,7 +229,7 @@ def _roughness(x: FloatArray) -> FloatArray:
     return np.asarray(second @ np.linalg.solve(gram, second.T))
 
 
-def _left(smoother: FloatArray, readings: ComplexArray, weight: FloatArray) -> float:
+def _cross_validation(smoother: FloatArray, readings: ComplexArray, weight: FloatArray) -> float:
     """Generalised cross-validation: |y - A y|^2_W / (n - tr A)^2 of readings y (n,) and A (n, n)."""
     left = readings - smoother @ readings
     return float(np.sum(weight * np.abs(left) ** 2) / max(weight.size - np.trace(smoother), 1e-9) ** 2)

@@ -364,7 +364,7 @@ def track_and_write(
             others = track_run(baseline, rig, lines, order, revolutions, folder).track
         verdict = None
         if any((*bands, baseline)):
-            added = _added(unbalance, baseline is not None)
+            added = _stated_unbalance(unbalance, baseline is not None)
             slow, operating = bands
             verdict = judge(
                 run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
@@ -405,7 +405,7 @@ def _option(option: str) -> Iterator[None]:
         raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
 
 
-def _added(texts: tuple[str, ...], since: bool) -> float:
+def _stated_unbalance(texts: tuple[str, ...], since: bool) -> float:
     """Stated unbalance [kg m] that the motion answers, else 0; ConfigError since a baseline."""
     if len(texts) == 1:
         return abs(_unbalances(texts).popitem()[1])

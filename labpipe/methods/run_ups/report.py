@@ -324,7 +324,7 @@ def run_up_sections(result: RunUpResult, _identification: Identification) -> tup
         searches += [figures.convergence_figure(method, search) for search in method.convergence]
         searches += [figures.spread_figure(method, spread) for spread in method.spreads]
     return (
-        Section(f"Run-ups: {result.rotor}", _measured(result)),
+        Section(f"Run-ups: {result.rotor}", _measured_blocks(result)),
         Section(
             "Critical speed and threshold",
             (figures.speeds_figure(result), *speed_blocks(result), *_cautions(result)),
@@ -336,7 +336,7 @@ def run_up_sections(result: RunUpResult, _identification: Identification) -> tup
     )
 
 
-def _measured(result: RunUpResult) -> tuple[Block, ...]:
+def _measured_blocks(result: RunUpResult) -> tuple[Block, ...]:
     method = figures.best_method(result)
     description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [figures.cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]

@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.modal.moved import apart
+from labpipe.methods.modal.moved import mean_of_points
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit
@@ -87,12 +87,15 @@ def test_points_that_disagree_in_frequency_have_an_interval_of_both() -> None:
     """
     errors = np.full((4, 2), [0.001, 0.05])
     values = np.array([[4.6, -5.0], [4.61, -5.02], [4.62, -5.01], [4.63, -5.03]])
-    pieces = apart([0, 1, 2, 3], values, errors)
+    pieces = mean_of_points([0, 1, 2, 3], values, errors)
     for place, name in enumerate(("f_n", "zeta")):
         mean, s = np.mean(values[:, place]), np.std(values[:, place], ddof=1)
         reach = 3.182446 * s * np.sqrt(5 / 4)
         np.testing.assert_allclose(pieces[name], (mean, mean - reach, mean + reach), rtol=1e-6)
-    assert apart([0, 1, 2, 3], values, 10 * errors) == {} and apart([0, 1], values[:2], errors[:2]) == {}
+    assert (
+        mean_of_points([0, 1, 2, 3], values, 10 * errors) == {}
+        and mean_of_points([0, 1], values[:2], errors[:2]) == {}
+    )
 
 
 @pytest.mark.long
