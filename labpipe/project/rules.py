@@ -12,6 +12,7 @@ from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join, listed
 from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
+from labpipe.records.identification import RuleDecision, RuleOutcome
 from labpipe.registry import nearest
 from labpipe.uncertainty.decisions import OUTCOMES, PASS
 
@@ -94,6 +95,12 @@ class Rule:
     def fault(self, what: str, hint: str = "") -> ConfigError:
         """What is wrong with the rule, at its place."""
         return ConfigError(f"{self.section}.{self.address}: {what}", self.place, hint)
+
+    def outcome(
+        self, value: float | str | None, passed: bool, shown: str = "", decision: RuleDecision | None = None
+    ) -> RuleOutcome:
+        """What came of the rule, by the value [SI] that it was held against."""
+        return RuleOutcome(self.section, self.text, value, passed, shown, decision)
 
     @property
     def text(self) -> str:
