@@ -181,7 +181,7 @@ def _together(
     before = len(faults)
     for name in ("limits", "min", "max", "guard", "process"):
         if name in entry.content:
-            faults.add(entry.content[name], join(key, name), "belongs to one number", "leave it out")
+            faults.add_at(entry.content, key, name, "belongs to one number", "leave it out")
     shared = {name: node for name, node in entry.content.items() if name in ("rule", "risk", "outcomes")}
     members: list[Rule] = []
     for member, limits in faults.mapping(entry.content["together"], join(key, "together")).items():
