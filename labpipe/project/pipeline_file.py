@@ -332,6 +332,11 @@ class Pipeline:
         return self.path.parent
 
     @property
+    def first_rig(self) -> Rig | None:
+        """Its rig, or else that of the first recording; None where there is no recording."""
+        return self.rig or next((source.rig for test in self.tests for source in test.recordings), None)
+
+    @property
     def fits(self) -> tuple[FitSettings, ...]:
         """The fits in their order."""
         return tuple(self.sections.get("identify", ()))
@@ -506,4 +511,4 @@ def _check_kinds(
                 check_kind(fit, kind)
             except ConfigError as error:
                 node = entries["identify"].content[fit.name].content["model"]
-                faults.add(node, join(join("identify", fit.name), "model"), error.what, error.hint)
+                faults.add(node, join("identify", fit.name, "model"), error.what, error.hint)

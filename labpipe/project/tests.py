@@ -478,7 +478,7 @@ class TestReader:
             if not isinstance(node.content, dict):
                 written[name] = node.text
                 continue
-            source = read_settings(RecordedCondition, node, join(join(key, "conditions"), name), self.faults)
+            source = read_settings(RecordedCondition, node, join(key, "conditions", name), self.faults)
             if source is not None:
                 recorded[name] = source
         return written, recorded
