@@ -237,8 +237,7 @@ def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
             hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
             return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{name}'", hint))
         compared = [_compare_item(rule, fit) for fit in having]
-    first = next((pair for pair in compared if not pair[1]), compared[0])
-    return PartialOutcome(outcome=rule.outcome(*first), addressed=len(addressed))
+    return PartialOutcome(outcome=rule.outcome_of_all(compared), addressed=len(addressed))
 
 
 def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:

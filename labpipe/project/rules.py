@@ -5,6 +5,7 @@ limits with the rule by which is decided.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -101,6 +102,10 @@ class Rule:
     ) -> RuleOutcome:
         """What came of the rule, by the value [SI] that it was held against."""
         return RuleOutcome(self.section, self.text, value, passed, shown, decision)
+
+    def outcome_of_all(self, compared: Sequence[tuple[Any, ...]]) -> RuleOutcome:
+        """What came of a rule that all numbers must meet: by the first that does not, else by the first."""
+        return self.outcome(*next((pair for pair in compared if not pair[1]), compared[0]))
 
     @property
     def text(self) -> str:

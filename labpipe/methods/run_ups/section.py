@@ -207,7 +207,7 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
         candidates = [(run, _amount(rule, address, result, run)) for run in runs]
         selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
         outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
-        return rule.outcome(*next((outcome for outcome in outcomes if not outcome[1]), outcomes[0]))
+        return rule.outcome_of_all(outcomes)
     return _of_method(rule, address, result, compare_number)
 
 
