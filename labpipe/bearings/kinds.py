@@ -80,12 +80,13 @@ class BearingCoefficients:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, (n, n)))
 
-    def unit(self, row: int, column: int) -> str:
+    def unit(self, row: int, column: int, of: str = "stiffness") -> str:
         """Unit of a stiffness coefficient: N/m, N/rad (force per tilt, the same as moment per displacement
-        N.m/m) or N.m/rad.
+        N.m/m) or N.m/rad; *of* damping N.s/m, N.s/rad or N.m.s/rad.
         """
         tilts = (self.dofs[row] in TILTS) + (self.dofs[column] in TILTS)
-        return ("N/m", "N/rad", "N.m/rad")[tilts]
+        unit = ("N/m", "N/rad", "N.m/rad")[tilts]
+        return unit.replace("/", ".s/") if of == "damping" else unit
 
     @property
     def relative(self) -> FloatArray:

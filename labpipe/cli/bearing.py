@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 
 import click
@@ -96,23 +97,17 @@ def _echo_matrix(
 def _echo_uncertainties(coefficients: BearingCoefficients, uncertainties: BearingUncertainties) -> None:
     """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
     echo("with standard uncertainties, and the shares of their sources:")
-    parts = (
-        ("k", coefficients.stiffness, uncertainties.stiffness, ""),
-        ("c", coefficients.damping, uncertainties.damping, ".s"),
-    )
-    for symbol, matrix, changes, per_speed in parts:
-        for (i, row), (j, column) in (
-            (r, c) for r in enumerate(coefficients.dofs) for c in enumerate(coefficients.dofs)
-        ):
+    for kind, symbol in (("stiffness", "k"), ("damping", "c")):
+        matrix, changes = getattr(coefficients, kind), getattr(uncertainties, kind)
+        for (i, row), (j, column) in product(enumerate(coefficients.dofs), repeat=2):
             error = float(np.sqrt(np.sum(changes[:, i, j] ** 2)))
             if error <= STRUCTURAL_ZERO * np.max(np.abs(matrix), initial=0.0):
                 continue
-            force, _, motion = coefficients.unit(i, j).partition("/")
             largest = uncertainties.shares(changes[:, i, j])[:MAX_SHARES]
             shares = ", ".join(
                 f"{name} {100 * share:.0f} %" for name, share in largest if share >= LEAST_SHARE
             )
-            amount = amount_text(float(matrix[i, j]), error, f"{force}{per_speed}/{motion}")
+            amount = amount_text(float(matrix[i, j]), error, coefficients.unit(i, j, kind))
             echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())
 
 

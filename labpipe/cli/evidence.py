@@ -29,6 +29,7 @@ from labpipe.project.archive import (
     unpack,
     write_archive,
 )
+from labpipe.project.one_test import change_day
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
 from labpipe.project.run_record import begin as begin_record
@@ -84,7 +85,7 @@ def archive(
     pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
-        write_archive(packed, output, day or _written(folder / NAME))
+        write_archive(packed, output, day or change_day(folder / NAME))
     if quiet:
         return
     kept = [member for member in packed.members if member.kept]
@@ -112,11 +113,6 @@ def _day(text: str | None) -> str:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
         raise ConfigError(f"--date: '{text}' is no day", hint="write it as 2026-11-03") from None
-
-
-def _written(path: Path) -> str:
-    """The day [UTC] on which a file was written."""
-    return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()
 
 
 # labpipe runs FOLDER

@@ -16,7 +16,7 @@ from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
 from labpipe.errors import DataError, cut
-from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow
+from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.catalogue_search import LEVEL as DIFFERENCE_LEVEL
 from labpipe.project.catalogue_search import (
     Difference,
@@ -76,8 +76,8 @@ def echo_results(rows: Sequence[ResultRow]) -> None:
     header = ("date", "result", "rig", "tests", "verdict", "warnings")
     lines = []
     for row in rows:
-        name, remark = row.path.removesuffix("/identification.json"), row.fault or row.warnings
-        lines.append((row.date, name, row.rig, str(row.tests), row.verdict, remark))
+        remark = row.fault or row.warnings
+        lines.append((row.date, name_of(row.path), row.rig, str(row.tests), row.verdict, remark))
     echo_table(header, lines, right=(3,))
 
 
@@ -88,12 +88,10 @@ def echo_values(rows: Sequence[ValueRow]) -> None:
     lines = []
     units = _units(rows)
     for row in rows:
-        fit = f"{row.fit} of {row.term}" if row.term else row.fit
-        band = f"{row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
         cells = value_cells(row.value, row.std_error, row.unit, units[row.parameter, row.unit])
         conditions = [row.conditions.get(name, "") for name in names]
-        name = row.path.removesuffix("/identification.json")
-        lines.append((name, row.test, fit, band, row.parameter, *cells, *conditions, row.warnings))
+        first = (name_of(row.path), row.test, row.title, row.band, row.parameter)
+        lines.append((*first, *cells, *conditions, row.warnings))
     echo_table(header, lines, right=(5, 6))
 
 
@@ -147,8 +145,7 @@ def trend(
         write_rows(table, [row_entry(row) for row in selected])
     if output is not None:
         chosen = {row.path for row in selected}
-        of_report = [(path, result) for path, result in results.items() if path in chosen]
-        named = [(path.removesuffix("/identification.json"), result) for path, result in of_report]
+        named = [(name_of(path), result) for path, result in results.items() if path in chosen]
         write_campaign(named, output)
         echo(f"written: {output}", err=True)
 

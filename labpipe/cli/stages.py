@@ -101,7 +101,7 @@ def frf(
 
 def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipeline:
     """The pipeline with a single test of these recordings."""
-    rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
+    rig = pipeline.first_rig
     if rig is None:
         raise ConfigError("rig: is missing", pipeline.path, "add rig: FILE")
     test = Test("", tuple(SourceFile(path, rig) for path in recordings))

@@ -76,9 +76,9 @@ def _sweep_figure(
     panels = []
     for si_unit, entries in groups.items():
         series = [_curve(values, swept, kind, entry, number) for number, entry in enumerate(entries)]
-        force, _, motion = display_unit(si_unit).partition("/")
-        of_kind = f"{force}.s/{motion}" if kind == "damping" else f"{force}/{motion}"
-        panels.append(Panel(Axis(name, unit), Axis(kind, of_kind), tuple(series)))
+        shown = display_unit(si_unit)
+        shown = shown.replace("/", ".s/") if kind == "damping" else shown
+        panels.append(Panel(Axis(name, unit), Axis(kind, shown), tuple(series)))
     ranged = kind == "stiffness" and swept[0].lowest is not None
     band = "; shaded: range over one ball passage" if ranged else ""
     caption = f"{title}: {kind} over {label}{band}. Coefficients that are zero throughout are left out."
@@ -310,9 +310,9 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
 
 def _by_element(symbol: str, first: BearingCoefficients, matrices: FloatArray) -> dict[str, FloatArray]:
     """Columns of the elements of matrices (n_point, n_dof, n_dof) by title."""
-    per_speed = ".s" if symbol.endswith("c") else ""
-    columns = {}
-    for (i, row), (j, column) in ((r, c) for r in enumerate(first.dofs) for c in enumerate(first.dofs)):
-        force, _, motion = first.unit(i, j).partition("/")
-        columns[f"{symbol}_{row}_{column} [{force}{per_speed}/{motion}]"] = matrices[:, i, j]
-    return columns
+    kind = "damping" if symbol.endswith("c") else "stiffness"
+    return {
+        f"{symbol}_{row}_{column} [{first.unit(i, j, kind)}]": matrices[:, i, j]
+        for i, row in enumerate(first.dofs)
+        for j, column in enumerate(first.dofs)
+    }

@@ -48,12 +48,12 @@ class ChainUncertaintySettings(Settings):
 
 @dataclass(frozen=True)
 class Written:
-    """What a rig file says of one channel's uncertainties: *entries* of the file, *sensitivity* and *dof* as
+    """What a rig file says of one channel's uncertainties: its *node* in the file, *sensitivity* and *dof* as
     texts, *uncertainties* of its numbers, those that a certificate states.
     """
 
     name: str
-    entries: Mapping[str, Marked]
+    node: Marked
     sensitivity: str
     dof: str
     uncertainties: Uncertainties
@@ -61,34 +61,31 @@ class Written:
     certified: tuple[ChannelUncertainty, ...] = ()
 
 
-def channel_uncertainties(
-    written: Written, node: Marked, key: str, faults: Faults
-) -> tuple[ChannelUncertainty, ...]:
+def channel_uncertainties(written: Written, key: str, faults: Faults) -> tuple[ChannelUncertainty, ...]:
     """All uncertainties of a channel that are not zero; faults at their entries."""
-    readers: dict[str, Callable[[Written, Path], Iterator[ChannelUncertainty]]] = {
+    readers: dict[str, Callable[[Written], Iterator[ChannelUncertainty]]] = {
         "sensitivity": _of_sensitivity,
         "delay": _of_delay,
         "dof": _of_direction,
         "uncertainty": _of_chain,
     }
-    folder = Path(node.where.rsplit(":", 2)[0]).parent
     uncertainties: list[ChannelUncertainty] = []
     for entry, read in readers.items():
         try:
-            uncertainties.extend(read(written, folder))
+            uncertainties.extend(read(written))
         except UnitError as error:
-            faults.add_unit(written.entries.get(entry, node), join(key, entry), error)
+            faults.add_unit(written.node.content.get(entry, written.node), join(key, entry), error)
     return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
 
 
-def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:
+def _of_sensitivity(written: Written) -> Iterator[ChannelUncertainty]:
     """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it
     names.
     """
     yield from written.certified
     text, uncertainty = split_uncertainty(written.sensitivity)
     if "#" in text:
-        slope = calibrated_slope(text, folder)
+        slope = calibrated_slope(text, written.node.folder)
         if slope.std_error:
             number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
             yield _of_channel(written, "gain", number, f"sensitivity {text}")
@@ -110,23 +107,20 @@ def _relative(text: str, uncertainty: str) -> Uncertain:
     )
 
 
-def _of_delay(
-    written: Written,
-    folder: Path,  # noqa: ARG001 (one signature for all readers)
-) -> Iterator[ChannelUncertainty]:
+def _of_delay(written: Written) -> Iterator[ChannelUncertainty]:
     for name, number in written.uncertainties:
         if name == "delay":
             yield _of_channel(written, "delay", number, "delay")
 
 
-def _of_direction(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
+def _of_direction(written: Written) -> Iterator[ChannelUncertainty]:
     """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
     _, uncertainty = split_uncertainty(written.dof)
     if uncertainty:
         yield _of_channel(written, "direction", parse_uncertain(f"0 rad +- {uncertainty}", "rad"), "dof")
 
 
-def _of_chain(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
+def _of_chain(written: Written) -> Iterator[ChannelUncertainty]:
     if written.chain is None:
         return
     if written.chain.gain:
@@ -259,7 +253,7 @@ def certified_sensitivity(node: Marked, key: str, faults: Faults) -> Certified |
     if settings is None:
         return None
     try:
-        return _certify(settings, Path(node.where.rsplit(":", 2)[0]).parent)
+        return _certify(settings, node.folder)
     except UnitError as error:
         faults.add_unit(node, key, error)
         return None

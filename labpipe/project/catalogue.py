@@ -283,6 +283,11 @@ class Filter:
     where: tuple[str, ...] = ()
 
 
+def name_of(path: str) -> str:
+    """The folder of a result by the path of its file."""
+    return path.removesuffix(f"/{NAME}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class ResultRow:
     """One identification.json."""
@@ -329,7 +334,17 @@ class ValueRow:
     @property
     def label(self) -> str:
         """Label of the value beside others of the same parameter."""
-        return self.test or self.path.removesuffix("/identification.json")
+        return self.test or name_of(self.path)
+
+    @property
+    def title(self) -> str:
+        """The fit, with its term."""
+        return f"{self.fit} of {self.term}" if self.term else self.fit
+
+    @property
+    def band(self) -> str:
+        """The band of the fit; empty for a single frequency."""
+        return f"{self.low_hz:g}-{self.high_hz:g} Hz" if self.high_hz > self.low_hz else ""
 
 
 VALUE_COLUMNS = tuple(

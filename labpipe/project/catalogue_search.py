@@ -329,7 +329,7 @@ def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
     value, other_value = mine.parameter.value, other.parameter.value
     p_value = None if error is None else 2 * float(special.ndtr(-abs(other_value - value) / error))
     return Difference(
-        fit=f"{mine.fit} of {mine.term}" if mine.term else mine.fit,
+        fit=mine.title,
         test=mine.test,
         parameter=mine.parameter.name,
         unit=mine.parameter.unit,
@@ -414,9 +414,8 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
     groups: dict[tuple[str, str, str], list[ValueRow]] = {}
     for row in rows:
         if _day(row) is not None if over == DATE else over in row.amounts:
-            band = f" {row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
-            name = f"{row.fit} of {row.term}" if row.term else row.fit
-            groups.setdefault((name + band, row.parameter, row.unit), []).append(row)
+            title = f"{row.title} {row.band}".rstrip()
+            groups.setdefault((title, row.parameter, row.unit), []).append(row)
     return [_series(fit, parameter, over, group) for (fit, parameter, _), group in groups.items()]
 
 

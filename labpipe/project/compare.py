@@ -4,8 +4,9 @@ conditions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from labpipe.project.work import COMPARE_PREFIX, Work
 from labpipe.quantities import UnitError, parse_unit
 from labpipe.raw_files.table import open_table
 from labpipe.records.comparison import (
-    Comparison,
     Comparisons,
     ConditionMatrices,
     ConditionMatrix,
@@ -49,25 +49,29 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
 
     Otherwise LabpipeError names the comparison.
     """
-    conditions = {test.name: test.conditions for test in work.tests}
     evidence = Evidence(
         tuple(work.fits),
         tuple(work.responses),
         work.pipeline.fits,
-        conditions=conditions,
+        conditions=work.conditions,
         spectra=tuple(work.spectra),
         folder=work.pipeline.path.parent,
     )
-    comparisons: list[Comparison] = []
-    for comparison in settings:
+    return _each(settings, COMPARE_PREFIX, work, lambda comparison: compare(comparison, evidence))
+
+
+def _each(settings: Sequence[Any], prefix: str, work: Work, make: Callable[[Any], Any]) -> tuple[Any, ...]:
+    """What is made of every entry; one that cannot do without a failed test is named among the failures."""
+    records = []
+    for entry in settings:
         try:
-            comparisons.append(compare(comparison, evidence))
+            records.append(make(entry))
         except LabpipeError as error:
-            error.where = error.where or f"{work.pipeline.path}: {COMPARE_PREFIX}{comparison.name}"
-            if not work.go_on:
+            error.where = error.where or f"{work.pipeline.path}: {prefix}{entry.name}"
+            if not work.failed:
                 raise
-            work.failed.append(Failed(COMPARE_PREFIX + comparison.name, str(error)))
-    return tuple(comparisons)
+            work.failed.append(Failed(prefix + entry.name, str(error)))
+    return tuple(records)
 
 
 # The section matrix: the fits of all tests ordered by their conditions, with a theory beside them.
@@ -84,19 +88,12 @@ def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMat
 
     One that lacks a failed test is named among the work's failures.
     """
-    conditions = {test.name: test.conditions for test in work.tests}
-    matrices: list[ConditionMatrix] = []
-    for matrix in settings:
-        try:
-            matrices.append(
-                condition_matrix(matrix, work.fits, conditions, _theory(matrix, work.pipeline.folder))
-            )
-        except LabpipeError as error:
-            error.where = error.where or f"{work.pipeline.path}: {MATRIX_PREFIX}{matrix.name}"
-            if not work.go_on:
-                raise
-            work.failed.append(Failed(MATRIX_PREFIX + matrix.name, str(error)))
-    return tuple(matrices)
+
+    def matrix(entry: MatrixSettings) -> ConditionMatrix:
+        theory = _theory(entry, work.pipeline.folder)
+        return condition_matrix(entry, work.fits, work.conditions, theory)
+
+    return _each(settings, MATRIX_PREFIX, work, matrix)
 
 
 def _theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:

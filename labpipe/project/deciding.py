@@ -209,7 +209,7 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
     for number in numbers:
         if number.value is None or number.error is None:
             why = number.why or f"{number.name} has no standard uncertainty"
-            return RuleOutcome(rule.section, rule.text, None, False, shown=f"not judged: {why}")
+            return rule.outcome(None, False, shown=f"not judged: {why}")
     values = np.array([number.value for number in numbers], dtype=float)
     errors = np.array([number.error for number in numbers], dtype=float)
     limits = [number.limits for number in numbers]
@@ -240,7 +240,7 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
     least = "" if is_known else "at least: some correlations are not known; "
     shown = f"{least}all {len(numbers)} {within(probability)}: {outcome}"
     passed = outcome in decision.outcomes
-    return RuleOutcome(rule.section, rule.text, probability, passed, shown=shown, decision=record)
+    return rule.outcome(probability, passed, shown=shown, decision=record)
 
 
 def _covariance(first: Limited, second: Limited) -> float | None:

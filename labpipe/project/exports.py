@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -116,9 +117,14 @@ def write_shapes(artefact: Path, target: Path) -> None:
 
 def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have modes; DataError where there is none."""
-    fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(Modes) is not None)
+    return _fits_with(Modes, artefact, "holds no mode shapes", "parameters are written as csv or parquet")
+
+
+def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
+    """The fits of a result that have details of a kind; DataError where there is none."""
+    fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(kind) is not None)
     if not fits:
-        raise DataError("holds no mode shapes", artefact, "parameters are written as csv or parquet")
+        raise DataError(what, artefact, hint)
     return fits
 
 
@@ -187,10 +193,8 @@ def spectra_table(artefact: Path) -> pd.DataFrame:
     for number, run in enumerate(spectra.runs):
         table = pd.DataFrame({"run": run, "frequency_hz": spectra.frequency})
         for column, channel in enumerate(spectra.channels):
-            values, variance = (
-                spectra.vectors[:, number, column],
-                spectra.covariance[:, number, column, column].real,
-            )
+            values = spectra.vectors[:, number, column]
+            variance = spectra.covariance[:, number, column, column].real
             parts = (("re", values.real), ("im", values.imag), ("std", variance.clip(min=0) ** 0.5))
             for part, amounts in parts:
                 table[f"{channel.name}:{part} [{channel.unit}]"] = amounts
@@ -349,10 +353,9 @@ def robust_fits(artefact: Path) -> tuple[Fit, ...]:
         raise DataError(
             "holds no plant", artefact, "plants stand in identification.json, of fits of the model magnet"
         )
-    fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(RobustPlant) is not None)
-    if not fits:
-        raise DataError("holds no plant", artefact, "model: magnet, with one run per axis at least")
-    return fits
+    return _fits_with(
+        RobustPlant, artefact, "holds no plant", "model: magnet, with one run per axis at least"
+    )
 
 
 def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: str = "u [V]") -> None:

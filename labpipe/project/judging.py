@@ -22,7 +22,7 @@ from labpipe.project.rules import Rule
 from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
 from labpipe.records.comparison import Comparison, ConditionMatrices
 from labpipe.records.dataset import PartialOutcome
-from labpipe.records.finding import WARNING, Parameter, of_level
+from labpipe.records.finding import WARNING, Finding, Parameter, of_level
 from labpipe.records.identification import Fit, RuleOutcome
 from labpipe.records.sections import names_of, section
 from labpipe.records.uncertain import parse_uncertain, split_uncertainty
@@ -137,13 +137,9 @@ def judge(
     return (*outcomes, *forbidden(rules, fits))
 
 
-def _outcome(rule: Rule, compared: Compared) -> RuleOutcome:
-    return RuleOutcome(rule.section, rule.text, *compared)
-
-
 def unfounded(rule: Rule) -> RuleOutcome:
     """The failed outcome of a rule that addresses what an incomplete result does not have."""
-    return RuleOutcome(rule.section, rule.text, None, False)
+    return rule.outcome(None, False)
 
 
 def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
@@ -232,7 +228,7 @@ def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
 def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
     """What a rule finds in its fits of one test."""
     if rule.item == "warnings":
-        compared = [_compare_warnings(rule, fit) for fit in addressed]
+        compared = [compare_warnings(rule, fit.findings) for fit in addressed]
     else:
         having = _having(rule, addressed)
         if not having:
@@ -241,8 +237,7 @@ def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
             hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
             return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{name}'", hint))
         compared = [_compare_item(rule, fit) for fit in having]
-    first = next((pair for pair in compared if not pair[1]), compared[0])
-    return PartialOutcome(outcome=_outcome(rule, first), addressed=len(addressed))
+    return PartialOutcome(outcome=rule.outcome_of_all(compared), addressed=len(addressed))
 
 
 def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
@@ -251,10 +246,10 @@ def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
     A rule that cannot be judged in one of the tests is not kept.
     """
     if rule.item == "count" and partial.addressed:
-        return _outcome(rule, compare_number(rule, float(partial.addressed), "1"))
+        return rule.outcome(*compare_number(rule, float(partial.addressed), "1"))
     if partial.outcome is not None:
         if partial.fault is not None and partial.outcome.passed:
-            return _outcome(rule, (None, False, f"not judged: in a test {partial.fault[0]}", None))
+            return rule.outcome(None, False, f"not judged: in a test {partial.fault[0]}")
         return partial.outcome
     what, hint = partial.fault or ("no such fit in the result", "")
     raise rule.fault(what, hint)
@@ -279,11 +274,11 @@ def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
     ]
 
 
-def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
+def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> Compared:
     """ "collinear" must be among the warnings, "not collinear" must not, "also collinear" may; "none" means
     no warning at all.
     """
-    codes = [finding.code for finding in of_level(WARNING, fit.findings)]
+    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, findings)))
     code = rule.bound
     if code == "none":
         passed = not codes
@@ -353,17 +348,17 @@ def comparison_outcome(
     if rule.item == "verdict":
         why = comparison.why_undecided("verdict")
         shown = f"{comparison.verdict}: {why}" if why else ""
-        return _outcome(rule, (comparison.verdict, comparison.verdict == rule.bound, shown, None))
+        return rule.outcome(comparison.verdict, comparison.verdict == rule.bound, shown)
     if rule.item == "count":
-        return _outcome(rule, compare_number(rule, float(len(comparison.points)), "1"))
+        return rule.outcome(*compare_number(rule, float(len(comparison.points)), "1"))
     name, _, attribute = rule.item.partition(".")
     why = comparison.why_undecided(name)
     if why:
-        return _outcome(rule, (None, False, f"not judged: {why}", None))
+        return rule.outcome(None, False, f"not judged: {why}")
     amount = _amount(rule, comparison, name)
     if attribute == "covers":
-        return _outcome(rule, compare_covers(rule, amount.ci95, amount.unit))
-    return _outcome(rule, _compare_attribute(rule, amount, attribute))
+        return rule.outcome(*compare_covers(rule, amount.ci95, amount.unit))
+    return rule.outcome(*_compare_attribute(rule, amount, attribute))
 
 
 def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
@@ -382,4 +377,4 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
         raise rule.fault(f"the matrix has no '{rule.item}'", hint) from None
-    return _outcome(rule, compare_number(rule, amount.value, amount.unit, stated_error(amount)))
+    return rule.outcome(*compare_number(rule, amount.value, amount.unit, stated_error(amount)))

@@ -34,6 +34,11 @@ class Marked:
         """
         return self.key_where or self.where
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the file that it stands in."""
+        return Path(self.where.rsplit(":", 2)[0]).parent
+
     def without(self, *keys: str) -> Marked:
         """A mapping without these entries."""
         return replace(self, content={key: node for key, node in self.content.items() if key not in keys})

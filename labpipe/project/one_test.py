@@ -154,7 +154,7 @@ def day_of(test: Test, conditions: Mapping[str, str]) -> str:
 
 def files_of(test: Test) -> list[Path]:
     """The files that a test was recorded in, or its ready responses."""
-    recorded = [path for source in test.recordings for path in (source.path, *source.joined)]
+    recorded = [path for source in test.recordings for path in source.paths]
     return [*recorded, *(path for ready in test.frfs for path in ready.paths)]
 
 
@@ -276,7 +276,7 @@ def brought(job: Job) -> Iterator[Job]:
     """The job with recordings of this machine: those of an object storage lie in its scratch folder
     meanwhile.
     """
-    paths = [path for source in job.test.recordings for path in (source.path, *source.joined)]
+    paths = [path for source in job.test.recordings for path in source.paths]
     with fetch([] if job.measured_before else paths, job.scratch) as here:
         recordings = tuple(source.at(here) for source in job.test.recordings)
         yield dataclasses.replace(job, test=dataclasses.replace(job.test, recordings=recordings))

@@ -183,12 +183,8 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
     if section:
         model, entry = section
         if entries["model"].text != model:
-            faults.add(
-                entries[entry],
-                join(key, entry),
-                f"the section '{entry}' goes with model {model}",
-                model_kind(model).example,
-            )
+            what = f"the section '{entry}' goes with model {model}"
+            faults.add_at(entries, key, entry, what, model_kind(model).example)
         else:
             owner = model_kind(model).settings
             assert owner is not None
@@ -265,9 +261,7 @@ def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> Comp
     for entry in sorted(set(node.content if comparison else ()) - set(settings_of(CompareSettings))):
         kinds = [name for name in COMPARISONS if comparison_kind(name).section == entry]
         if kinds:
-            faults.add(
-                entries[entry], join(key, entry), f"is not for the kind {kind}", f"kind: {' or '.join(kinds)}"
-            )
+            faults.add_at(entries, key, entry, f"is not for the kind {kind}", f"kind: {' or '.join(kinds)}")
     if len(faults) > before:
         return None
     return _of_a_fit(read_settings(CompareSettings, node, key, faults, **presets), node, key, reading)
@@ -336,6 +330,11 @@ class Pipeline:
     @property
     def folder(self) -> Path:
         return self.path.parent
+
+    @property
+    def first_rig(self) -> Rig | None:
+        """Its rig, or else that of the first recording; None where there is no recording."""
+        return self.rig or next((source.rig for test in self.tests for source in test.recordings), None)
 
     @property
     def fits(self) -> tuple[FitSettings, ...]:
@@ -512,4 +511,4 @@ def _check_kinds(
                 check_kind(fit, kind)
             except ConfigError as error:
                 node = entries["identify"].content[fit.name].content["model"]
-                faults.add(node, join(join("identify", fit.name), "model"), error.what, error.hint)
+                faults.add(node, join("identify", fit.name, "model"), error.what, error.hint)

@@ -170,7 +170,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
             faults.add(entries[stated[1]], stated[0], what, "leave one of them out")
         for name in ("sample_rate", "resample"):
             if name in stated and getattr(settings, name) <= 0:
-                faults.add(entries[name], name, "must be positive")
+                faults.add_at(entries, "", name, "must be positive")
     if len(faults) > before or settings is None:
         return None
     return Rig(
@@ -292,12 +292,8 @@ def _read_sums(
     for name, entry in sums.items():
         for key in RECORDED_ONLY:
             if key in entry.content:
-                faults.add(
-                    entry.content[key],
-                    join("channels", name, key),
-                    "belongs to a recorded channel, this is a sum",
-                    "leave it out",
-                )
+                what = "belongs to a recorded channel, this is a sum"
+                faults.add_at(entry.content, join("channels", name), key, what, "leave it out")
         setting = settings[name]
         if setting is None:
             continue
@@ -371,7 +367,7 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     response = _response(settings, node, key, faults) or (certified.response if certified else ())
     written = Written(
         name,
-        node.content,
+        node,
         settings.sensitivity,
         settings.dof,
         settings.uncertainties,
@@ -379,7 +375,7 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
         certified.uncertainties if certified else (),
     )
     # Of a number that cannot be read there is one fault, not a second one of its uncertainty.
-    uncertainties = channel_uncertainties(written, node, key, faults) if len(faults) == before else ()
+    uncertainties = channel_uncertainties(written, key, faults) if len(faults) == before else ()
     if len(faults) > before:
         return None
     sign = -1.0 if settings.invert else 1.0
@@ -409,7 +405,7 @@ def _response(
     if not settings.response:
         return ()
     try:
-        return read_sensor_response(Path(node.where.rsplit(":", 2)[0]).parent / settings.response)
+        return read_sensor_response(node.folder / settings.response)
     except UnitError as error:
         faults.add_unit(node.content["response"], join(key, "response"), error)
         return ()
@@ -441,7 +437,7 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
     "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration.
     """
     if "#" in text:
-        slope = calibrated_slope(text, Path(node.where.rsplit(":", 2)[0]).parent)
+        slope = calibrated_slope(text, node.folder)
         text = f"{slope.value!r} {slope.unit}"
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:

@@ -5,6 +5,7 @@ limits with the rule by which is decided.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join, listed
 from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
+from labpipe.records.identification import RuleDecision, RuleOutcome
 from labpipe.registry import nearest
 from labpipe.uncertainty.decisions import OUTCOMES, PASS
 
@@ -95,6 +97,16 @@ class Rule:
         """What is wrong with the rule, at its place."""
         return ConfigError(f"{self.section}.{self.address}: {what}", self.place, hint)
 
+    def outcome(
+        self, value: float | str | None, passed: bool, shown: str = "", decision: RuleDecision | None = None
+    ) -> RuleOutcome:
+        """What came of the rule, by the value [SI] that it was held against."""
+        return RuleOutcome(self.section, self.text, value, passed, shown, decision)
+
+    def outcome_of_all(self, compared: Sequence[tuple[Any, ...]]) -> RuleOutcome:
+        """What came of a rule that all numbers must meet: by the first that does not, else by the first."""
+        return self.outcome(*next((pair for pair in compared if not pair[1]), compared[0]))
+
     @property
     def text(self) -> str:
         """The rule as people read it."""
@@ -174,7 +186,7 @@ def _together(
     before = len(faults)
     for name in ("limits", "min", "max", "guard", "process"):
         if name in entry.content:
-            faults.add(entry.content[name], join(key, name), "belongs to one number", "leave it out")
+            faults.add_at(entry.content, key, name, "belongs to one number", "leave it out")
     shared = {name: node for name, node in entry.content.items() if name in ("rule", "risk", "outcomes")}
     members: list[Rule] = []
     for member, limits in faults.mapping(entry.content["together"], join(key, "together")).items():

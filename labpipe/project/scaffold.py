@@ -60,6 +60,16 @@ NOT_SHOWN = (
 )
 
 
+def _quoted(content: object) -> str:
+    """A text, or several, as YAML takes it whatever stands in it."""
+    return json.dumps(content, ensure_ascii=False)
+
+
+def _remark(line: str, words: str) -> str:
+    """A line with words that say why, below those of the other lines."""
+    return f"{line:<31}# {words}"
+
+
 @dataclass(frozen=True)
 class Scaffold:
     """The text of the two files; *rig* is empty where the files are FRFs."""
@@ -124,9 +134,9 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
         "  tests:",
     ]
     for file, path, turns in zip(files, paths, running, strict=True):
-        name = json.dumps(file.stem, ensure_ascii=False)
+        name = _quoted(file.stem)
         if turns:
-            run = f"{{recording: {json.dumps(path, ensure_ascii=False)}, rig: {DECIDE}, tacho: {DECIDE}}}"
+            run = f"{{recording: {_quoted(path)}, rig: {DECIDE}, tacho: {DECIDE}}}"
             mark = f"{MARK} the rig file of its probes, and the channel of the tacho; load: where it has one"
             lines.append(f"    - {{name: {name}, kind: run-up, run: {run}}}    {mark}")
         else:
@@ -137,7 +147,7 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
 def _rig(first: FirstLook, path: Path) -> str:
     lines = [f"# The rig, as far as {path.name} describes it. Marked lines need a decision.", "name: My rig"]
     if first.time:
-        lines.append(f"time: {json.dumps(first.time, ensure_ascii=False)}")
+        lines.append(f"time: {_quoted(first.time)}")
     elif not first.rate:
         lines.append(
             f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does "
@@ -165,11 +175,7 @@ def _channel_line(channel: GuessedChannel, anchor: str) -> str:
     """A channel; *anchor*: of a unit that several channels of a quantity share, '&' where it is decided, '*'
     where it is only referred to.
     """
-    entries = {
-        "column": json.dumps(channel.column, ensure_ascii=False),
-        "quantity": channel.quantity,
-        "unit": json.dumps(channel.unit),
-    }
+    entries = {"column": _quoted(channel.column), "quantity": channel.quantity, "unit": _quoted(channel.unit)}
     if anchor:
         entries["unit"] = f"{anchor}{channel.quantity}" + (f" {DECIDE}" if anchor == "&" else "")
     entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
@@ -225,7 +231,7 @@ DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force
 def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[str]:
     lines = [f"  ring_{output}:", "    model: decay", "    modes: 1", f"    output: {output}"]
     if rate:
-        lines.append(f"    band: {band[0]:.4g}-{band[1]:.4g} Hz".ljust(31) + "# around the highest peak")
+        lines.append(_remark(f"    band: {band[0]:.4g}-{band[1]:.4g} Hz", "around the highest peak"))
     return lines
 
 
@@ -237,7 +243,7 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
         "# For an FRF of one quantity give the others role: reference in rig.yaml, and leave `result` out.",
         "title: Dynamic stiffness of my rig",
         "rig: rig.yaml",
-        f"recordings: [{', '.join(json.dumps(path, ensure_ascii=False) for path in paths)}]",
+        f"recordings: [{', '.join(_quoted(path) for path in paths)}]",
         *_frf_lines(excitation, first.rate),
         "  result: spectra",
         "identify:",
@@ -252,10 +258,9 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
 
 def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str]:
     if len(paths) == 1:
-        return [f"{kind}: {json.dumps(paths[0], ensure_ascii=False)}"]
+        return [f"{kind}: {_quoted(paths[0])}"]
     entries = (
-        f"  - {{name: {json.dumps(file.stem, ensure_ascii=False)}, {kind}: "
-        f"{json.dumps(path, ensure_ascii=False)}}}"
+        f"  - {{name: {_quoted(file.stem)}, {kind}: {_quoted(path)}}}"
         for file, path in zip(files, paths, strict=True)
     )
     return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]
@@ -274,15 +279,15 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     low, high = excitation.band
     length = f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
     length = f"{excitation.length / rate:.12g} s" if rate else length
-    lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {remark}"]
+    lines = ["frf:", _remark(f"  excitation: {excitation.kind}", remark)]
     if excitation.kind != "sweep":
         lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
     if excitation.kind == "periodic":
-        lines.append(f"  skip: {1 if excitation.repeats > 2 else 0}".ljust(31) + "# transient periods")
+        lines.append(_remark(f"  skip: {1 if excitation.repeats > 2 else 0}", "transient periods"))
     if rate:
         # The line at 0 Hz says nothing of a motion.
         low = low or rate / excitation.length
-        lines.append(f"  band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# where the force has power")
+        lines.append(_remark(f"  band: {low:.6g}-{high:.6g} Hz", "where the force has power"))
     return lines
 
 
@@ -307,12 +312,12 @@ def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
         "modal": ["    model: modal               # `sdof` gives k and c where force and response meet"],
     }
-    last = {"modal": ["    modal: {order: 6}".ljust(31) + "# few poles for one peak; higher for close modes"]}
+    last = {"modal": [_remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
     lines = [f"  {name}:", *by_model[proposal.model]]
     lines += [f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
         low, high = proposal.band
-        lines.append(f"    band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# around the highest peak")
+        lines.append(_remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peak"))
     # Between lines of noise a mode needs more orders to return.
     return lines + last.get(proposal.model if proposal.is_mode else "", [])
 
@@ -346,7 +351,7 @@ def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
         bands = [band_of(frequency[part], mobility[part], peak - begin, MODAL_LINES) for peak in inside]
         lines += [f"  mode_{number}:", "    model: modal"]
         band = f"    band: {bands[0][0]:.6g}-{bands[-1][1]:.6g} Hz"
-        lines.append(band.ljust(31) + "# around a peak of all points")
+        lines.append(_remark(band, "around a peak of all points"))
     return lines or ["  modes:", "    model: modal"]
 
 
@@ -362,10 +367,10 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
     estimator = "ml" if response.covariance is not None else "ls"
     lines = [*HEAD_OF_FRFS, *_sources(files, paths, "frfs"), "identify:"]
     fits = {
-        json.dumps(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
+        _quoted(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
         for row, port in enumerate(response.outputs)
     }
-    lines.extend(_all_fit_lines(json.dumps(response.inputs[0].label), fits, estimator))
+    lines.extend(_all_fit_lines(_quoted(response.inputs[0].label), fits, estimator))
     return "\n".join(lines) + "\n"
 
 
@@ -375,28 +380,28 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     lines = [*HEAD_OF_FRFS, *(f"# a guess, {doubt}" for doubt in guessed.doubts), "frfs:"]
     pattern = _pattern_of([Path(path).stem for path in paths])
     if len(paths) > 1:
-        lines.append(f"  each: {json.dumps(list(paths), ensure_ascii=False)}")
+        lines.append(f"  each: {_quoted(list(paths))}")
         where = "where the dofs stand in the files' names, for example 'H_{output}_{input}'"
-        guess = f"  pattern: {json.dumps(pattern, ensure_ascii=False)}".ljust(31)
-        guess += "# a guess: the one part in which the names differ"
+        why = "a guess: the one part in which the names differ"
+        guess = _remark(f"  pattern: {_quoted(pattern)}", why)
         lines.append(guess if pattern else f"  pattern: {DECIDE}    {MARK} {where}")
     else:
-        lines.append(f"  file: {json.dumps(paths[0], ensure_ascii=False)}")
+        lines.append(f"  file: {_quoted(paths[0])}")
     if guessed.word:
         lines.append(f"  {guessed.word}: {_flow(guessed.columns)}")
     if guessed.conjugate:
-        lines.append("  conjugate: true".ljust(31) + "# the phase rises through the highest peak")
+        lines.append(_remark("  conjugate: true", "the phase rises through the highest peak"))
     lines += _unit_lines(guessed)
     outputs, force = ["y"], "f"
     if guessed.elements:
         outputs = _labels(guessed.elements)
         lines.append("  elements:                    # the dof of each response: any name, such as 3.z")
         pairs = zip(outputs, guessed.elements.values(), strict=True)
-        lines += [f"    {json.dumps(name)}: {_flow(parts)}" for name, parts in pairs]
+        lines += [f"    {_quoted(name)}: {_flow(parts)}" for name, parts in pairs]
     elif len(paths) == 1:
-        lines.append("  output: y".ljust(31) + "# the dof of the response: any name, such as 3.z")
+        lines.append(_remark("  output: y", "the dof of the response: any name, such as 3.z"))
     if len(paths) == 1 or pattern:
-        lines.append("  input: f".ljust(31) + "# the dof of the force")
+        lines.append(_remark("  input: f", "the dof of the force"))
     lines.append("identify:")
     if pattern:
         return "\n".join([*lines, *_mode_lines(files, guessed)]) + "\n"
@@ -471,20 +476,20 @@ def _order(guessed: GuessedFrf) -> int:
 
 
 def _flow(columns: Mapping[str, str]) -> str:
-    entries = (f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in columns.items())
+    entries = (f"{kind}: {_quoted(name)}" for kind, name in columns.items())
     return f"{{{', '.join(entries)}}}"
 
 
 def _unit_lines(guessed: GuessedFrf) -> list[str]:
     """The form and the unit of FRFs: as the file says them, else to be decided."""
     if guessed.unit:
-        return [f"  unit: {json.dumps(guessed.unit, ensure_ascii=False)}"]
+        return [f"  unit: {_quoted(guessed.unit)}"]
     if guessed.label:
         form = [f"  form: {guessed.form}"] if guessed.form else []
         mark = f"{MARK} the unit of the numbers, for example g/N; the records say {guessed.label}"
         return [*form, f"  unit: {DECIDE}    {mark}"]
     if guessed.form:
-        return [f"  form: {guessed.form}".ljust(31) + "# in SI units; for others add unit: g/N, for example"]
+        return [_remark(f"  form: {guessed.form}", "in SI units; for others add unit: g/N, for example")]
     return [f"  unit: {DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"]
 
 

@@ -84,6 +84,16 @@ def _frfs() -> dict[str, Any]:
     return {"anyOf": [*one, {"type": "array", "items": {"anyOf": one}}]}
 
 
+# What the entries of a test mean.
+OF_TEST = {
+    "each": "files of which each is a test of its own, under the file's name",
+    "together": "parts of the pattern in which the recordings of one test differ",
+    "pattern": "conditions in the file's name, for example {preload}-{direction}",
+    "frf": "in place of the pipeline's, for this test",
+    "repeats": "what fits make of several recordings of the same FRFs: in place of their own",
+}
+
+
 def pipeline_schema() -> dict[str, Any]:
     """The schema of a pipeline file."""
     recordings, frfs = _recordings(), _frfs()
@@ -92,25 +102,14 @@ def pipeline_schema() -> dict[str, Any]:
         "name": {"type": "string"},
         "recordings": recordings,
         "frfs": frfs,
-        "each": {
-            **recordings,
-            "description": "files of which each is a test of its own, under the file's name",
-        },
-        "together": {
-            **_TEXTS,
-            "description": "parts of the pattern in which the recordings of one test differ",
-        },
-        "pattern": {
-            "type": "string",
-            "description": "conditions in the file's name, for example {preload}-{direction}",
-        },
+        "each": recordings,
+        "together": _TEXTS,
+        "pattern": {"type": "string"},
         "conditions": conditions,
-        "frf": {**object_schema(FrfSettings), "description": "in place of the pipeline's, for this test"},
-        "repeats": {
-            "enum": list(REPEATS),
-            "description": "what fits make of several recordings of the same FRFs: in place of their own",
-        },
+        "frf": object_schema(FrfSettings),
+        "repeats": {"enum": list(REPEATS)},
     }
+    test |= {name: {**test[name], "description": meaning} for name, meaning in OF_TEST.items()}
     rule = {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}, _decision()]}
     rules = {"type": "object", "additionalProperties": rule}
     properties = {

@@ -374,7 +374,11 @@ def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False)
         faults.add(node, key, f"'{node.text}' {error.what}", error.hint)
         return []
     if is_remote(address):
-        return _objects(address, node, key, faults) if elsewhere else _only_here(node, key, faults)
+        if elsewhere:
+            return _objects(address, node, key, faults)
+        hint = "recordings may be named by URL; copy this file here"
+        faults.add(node, key, "is read from this machine only", hint)
+        return []
     path = faults.folder / address
     if glob.has_magic(node.text):
         matches = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
@@ -387,13 +391,6 @@ def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False)
     return [path]
 
 
-def _only_here(node: Marked, key: str, faults: Faults) -> list[Path]:
-    faults.add(
-        node, key, "is read from this machine only", "recordings may be named by URL; copy this file here"
-    )
-    return []
-
-
 def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path]:
     """The objects that a URL names, as `files_of`; StorageError where the storage does not answer."""
     # Recordings of this machine are found without an object storage.
@@ -404,18 +401,13 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
     else:
         plain = next(number for number, part in enumerate(address.parts) if glob.has_magic(part))
         folder, pattern = Path(*address.parts[:plain]), address.parts[plain:]
-        objects = [
-            status_of_object.path
-            for status_of_object in below(folder)
-            if _matches(status_of_object.path.parts[plain:], pattern)
-        ]
+        paths = (there.path for there in below(folder))
+        objects = [path for path in paths if _matches(path.parts[plain:], pattern)]
     if not objects:
-        what = (
-            f"no object matches '{node.text}'"
-            if glob.has_magic(node.text)
-            else f"no such object '{node.text}'"
+        what = "no object matches" if glob.has_magic(node.text) else "no such object"
+        faults.add(
+            node, key, f"{what} '{node.text}'", "names are those that the storage lists, capitals included"
         )
-        faults.add(node, key, what, "names are those that the storage lists, capitals included")
     return objects
 
 

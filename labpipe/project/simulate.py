@@ -42,9 +42,8 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
     if not kind:
         faults.add(tree, "kind", "is missing", f"known: {', '.join(VIRTUAL_RIGS.names())}")
     elif kind not in VIRTUAL_RIGS.names():
-        faults.add(
-            entries["kind"], "kind", f"unknown virtual rig '{kind}'", nearest(kind, VIRTUAL_RIGS.names())
-        )
+        known = VIRTUAL_RIGS.names()
+        faults.add_at(entries, "", "kind", f"unknown virtual rig '{kind}'", nearest(kind, known))
     faults.raise_any()
     chosen: VirtualRigKind = VIRTUAL_RIGS.load(kind)
     rig: VirtualRig | None = read_settings(chosen.settings, tree, "", faults)

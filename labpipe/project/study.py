@@ -12,7 +12,7 @@ from labpipe.errors import LabpipeError
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
-from labpipe.quantities import parse_value
+from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
@@ -194,7 +194,10 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     if match["item"] == "threshold":
         values = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
     else:
-        noise = None if match["noise"] is None else parse_value(match["noise"], "1")
+        try:
+            noise = None if match["noise"] is None else parse_value(match["noise"], "1")
+        except UnitError as error:
+            raise rule.fault(error.what, error.hint) from None
         values = [
             _value(rule, case, match["item"])
             for study in studies
@@ -204,9 +207,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     if not values:
         raise rule.fault("no such case in the study")
     outcomes = [compare_number(rule, value, "1") for value in values]
-    return RuleOutcome(
-        rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
-    )
+    return rule.outcome_of_all(outcomes)
 
 
 def _value(rule: Rule, case: StudyCase, item: str) -> float | None:

@@ -129,12 +129,8 @@ def _check_dofs(
         hint = f"name the dof, or its place in the files' names by pattern: '{{{word}}}'"
         faults.add(node, join(key, word), "is missing", hint)
     elif len(names) > 1 and not layout.table.matrix:
-        faults.add(
-            node.content[word],
-            join(key, word),
-            "one dof is needed",
-            "several are the rows or columns of a matrix",
-        )
+        hint = "several are the rows or columns of a matrix"
+        faults.add_at(node.content, key, word, "one dof is needed", hint)
 
 
 # Reading the entries under ``recordings:``: files, the rig that recorded each, and dofs that the names of
@@ -157,9 +153,14 @@ class SourceFile:
     joined: tuple[Path, ...] = ()
     by: str = ""
 
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All files of the run."""
+        return (self.path, *self.joined)
+
     def absolute(self) -> SourceFile:
         """The same for a process that works in another folder."""
-        return self.at({path: path.absolute() for path in (self.path, *self.joined) if not is_remote(path)})
+        return self.at({path: path.absolute() for path in self.paths if not is_remote(path)})
 
     def at(self, places: Mapping[Path, Path]) -> SourceFile:
         """The same, of files that lie at other places."""
@@ -212,12 +213,8 @@ class RecordingReader:
         self.faults.unknown_keys(entry, key, KEYS)
         named = [word for word in ("file", "each", "join") if word in entry.content]
         if len(named) > 1:
-            self.faults.add(
-                entry.content[named[1]],
-                join(key, named[1]),
-                f"'{named[0]}' and '{named[1]}' are both named",
-                "leave one out",
-            )
+            what = f"'{named[0]}' and '{named[1]}' are both named"
+            self.faults.add_at(entry.content, key, named[1], what, "leave one out")
         file = entry.content[named[0]] if named else Marked(None, entry.where)
         rig = self._rig(entry, key)
         paths = [path for item in listed(file) for path in files_of(item, key, self.faults, elsewhere=True)]
@@ -481,7 +478,7 @@ class TestReader:
             if not isinstance(node.content, dict):
                 written[name] = node.text
                 continue
-            source = read_settings(RecordedCondition, node, join(join(key, "conditions"), name), self.faults)
+            source = read_settings(RecordedCondition, node, join(key, "conditions", name), self.faults)
             if source is not None:
                 recorded[name] = source
         return written, recorded

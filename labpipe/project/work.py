@@ -32,8 +32,7 @@ class Work:
 
     tests: the response, the free decays or the spectra of every test. test_fits: fits already made test by
     test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are missing,
-    and comparisons that cannot do without them; *go_on* then. *jobs*: processes of a study, 0 for one per
-    processor.
+    and comparisons that cannot do without them. *jobs*: processes of a study, 0 for one per processor.
     """
 
     pipeline: Pipeline
@@ -57,9 +56,9 @@ class Work:
         return [test for test in self.tests if isinstance(test, ChannelSpectra)]
 
     @property
-    def go_on(self) -> bool:
-        """True if what lacks a test is named and passed over."""
-        return bool(self.failed)
+    def conditions(self) -> dict[str, dict[str, str]]:
+        """The conditions of every test by its name."""
+        return {test.name: test.conditions for test in self.tests}
 
 
 SINGULAR = (
@@ -75,7 +74,6 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
     """
     fits: list[Fit] = []
     faults: list[FitError] = []
-    conditions = {test.name: test.conditions for test in work.tests}
     for fit in settings:
         if fit.name in work.test_fits:
             made = list(work.test_fits[fit.name])
@@ -91,7 +89,7 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
                 continue
         from labpipe.estimation.levels import with_level_findings
 
-        fits.extend(with_level_findings(made, conditions))
+        fits.extend(with_level_findings(made, work.conditions))
     if faults and not fits:
         raise faults[0]
     return fits

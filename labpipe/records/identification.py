@@ -397,6 +397,11 @@ class ListedParameter:
         """Standard error without what given numbers add, which is common to all tests that share them."""
         return self.parameter.full_error if self.random is None else self.random
 
+    @property
+    def title(self) -> str:
+        """The fit, with its term."""
+        return f"{self.fit} of {self.term}" if self.term else self.fit
+
 
 def listed_parameters(identification: Identification) -> Iterator[ListedParameter]:
     """The parameters of all fits, then those of every other section."""

@@ -125,8 +125,7 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
     groups: dict[tuple[str, str], list[Value]] = {}
     for result, identification in results:
         for listed in single_parameters(identification):
-            title = f"{listed.fit} of {listed.term}" if listed.term else listed.fit
-            values = groups.setdefault((title, listed.parameter.name), [])
+            values = groups.setdefault((listed.title, listed.parameter.name), [])
             values.append(_value(result, identification, listed))
     return [
         CoefficientSeries(fit, name, _order(values))

@@ -323,13 +323,17 @@ class Evidence:
 
     def response(self, test: str) -> FrequencyResponse:
         """The response of a test; ConfigError where it is missing."""
-        response = next((response for response in self.responses if response.name == test), None)
-        if response is None:
-            raise ConfigError(f"the response of test '{test}' is missing")
-        return response
+        for response in self.responses:
+            if response.name == test:
+                return response
+        raise ConfigError(f"the response of test '{test}' is missing")
 
     def settings_of(self, fit: str) -> FitSettings:
-        return next(settings for settings in self.fit_settings if settings.name == fit)
+        """The settings of a fit; ConfigError where there are none."""
+        for settings in self.fit_settings:
+            if settings.name == fit:
+                return settings
+        raise ConfigError(f"the settings of fit '{fit}' are missing")
 
 
 def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:

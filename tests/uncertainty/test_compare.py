@@ -195,6 +195,8 @@ def test_a_fit_without_noise_gives_the_ratio_itself() -> None:
 
 def test_one_test_is_no_campaign(evidence) -> None:
     assert evidence.settings_of("peaks") is PEAKS
+    with pytest.raises(ConfigError, match="the settings of fit 'decays' are missing"):
+        evidence.settings_of("decays")
     with pytest.raises(FitError, match="at least two are needed"):
         Evidence(evidence.fits[:3], evidence.responses, (PEAKS,)).campaign(
             CompareSettings(kind="trend", **SERIES)

@@ -65,7 +65,9 @@ def test_a_rule_is_for_one_noise_level_or_for_all(item: str, bound: str, value: 
     assert (outcome.value, outcome.passed) == (pytest.approx(value), passed)
 
 
-@pytest.mark.parametrize("item", ["direct[2 %].coverage", "unknown.coverage", "direct.colour"])
+@pytest.mark.parametrize(
+    "item", ["direct[2 %].coverage", "direct[2 Hz].coverage", "unknown.coverage", "direct.colour"]
+)
 def test_what_the_study_does_not_have(item: str) -> None:
     with pytest.raises(ConfigError, match="study"):
         study_outcome(rule(item, "0.5"), STUDIES, compare_number)

@@ -73,6 +73,17 @@ class RunCandidate:
     shaker: Shaker | None = None
     to_threshold: bool = False
 
+    @property
+    def excitation(self) -> str:
+        """What excites the rotor, in words."""
+        if self.shaker is not None:
+            where = f"shaker at {self.shaker.plane}: {self.shaker.x:g} N in x"
+            return f"{where}, {self.shaker.frequency_ratio:g} of the speed"
+        return "; ".join(
+            f"{plane}: {1e6 * abs(size):.4g} g mm at {np.degrees(np.angle(size)):.4g} deg"
+            for plane, size in self.unbalance.items()
+        )
+
 
 @dataclass(frozen=True)
 class Limits:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -15,7 +16,6 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
-from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.run_up_information import (
     ExpectedRig,
@@ -29,7 +29,7 @@ from labpipe.methods.planning.run_up_information import (
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_relative
 from labpipe.methods.run_ups.misfit import scales
-from labpipe.methods.run_ups.records import Shaker
+from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, RPM, FilmFamily, RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.records.settings import Settings, quantity, require_positive, setting
@@ -71,15 +71,6 @@ class TrialSettings(Settings):
             raise ConfigError("a trial has an unbalance or a shaker", hint=hint)
         if min(self.force, self.ratio) <= 0:
             raise ConfigError("force and ratio of a shaker are positive")
-
-    @property
-    def words(self) -> str:
-        if self.shaker:
-            return f"shaker at {self.shaker}: {self.force:g} N in x, {self.ratio:g} of the speed"
-        return "; ".join(
-            f"{plane}: {1e6 * abs(size):.4g} g mm at {np.degrees(np.angle(size)):.4g} deg"
-            for plane, size in self.unbalance
-        )
 
 
 @dataclass(frozen=True)
@@ -219,200 +210,139 @@ OTHER_LOAD = 1.5
 
 
 @dataclass(frozen=True)
-class RunUpsPlanned:
-    """The plan with the rig as expected and the candidates it chose from, by name."""
+class RunUpChoice:
+    """The run-ups to choose from, by the settings of a plan, of a rig that is *expected*."""
 
-    answered: Answered
+    settings: RunUpPlanSettings
     expected: ExpectedRig
-    candidates: dict[str, RunCandidate]
 
-    @property
-    def plan(self) -> RunPlan:
-        return self.answered.plan
+    def _all(self) -> Iterator[RunCandidate]:
+        settings = self.settings
+        stretches = np.array_split(settings.omega, settings.stretches)
+        for place, load in enumerate(settings.loads, 1):
+            for name, trial in settings.trials:
+                shaker = Shaker(trial.shaker, trial.force, 0.0, trial.ratio) if trial.shaker else None
+                for number, speed in enumerate(stretches, 1):
+                    stem = f"load-{place}-{name.replace(' ', '-')}"
+                    stem += f"-{number}" if settings.stretches > 1 else ""
+                    candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), shaker)
+                    yield candidate
+                    may_go_on = settings.to_threshold and number == settings.stretches and not shaker
+                    if may_go_on and self.expected.threshold(load) is not None:
+                        yield replace(candidate, name=f"{stem}-threshold", to_threshold=True)
 
+    @cached_property
+    def _allowed(self) -> tuple[list[RunCandidate], list[str]]:
+        """The runs at the speeds that the limits allow, and what to note of it."""
+        limits = Limits(self.settings.displacement_limit, self.settings.journal_limit)
+        kept, cut, whole = [], 0, 0
+        for candidate in self._all():
+            allowed = at_allowed_speeds(self.expected, candidate, limits)
+            kept += [] if allowed is None else [allowed]
+            full = allowed is not None and allowed.speed.size == candidate.speed.size
+            cut, whole = cut + (not full), whole + full
+        if not kept:
+            what = "no run keeps within the limits and above the noise"
+            raise SettingError("trials", what, "other trial unbalances, or other speeds")
+        words = f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable"
+        return kept, [f"{words}, beyond the limits or within the noise."] if cut else []
 
-def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
-    settings: RunUpPlanSettings = file.settings
-    planned = plan_run_ups(settings, file.title, _earlier(file))
-    names = []
-    for run in planned.plan.runs:
-        name = f"expected/{run.name}.csv"
-        expected = expected_run(planned.expected, planned.candidates[run.name])
-        write_run_up_csv(output.write_path(name), expected)
-        names.append(name)
-    rotor = (file.path.parent / settings.rotor).read_text(encoding="utf-8")
-    pipeline = pipeline_entries(planned.plan, settings)
-    names += write_runs(planned.plan, {ROTOR: rotor, PIPELINE: pipeline}, output)
-    return list(run_sentences(planned.plan)), names
+    def run(self, name: str) -> RunUp:
+        """The run of that name as it is expected, without noise."""
+        candidate = next(candidate for candidate in self._allowed[0] if candidate.name == name)
+        return expected_run(self.expected, candidate)
 
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        dwell = self.settings.dwell
+        conditions = []
+        for candidate in self._allowed[0]:
+            low, high = candidate.speed[[0, -1]] / RPM
+            end = ", on to the threshold" if candidate.to_threshold else ""
+            words = (
+                ("load", f"{candidate.load:.4g} N"),
+                ("excitation", candidate.excitation),
+                ("speeds", f"{low:.0f} to {high:.0f} rpm in {candidate.speed.size} steps{end}"),
+                ("rate", f"{(high - low) / (dwell * max(candidate.speed.size - 1, 1)):.3g} rpm/s"),
+            )
+            seconds = dwell * candidate.speed.size + self.settings.changeover
+            told = information(self.expected, candidate)
+            conditions.append(Condition(candidate.name, seconds, words, told))
+        return tuple(conditions)
 
-def _earlier(file: PlanFile) -> dict[str, float]:
-    if not file.settings.earlier:
-        return {}
-    path = file.path.parent / file.settings.earlier
-    result = read_identification(path).sections.get("run_ups")
-    methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
-    if not methods:
-        what = f"{path.name} holds no joint fit of run-ups"
-        raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
-    return {parameter.name: parameter.value for parameter in methods[0].parameters}
+    def plan(self, title: str) -> Answered:
+        """The runs that tell most within the time.
 
+        ConfigError where a goal cannot be met however many there are.
+        """
+        settings = self.settings
+        spreads = np.where(np.isin(PARAMETERS, settings.known), KNOWN, PRIOR)
+        question = RunQuestion(
+            parameters=PARAMETERS,
+            units=PRIOR,
+            prior=np.diag(spreads**-2.0),
+            conditions=self.conditions,
+            quantities=tuple(self._quantities()),
+            duration=settings.duration,
+            criterion=settings.criterion,
+            known=settings.known,
+            remedies=tuple(self._remedies()),
+        )
+        return plan_runs(question, title, settings.model, self._allowed[1])
 
-def pipeline_entries(plan: RunPlan, settings: RunUpPlanSettings) -> dict[str, Any]:
-    runs = [{"file": f"recordings/{name}.csv"} for run in plan.runs for name in run_names(run)]
-    section: dict[str, Any] = {"rotor": ROTOR, "methods": [METHOD], "runs": runs}
-    if settings.known:
-        section["known"] = list(settings.known)
-    return {"title": plan.title, "run_ups": section}
+    def _remedies(self) -> Iterator[Change]:
+        settings = self.settings
+        changes = [Change("a measured clearance (known: clearance)", 1, (), ("clearance",))]
+        if not any(trial.shaker for _, trial in settings.trials):
+            shaken = (("shaker", TrialSettings(shaker=self.expected.rig.plane_names[0])),)
+            extra = self._others(trials=shaken, loads=settings.loads[:1])
+            changes.append(Change("a run under a shaker whose force does not turn", 1, extra))
+        if len(set(settings.loads)) == 1:
+            extra = self._others(loads=(OTHER_LOAD * max(settings.loads),))
+            changes.append(Change("a second load", 1, extra))
+        for size in (1, 2):
+            for chosen in combinations(changes, size):
+                extra = tuple(condition for change in chosen for condition in change.conditions)
+                known = tuple(parameter for change in chosen for parameter in change.known)
+                words = " and ".join(change.words for change in chosen)
+                yield Change(words, size, (*self.conditions, *extra), known)
 
+    def _others(self, **changes: Any) -> tuple[Condition, ...]:
+        """Conditions under other settings; none where no run is possible."""
+        settings = replace(self.settings, to_threshold=False, **changes)
+        try:
+            return replace(self, settings=settings).conditions
+        except (ConfigError, FitError):
+            return ()
 
-def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, float]) -> RunUpsPlanned:
-    """The runs that tell most within the time.
-
-    ConfigError where a goal cannot be met however many there are.
-    """
-    assert settings.rig is not None
-    rig: RunUpRotor = settings.rig
-    if rig.speeds is None:
-        rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
-    usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
-    family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
-    noise = settings.noise
-    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
-    expected = ExpectedRig(rig, family, settings.values(earlier), reading)
-    candidates, notes = _admit(expected, _candidates(settings, expected, settings.loads), settings)
-    given = settings.known
-    spreads = np.where(np.isin(PARAMETERS, given), KNOWN, PRIOR)
-    question = RunQuestion(
-        parameters=PARAMETERS,
-        units=PRIOR,
-        prior=np.diag(spreads**-2.0),
-        conditions=tuple(_condition(settings, expected, candidate) for candidate in candidates),
-        quantities=tuple(_quantities(settings, expected)),
-        duration=settings.duration,
-        criterion=settings.criterion,
-        known=given,
-        remedies=tuple(_remedies(settings, expected, candidates)),
-    )
-    answered = plan_runs(question, title, settings.model, notes)
-    return RunUpsPlanned(answered, expected, {candidate.name: candidate for candidate in candidates})
-
-
-def _candidates(
-    settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
-) -> Iterator[RunCandidate]:
-    stretches = np.array_split(settings.omega, settings.stretches)
-    for place, load in enumerate(loads, 1):
-        for name, trial in settings.trials:
-            for number, speed in enumerate(stretches, 1):
-                stem = f"load-{place}-{name.replace(' ', '-')}"
-                stem += f"-{number}" if settings.stretches > 1 else ""
-                candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), _shaker(trial))
-                yield candidate
-                may_go_on = settings.to_threshold and number == settings.stretches and not trial.shaker
-                if may_go_on and expected.threshold(load) is not None:
-                    yield replace(candidate, name=f"{stem}-threshold", to_threshold=True)
-
-
-def _shaker(trial: TrialSettings) -> Shaker | None:
-    return Shaker(trial.shaker, trial.force, 0.0, trial.ratio) if trial.shaker else None
-
-
-def _admit(
-    expected: ExpectedRig, candidates: Iterator[RunCandidate], settings: RunUpPlanSettings
-) -> tuple[list[RunCandidate], list[str]]:
-    limits = Limits(settings.displacement_limit, settings.journal_limit)
-    kept, cut, whole = [], 0, 0
-    for candidate in candidates:
-        allowed = at_allowed_speeds(expected, candidate, limits)
-        kept += [] if allowed is None else [allowed]
-        full = allowed is not None and allowed.speed.size == candidate.speed.size
-        cut, whole = cut + (not full), whole + full
-    if not kept:
-        what = "no run keeps within the limits and above the noise"
-        raise SettingError("trials", what, "other trial unbalances, or other speeds")
-    words = f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable"
-    return kept, [f"{words}, beyond the limits or within the noise."] if cut else []
-
-
-def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: RunCandidate) -> Condition:
-    seconds = settings.dwell * candidate.speed.size + settings.changeover
-    low, high = candidate.speed[[0, -1]] / RPM
-    trial = next(
-        trial
-        for name, trial in settings.trials
-        if candidate.shaker == _shaker(trial) and candidate.unbalance == dict(trial.unbalance)
-    )
-    end = ", on to the threshold" if candidate.to_threshold else ""
-    conditions = (
-        ("load", f"{candidate.load:.4g} N"),
-        ("excitation", trial.words),
-        ("speeds", f"{low:.0f} to {high:.0f} rpm in {candidate.speed.size} steps{end}"),
-        ("rate", f"{(high - low) / (settings.dwell * max(candidate.speed.size - 1, 1)):.3g} rpm/s"),
-    )
-    return Condition(candidate.name, seconds, conditions, information(expected, candidate))
-
-
-def _remedies(
-    settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Sequence[RunCandidate]
-) -> Iterator[Change]:
-    conditions = tuple(_condition(settings, expected, candidate) for candidate in candidates)
-    shaken = TrialSettings(shaker=expected.rig.plane_names[0])
-    with_shaker = replace(settings, trials=(*settings.trials, ("shaker", shaken)))
-    other = (OTHER_LOAD * max(settings.loads),)
-    changes: dict[str, tuple[tuple[Condition, ...], tuple[str, ...]]] = {
-        "a measured clearance (known: clearance)": ((), ("clearance",))
-    }
-    if not any(trial.shaker for _, trial in settings.trials):
-        extra = _extra(with_shaker, expected, settings.loads[:1])
-        changes["a run under a shaker whose force does not turn"] = (extra, ())
-    if len(set(settings.loads)) == 1:
-        changes["a second load"] = (_extra(settings, expected, other), ())
-    for size in (1, 2):
-        for names in combinations(changes, size):
-            extra = tuple(condition for name in names for condition in changes[name][0])
-            parameters = tuple(parameter for name in names for parameter in changes[name][1])
-            yield Change(" and ".join(names), size, (*conditions, *extra), parameters)
-
-
-def _extra(
-    settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
-) -> tuple[Condition, ...]:
-    try:
-        candidates = _candidates(replace(settings, to_threshold=False), expected, loads)
-        allowed, _ = _admit(expected, candidates, settings)
-    except (ConfigError, FitError):
-        return ()
-    return tuple(_condition(settings, expected, candidate) for candidate in allowed)
-
-
-def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[Quantity]:
-    goals = {name: values[0] for name, values in settings.goal}
-    for number, name in enumerate(PARAMETERS):
-        if name not in settings.known:
-            value = float(expected.values[number])
-            shown = value if name in EXPONENTS else float(np.exp(value))
-            yield Quantity(name, "1", shown, np.eye(len(PARAMETERS))[number], goals.get(name), 1.0)
-    if settings.at_load is None:
-        return
-    for name in SPEEDS:
-        at_speed = _speed_row(expected, settings.at_load, name)
-        if at_speed is not None:
-            value, row = at_speed
-            goal = None if name not in goals else goals[name] * value
-            yield Quantity(name, "rad/s", value, row, goal, value)
-        elif name in goals:
-            what = f"no {name} is expected under {settings.at_load:g} N"
-            raise SettingError("goal", what, "leave its goal out")
-    if settings.at_speed is not None:
-        place = np.array([2 * np.pi * settings.at_speed])
-        load = np.array([settings.at_load])
-        eight, slopes = expected.family.coefficients_and_slopes(expected.values, load, place)
-        sizes = scales(eight)[0]
-        for number, name in enumerate(COEFFICIENTS):
-            unit = "N/m" if name.startswith("k") else "N.s/m"
-            goal = None if name not in goals else goals[name] * float(sizes[number])
-            yield Quantity(name, unit, float(eight[0, number]), slopes[0, number], goal, float(sizes[number]))
+    def _quantities(self) -> Iterator[Quantity]:
+        settings, expected = self.settings, self.expected
+        goals = {name: values[0] for name, values in settings.goal}
+        for number, name in enumerate(PARAMETERS):
+            if name not in settings.known:
+                value = float(expected.values[number])
+                shown = value if name in EXPONENTS else float(np.exp(value))
+                yield Quantity(name, "1", shown, np.eye(len(PARAMETERS))[number], goals.get(name), 1.0)
+        if settings.at_load is None:
+            return
+        for name in SPEEDS:
+            at_speed = _speed_row(expected, settings.at_load, name)
+            if at_speed is not None:
+                value, row = at_speed
+                goal = None if name not in goals else goals[name] * value
+                yield Quantity(name, "rad/s", value, row, goal, value)
+            elif name in goals:
+                what = f"no {name} is expected under {settings.at_load:g} N"
+                raise SettingError("goal", what, "leave its goal out")
+        if settings.at_speed is not None:
+            place = np.array([2 * np.pi * settings.at_speed])
+            load = np.array([settings.at_load])
+            eight, slopes = expected.family.coefficients_and_slopes(expected.values, load, place)
+            sizes = scales(eight)[0].tolist()
+            for name, value, row, size in zip(COEFFICIENTS, eight[0].tolist(), slopes[0], sizes, strict=True):
+                unit = "N/m" if name.startswith("k") else "N.s/m"
+                goal = None if name not in goals else goals[name] * size
+                yield Quantity(name, unit, value, row, goal, size)
 
 
 def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
@@ -430,6 +360,47 @@ def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, Fl
     if value is None or any(end is None for pair in ends for end in pair):
         return None
     return value, np.array([(high - low) / (2 * STEP) for high, low in np.array(ends, float)])
+
+
+def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> ExpectedRig:
+    """The rig of the settings; *earlier*: factors and exponents [1] of an earlier fit."""
+    assert settings.rig is not None
+    rig: RunUpRotor = settings.rig
+    if rig.speeds is None:
+        rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
+    usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
+    family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
+    noise = settings.noise
+    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
+    return ExpectedRig(rig, family, settings.values(earlier), reading)
+
+
+def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
+    settings: RunUpPlanSettings = file.settings
+    choice = RunUpChoice(settings, expected_rig(settings, _earlier(file)))
+    plan = choice.plan(file.title).plan
+    names = [f"expected/{run.name}.csv" for run in plan.runs]
+    for name, run in zip(names, plan.runs, strict=True):
+        write_run_up_csv(output.write_path(name), choice.run(run.name))
+    rotor = (file.path.parent / settings.rotor).read_text(encoding="utf-8")
+    runs = [{"file": f"recordings/{name}.csv"} for run in plan.runs for name in run_names(run)]
+    section: dict[str, Any] = {"rotor": ROTOR, "methods": [METHOD], "runs": runs}
+    if settings.known:
+        section["known"] = list(settings.known)
+    names += write_runs(plan, {ROTOR: rotor, PIPELINE: {"title": plan.title, "run_ups": section}}, output)
+    return list(run_sentences(plan)), names
+
+
+def _earlier(file: PlanFile) -> dict[str, float]:
+    if not file.settings.earlier:
+        return {}
+    path = file.path.parent / file.settings.earlier
+    result = read_identification(path).sections.get("run_ups")
+    methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
+    if not methods:
+        what = f"{path.name} holds no joint fit of run-ups"
+        raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
+    return {parameter.name: parameter.value for parameter in methods[0].parameters}
 
 
 RUN_UPS_PLAN = PlanKind(RunUpPlanSettings, run_up_files)

@@ -15,7 +15,6 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.bearings.kinds import BearingCoefficients
 from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, Rig
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
@@ -42,7 +41,7 @@ from labpipe.methods.planning.settings import (
     PlanSettings,
     check_relative,
 )
-from labpipe.project.bearing_file import BearingFile, open_bearing, setting_at
+from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
 from labpipe.records.settings import Settings, quantity, setting, settings_of
@@ -220,19 +219,18 @@ def question_of(
         parameters = tuple(f"{name}[{test.state.name}]" for test in tests for name in COEFFICIENTS)
         units = np.concatenate([test.state.model.scales for test in tests])
         prior = np.zeros((len(parameters),) * 2)
-    conditions = tuple(_condition(settings, test, slope) for test, slope in zip(tests, slopes, strict=True))
-    quantities, duration = tuple(_quantities(settings, tests, slopes, common)), settings.duration
-    return RunQuestion(parameters, units, prior, conditions, quantities, duration, settings.criterion)
-
-
-def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray) -> Condition:
-    words = (
-        ("load", f"{test.state.load:.4g} N"),
-        ("speed", f"{60 * test.state.speed:.5g} rpm"),
-        ("force", f"{max(test.planned.peak_force):.4g} N peak"),
-        ("displacement", f"{1e6 * max(test.planned.peak_displacement):.3g} um peak"),
-    )
-    return Condition(test.state.name, settings.seconds, words, slopes.T @ test.information @ slopes)
+    conditions = []
+    for test, rows in zip(tests, slopes, strict=True):
+        words = (
+            ("load", f"{test.state.load:.4g} N"),
+            ("speed", f"{60 * test.state.speed:.5g} rpm"),
+            ("force", f"{max(test.planned.peak_force):.4g} N peak"),
+            ("displacement", f"{1e6 * max(test.planned.peak_displacement):.3g} um peak"),
+        )
+        told = rows.T @ test.information @ rows
+        conditions.append(Condition(test.state.name, settings.seconds, words, told))
+    wanted, duration = tuple(_quantities(settings, tests, slopes, common)), settings.duration
+    return RunQuestion(parameters, units, prior, tuple(conditions), wanted, duration, settings.criterion)
 
 
 def _quantities(
@@ -324,39 +322,28 @@ def _states(
     settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]
 ) -> list[BearingState]:
     points = [(load, speed) for load in settings.loads for speed in settings.speeds]
-    moves = ((number, sign) for number in common for sign in (1.0, -1.0))
-    changes: list[tuple[Common, float] | None] = [None, *moves]
-    wanted = [_settings(bearing, load, speed, change) for load, speed in points for change in changes]
-    eights = [_eight(bearing, state) for state in bearing.coefficients(wanted)]
-    values = np.array(eights).reshape(len(points), len(changes), -1)
+    base = {number.name: f"{number.value!r} {number.unit}".rstrip() for number in common}
+    changes = [base]
+    for number in common:
+        for factor in (1 + STEP, 1 - STEP):
+            changes.append({**base, number.name: f"{number.value * factor!r} {number.unit}".rstrip()})
+    wanted = []
+    for load, speed in points:
+        for change in changes:
+            for name, text in {"load": f"{load!r} N", "speed": f"{speed!r} Hz", **change}.items():
+                set_entry(bearing.tree, f"{name}={text}")
+            wanted.append(bearing.settings())
+    lateral = [whole.lateral(*bearing.kind.lateral) for whole in bearing.coefficients(wanted)]
+    eights = np.array([[two.stiffness, two.damping] for two in lateral])
     states = []
-    for (load, speed), coefficients in zip(points, values, strict=True):
+    for (load, speed), values in zip(points, eights.reshape(len(points), len(changes), -1), strict=True):
         steps = np.array([2 * STEP * number.value for number in common])
-        slopes = ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T
-        expected = dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True))
+        slopes = ((values[1::2] - values[2::2]) / steps[:, None]).T
+        expected = dict(zip(COEFFICIENTS, values[0].tolist(), strict=True))
         model = MODELS[FLOATING].model(expected, settings.mass)
         name = f"{load:g}N-{60 * speed:g}rpm".replace(".", "p")
         states.append(BearingState(name, load, speed, model, slopes))
     return states
-
-
-def _settings(bearing: BearingFile, load: float, speed: float, change: tuple[Common, float] | None) -> Any:
-    set_entry(bearing.tree, f"load={load!r} N")
-    set_entry(bearing.tree, f"speed={speed!r} Hz")
-    if change is None:
-        return bearing.settings()
-    number, sign = change
-    unit = setting_at(bearing.kind.settings, number.name).unit
-    set_entry(bearing.tree, f"{number.name}={number.value * (1 + sign * STEP)!r} {unit}".rstrip())
-    moved = bearing.settings()
-    set_entry(bearing.tree, f"{number.name}={number.value!r} {unit}".rstrip())
-    return moved
-
-
-def _eight(bearing: BearingFile, whole: BearingCoefficients) -> FloatArray:
-    """K, then C, row by row, (8,) [N/m, N.s/m]."""
-    lateral = whole.lateral(*bearing.kind.lateral)
-    return np.concatenate([lateral.stiffness.ravel(), lateral.damping.ravel()])
 
 
 def _pipeline(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, PlanFile, write_runs
-from labpipe.methods.planning.records import PlannedRun, RunPlan
+from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind
@@ -269,35 +270,151 @@ VISIBLE = 5e-6
 class WearPoint:
     """One operating point and band of a test: *speed* [Hz], static *force* [N], *band* [Hz]."""
 
-    name: str
     speed: float
     force: float
     band: tuple[float, float]
 
 
 @dataclass(frozen=True)
-class WearPlanned:
-    """The plan with the rotor as expected and the points it chose from, by name."""
+class WearTests:
+    """The tests to choose from, by the settings of a plan, of a bearing with that *wear*."""
 
-    answered: Answered
-    expected: ExpectedWear
-    testing: ResponseTest
-    points: dict[str, WearPoint]
+    settings: WearPlanSettings
+    wear: Wear
+
+    @cached_property
+    def expected(self) -> ExpectedWear:
+        rig, nuisances = self.settings.rig, self.settings.nuisances
+        assert rig is not None
+        others = {name: given.value for name, given in nuisances.items()}
+        values = {DEPTH: self.wear.depth, ANGLE: self.wear.angle, **others}
+        return ExpectedWear(rig, rig.place(self.settings.bearing).name, values)
+
+    @cached_property
+    def testing(self) -> ResponseTest:
+        settings, noise = self.settings, self.settings.noise
+        beside = BESIDE / settings.block
+        exclude = tuple((speed - beside, speed + beside) for speed in settings.speeds)
+        density = float(np.sqrt(2 / settings.sample_rate))
+        displacement, force = density * noise.displacement, density * noise.force
+        return ResponseTest(settings.force, settings.run, 1 / settings.block, displacement, force, exclude)
+
+    @cached_property
+    def points(self) -> dict[str, WearPoint]:
+        forces, bands = self.settings.static_forces, self.settings.bands
+        points = {}
+        for speed in self.settings.speeds:
+            for place, force in enumerate(forces, 1):
+                for number, band in enumerate(bands, 1):
+                    name = f"{speed:g}Hz".replace(".", "p")
+                    name += f"-load-{place}" if len(forces) > 1 else ""
+                    name += f"-band-{number}" if len(bands) > 1 else ""
+                    points[name] = WearPoint(speed, force, band)
+        return points
 
     @property
-    def plan(self) -> RunPlan:
-        return self.answered.plan
+    def prior(self) -> FloatArray:
+        """Information (n, n) [1/SI units squared] before any test."""
+        return np.diag([0.0, 0.0, *(given.std_error**-2.0 for given in self.settings.nuisances.values())])
+
+    @property
+    def units(self) -> FloatArray:
+        """Of the parameters (n,) [SI units]: 1 um, 1 deg and the errors known before."""
+        errors = (given.std_error for given in self.settings.nuisances.values())
+        return np.array([1e-6, np.deg2rad(1.0), *errors])
+
+    def information(self, point: WearPoint, terms: str = "full") -> FloatArray:
+        """What one test tells, (n, n) [1/SI units squared], from these *terms* of the receptance."""
+        at = self.expected.at(point.speed, self.settings.node, point.force)
+        return information(at, self.testing, point.band, terms)
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        settings = self.settings
+        seconds = 2 * settings.run + settings.changeover
+        conditions = []
+        for name, point in self.points.items():
+            words = (
+                ("speed", f"{60 * point.speed:.5g} rpm"),
+                ("static force", f"{point.force:.4g} N"),
+                ("band", f"{point.band[0]:g} to {point.band[1]:g} Hz"),
+                ("force", f"{settings.force:g} N rms in y, then in z, {settings.run:g} s each"),
+            )
+            conditions.append(Condition(name, seconds, words, self.information(point)))
+        return tuple(conditions)
+
+    def plan(self, title: str) -> RunPlan:
+        """The tests that tell most within the time.
+
+        ConfigError where a goal cannot be met however many there are.
+        """
+        settings, values = self.settings, self.expected.values
+        goals = {DEPTH: settings.goal.depth, ANGLE: settings.goal.angle}
+        remedies: tuple[Change, ...] = ()
+        if self.wear.depth < VISIBLE:
+            worn = replace(self, wear=Wear(VISIBLE, self.wear.angle))
+            remedies = (Change(f"a wear of {1e6 * VISIBLE:g} um", 1, worn.conditions),)
+        question = RunQuestion(
+            parameters=tuple(values),
+            units=self.units,
+            prior=self.prior,
+            conditions=self.conditions,
+            quantities=tuple(
+                Quantity(name, UNITS[name], value, row, goals.get(name))
+                for row, (name, value) in zip(np.eye(len(values)), values.items(), strict=True)
+            ),
+            duration=settings.duration,
+            criterion=settings.criterion,
+            remedies=remedies,
+        )
+        answered = plan_runs(question, title, settings.model)
+        notes = (*self._range_notes(answered), *self._alike_notes(answered), *self._term_notes(answered))
+        return answered.noted(notes).plan
+
+    def _range_notes(self, answered: Answered) -> Iterator[str]:
+        error = next(number.error for number in answered.plan.numbers if number.name == ANGLE)
+        limit = self.settings.angle_limit
+        before = float(2 * limit / np.sqrt(12))
+        if error is not None and error > before / 2:
+            longer = (error / (before / 5)) ** 2
+            yield (
+                f"At a depth of {1e6 * self.wear.depth:.3g} um these tests do not tell the angle: its "
+                f"standard error of {np.degrees(error):.2g} deg stands against {np.degrees(before):.2g} deg "
+                f"if every angle up to {np.degrees(limit):.3g} deg is alike. A fifth of that needs "
+                f"{longer:.2g} times the time, or deeper wear."
+            )
+
+    def _alike_notes(self, answered: Answered) -> Iterator[str]:
+        errors = np.sqrt(np.diagonal(answered.covariance))
+        correlation = answered.covariance / np.outer(errors, errors)
+        names = tuple(self.expected.values)
+        for first in range(len(names)):
+            for second in range(first):
+                if abs(correlation[first, second]) > ALIKE:
+                    pair = f"{names[second]} and {names[first]} can hardly be separated"
+                    alike = f"(correlation {correlation[first, second]:+.3f})"
+                    yield f"{pair} {alike}: an error of one is made good by the other."
+
+    def _term_notes(self, answered: Answered) -> Iterator[str]:
+        scale = np.outer(self.units, self.units)
+        for terms in (terms for terms in PLACES if terms != "full"):
+            total = self.prior
+            for run in answered.plan.runs:
+                total = total + run.count * self.information(self.points[run.name], terms)
+            errors = np.sqrt(np.diagonal(np.linalg.pinv(total * scale)))
+            yield f"From the {terms} terms alone: depth to {errors[0]:.2g} um, angle to {errors[1]:.2g} deg."
 
 
 def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
     settings: WearPlanSettings = file.settings
-    planned = plan_wear(settings, file.title)
+    tests = WearTests(settings, settings.expected)
+    plan = tests.plan(file.title)
     rotor = yaml.safe_load((file.path.parent / settings.rotor).read_text(encoding="utf-8"))
+    others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
     files: dict[str, Any] = {}
-    for run in planned.plan.runs:
-        point = planned.points[run.name]
-        others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
-        files[_rotor_name(run)] = {
+    for run in plan.runs:
+        point = tests.points[run.name]
+        files[f"rotor-{run.name}.yaml"] = {
             **rotor,
             "speed": f"{point.speed!r} Hz",
             "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
@@ -305,7 +422,7 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
         expected = settings.expected
         files[f"virtual-{run.name}.yaml"] = {
             "kind": "virtual-journal-rig",
-            "rotor": _rotor_name(run),
+            "rotor": f"rotor-{run.name}.yaml",
             **({"bearing": settings.bearing} if settings.bearing else {}),
             "states": {"worn": {"depth": f"{expected.depth!r} m", "angle": f"{expected.angle!r} rad"}},
             "force": f"{settings.force!r} N",
@@ -318,173 +435,31 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
                 "force": f"{settings.noise.force!r} N",
             },
         }
-    files |= {RIG: rig_entries(settings), PIPELINE: pipeline_entries(planned, settings)}
-    names = write_runs(planned.plan, files, output)
-    return list(run_sentences(planned.plan)), names
-
-
-def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
-    """The tests that tell most within the time.
-
-    ConfigError where a goal cannot be met however many there are.
-    """
-    assert settings.rig is not None
-    bearing = settings.rig.place(settings.bearing).name
-    expected = _expected(settings, bearing, settings.expected)
-    beside = BESIDE / settings.block
-    exclude = tuple((speed - beside, speed + beside) for speed in settings.speeds)
-    density, noise = float(np.sqrt(2 / settings.sample_rate)), settings.noise
-    displacement, force = density * noise.displacement, density * noise.force
-    testing = ResponseTest(settings.force, settings.run, 1 / settings.block, displacement, force, exclude)
-    points = tuple(_points(settings))
-    question = RunQuestion(
-        parameters=tuple(expected.values),
-        units=_units(settings, expected),
-        prior=_prior(settings),
-        conditions=_conditions(settings, expected, testing, points),
-        quantities=tuple(_quantities(settings, expected)),
-        duration=settings.duration,
-        criterion=settings.criterion,
-        remedies=tuple(_remedies(settings, bearing, testing, points)),
-    )
-    answered = plan_runs(question, title, settings.model)
-    notes = (
-        *_range_notes(settings, answered),
-        *_alike_notes(expected, answered),
-        *_term_notes(settings, expected, testing, points, answered),
-    )
-    answered = answered.noted(notes)
-    return WearPlanned(answered, expected, testing, {point.name: point for point in points})
-
-
-def _expected(settings: WearPlanSettings, bearing: str, wear: Wear) -> ExpectedWear:
-    assert settings.rig is not None
-    values = {DEPTH: wear.depth, ANGLE: wear.angle}
-    values |= {name: given.value for name, given in settings.nuisances.items()}
-    return ExpectedWear(settings.rig, bearing, values)
-
-
-def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
-    for speed in settings.speeds:
-        for place, force in enumerate(settings.static_forces, 1):
-            for number, band in enumerate(settings.bands, 1):
-                name = f"{speed:g}Hz".replace(".", "p")
-                name += f"-load-{place}" if len(settings.static_forces) > 1 else ""
-                name += f"-band-{number}" if len(settings.bands) > 1 else ""
-                yield WearPoint(name, speed, force, band)
-
-
-def _conditions(
-    settings: WearPlanSettings, expected: ExpectedWear, testing: ResponseTest, points: Sequence[WearPoint]
-) -> tuple[Condition, ...]:
-    seconds = 2 * settings.run + settings.changeover
-    conditions = []
-    for point in points:
-        at = expected.at(point.speed, settings.node, point.force)
-        words = (
-            ("speed", f"{60 * point.speed:.5g} rpm"),
-            ("static force", f"{point.force:.4g} N"),
-            ("band", f"{point.band[0]:g} to {point.band[1]:g} Hz"),
-            ("force", f"{settings.force:g} N rms in y, then in z, {settings.run:g} s each"),
-        )
-        conditions.append(Condition(point.name, seconds, words, information(at, testing, point.band)))
-    return tuple(conditions)
-
-
-def _prior(settings: WearPlanSettings) -> FloatArray:
-    return np.diag([0.0, 0.0, *(given.std_error**-2.0 for given in settings.nuisances.values())])
-
-
-def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
-    others = (name for name in expected.values if name not in (DEPTH, ANGLE))
-    return np.array([1e-6, np.deg2rad(1.0), *(settings.nuisances[name].std_error for name in others)])
-
-
-def _quantities(settings: WearPlanSettings, expected: ExpectedWear) -> Iterator[Quantity]:
-    goals = {DEPTH: settings.goal.depth, ANGLE: settings.goal.angle}
-    for number, (name, value) in enumerate(expected.values.items()):
-        yield Quantity(name, UNITS[name], value, np.eye(len(expected.values))[number], goals.get(name))
-
-
-def _remedies(
-    settings: WearPlanSettings, bearing: str, testing: ResponseTest, points: Sequence[WearPoint]
-) -> Iterator[Change]:
-    if settings.expected.depth < VISIBLE:
-        worn = _expected(settings, bearing, Wear(VISIBLE, settings.expected.angle))
-        yield Change(f"a wear of {1e6 * VISIBLE:g} um", 1, _conditions(settings, worn, testing, points))
-
-
-def _range_notes(settings: WearPlanSettings, answered: Answered) -> Iterator[str]:
-    error = next(number.error for number in answered.plan.numbers if number.name == ANGLE)
-    before = float(2 * settings.angle_limit / np.sqrt(12))
-    if error is not None and error > before / 2:
-        longer = (error / (before / 5)) ** 2
-        yield (
-            f"At a depth of {1e6 * settings.expected.depth:.3g} um these tests do not tell the angle: its "
-            f"standard error of {np.degrees(error):.2g} deg stands against {np.degrees(before):.2g} deg if "
-            f"every angle up to {np.degrees(settings.angle_limit):.3g} deg is alike. A fifth of that needs "
-            f"{longer:.2g} times the time, or deeper wear."
-        )
-
-
-def _alike_notes(expected: ExpectedWear, answered: Answered) -> Iterator[str]:
-    errors = np.sqrt(np.diagonal(answered.covariance))
-    correlation = answered.covariance / np.outer(errors, errors)
-    names = tuple(expected.values)
-    for first in range(len(names)):
-        for second in range(first):
-            if abs(correlation[first, second]) > ALIKE:
-                pair = f"{names[second]} and {names[first]} can hardly be separated"
-                alike = f"(correlation {correlation[first, second]:+.3f})"
-                yield f"{pair} {alike}: an error of one is made good by the other."
-
-
-def _term_notes(
-    settings: WearPlanSettings,
-    expected: ExpectedWear,
-    testing: ResponseTest,
-    points: Sequence[WearPoint],
-    answered: Answered,
-) -> Iterator[str]:
-    counts = {run.name: run.count for run in answered.plan.runs}
-    chosen = [point for point in points if point.name in counts]
-    for terms in (terms for terms in PLACES if terms != "full"):
-        total = _prior(settings)
-        for point in chosen:
-            at = expected.at(point.speed, settings.node, point.force)
-            total = total + counts[point.name] * information(at, testing, point.band, terms)
-        scale = _units(settings, expected)
-        errors = np.sqrt(np.diagonal(np.linalg.pinv(total * np.outer(scale, scale))))
-        yield f"From the {terms} terms alone: depth to {errors[0]:.2g} um, angle to {errors[1]:.2g} deg."
-
-
-def _rotor_name(run: PlannedRun) -> str:
-    return f"rotor-{run.name}.yaml"
-
-
-def rig_entries(settings: WearPlanSettings) -> dict[str, Any]:
     channels = {
         "f": {"column": "force [N]", "quantity": "force", "unit": "N", "role": "input", "dof": "y"},
         "y": {"column": "y [um]", "quantity": "displacement", "unit": "um", "role": "output", "dof": "y"},
         "z": {"column": "z [um]", "quantity": "displacement", "unit": "um", "role": "output", "dof": "z"},
     }
-    return {"name": "Wear rig", "sample_rate": f"{settings.sample_rate!r} Hz", "channels": channels}
+    files[RIG] = {"name": "Wear rig", "sample_rate": f"{settings.sample_rate!r} Hz", "channels": channels}
+    files[PIPELINE] = pipeline_entries(plan, tests)
+    return list(run_sentences(plan)), write_runs(plan, files, output)
 
 
-def pipeline_entries(planned: WearPlanned, settings: WearPlanSettings) -> dict[str, Any]:
+def pipeline_entries(plan: RunPlan, choice: WearTests) -> dict[str, Any]:
     """The pipeline that evaluates the tests: each fit begins with what the one before has found, so that the
     last one knows all.
     """
+    settings = choice.settings
     tests, fits, last = [], {}, ""
-    for run in planned.plan.runs:
-        folder, point = f"recordings/{run.name}", planned.points[run.name]
+    for run in plan.runs:
+        folder, point = f"recordings/{run.name}", choice.points[run.name]
         recordings = [
             f"{folder}/worn-y.parquet",
             {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}},
         ]
         conditions = {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"}
         tests.append({"name": run.name, "recordings": recordings, "conditions": conditions})
-        wear: dict[str, Any] = {"rotor": _rotor_name(run), "bearing": planned.expected.bearing}
+        wear: dict[str, Any] = {"rotor": f"rotor-{run.name}.yaml", "bearing": choice.expected.bearing}
         if last:
             wear |= {"prior": last, "same_wear": True}
         for name, given in settings.nuisances.items() if not last else ():
@@ -492,14 +467,14 @@ def pipeline_entries(planned: WearPlanned, settings: WearPlanSettings) -> dict[s
         wear["angle_limit"] = f"{settings.angle_limit!r} rad"
         last, band = f"wear-{run.name}", f"{point.band[0]!r}-{point.band[1]!r} Hz"
         fits[last] = {"model": settings.model, "test": run.name, "band": band, "wear": wear}
-    ends = [end for run in planned.plan.runs for end in planned.points[run.name].band]
+    ends = [end for run in plan.runs for end in choice.points[run.name].band]
     frf = {
         "excitation": "random",
         "block": f"{settings.block!r} s",
         "band": f"{min(ends)!r}-{max(ends)!r} Hz",
-        "exclude": [f"{max(low, 0.0)!r}-{high!r} Hz" for low, high in planned.testing.exclude],
+        "exclude": [f"{max(low, 0.0)!r}-{high!r} Hz" for low, high in choice.testing.exclude],
     }
-    return {"title": planned.plan.title, "rig": RIG, "tests": tests, "frf": frf, "identify": fits}
+    return {"title": plan.title, "rig": RIG, "tests": tests, "frf": frf, "identify": fits}
 
 
 WEAR = PlanKind(WearPlanSettings, wear_files)

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -300,27 +299,11 @@ def stiffness_ratio(
         f"{campaign.subject}: measured / theory {ratio.value:.4f} (95 %: {low:.4f} to {high:.4f}), fit "
         f"against fit{series}."
     )
-    return Comparison(
-        name=campaign.settings.name,
-        kind="ratio",
-        subject=campaign.subject,
-        unit=campaign.unit,
-        points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
-        amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
-        verdict="stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory",
-        statement=result + _one_factor(mean),
-        **_conditions(campaign),
-        overlays=overlays,
-    )
-
-
-def _conditions(campaign: Campaign) -> dict[str, Any]:
-    return {
-        "condition": campaign.settings.condition,
-        "condition_unit": campaign.condition_unit,
-        "second": campaign.settings.second,
-        "second_unit": campaign.second_unit,
-    }
+    amounts = (ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True))
+    verdict = "stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory"
+    points = _points(campaign, matched, np.sqrt(np.diag(covariance)))
+    comparison = campaign.comparison(amounts, verdict, result + _one_factor(mean))
+    return replace(comparison, points=points, overlays=overlays)
 
 
 def joint_covariance(
@@ -386,17 +369,9 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         ratio = from_log("ratio", "1", float(log - np.log(beta.value)), float(error), NORMAL)
         theory = point.value / ratio.value
         points.append(replace(point, theory=theory, ratio=ratio.value, ratio_ci95=ratio.ci95))
-    return Comparison(
-        name=campaign.settings.name,
-        kind="rayleigh",
-        subject=campaign.subject,
-        unit=campaign.unit,
-        points=tuple(points),
-        amounts=(beta, exponent, chance("p_value", mean.p_value)),
-        verdict=verdict,
-        statement=f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g}).",
-        **_conditions(campaign),
-    )
+    statement = f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g})."
+    amounts = (beta, exponent, chance("p_value", mean.p_value))
+    return replace(campaign.comparison(amounts, verdict, statement), points=tuple(points))
 
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:

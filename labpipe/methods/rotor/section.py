@@ -457,7 +457,7 @@ def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNu
     values = runs.values(cases[name])
     if item not in values:
         raise rule.fault(f"a case of unbalance has no '{item}'", nearest(item, values))
-    return RuleOutcome(rule.section, rule.text, *compare_number(rule, *values[item]))
+    return rule.outcome(*compare_number(rule, *values[item]))
 
 
 UNBALANCE = PipelineSection(

@@ -11,8 +11,7 @@ from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
 from labpipe.methods.rotor_system.records import CriticalResult, RotorSystemResult, VibrationResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
-from labpipe.methods.run_ups.section import warnings_outcome
-from labpipe.project.judging import CompareNumber
+from labpipe.project.judging import CompareNumber, compare_warnings
 from labpipe.project.rules import Rule
 from labpipe.records.finding import NORMAL, WARNING, Finding, Parameter, of_level
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
@@ -75,17 +74,17 @@ def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber
     the result does not have.
     """
     if rule.item == "warnings":
-        return warnings_outcome(rule, result.findings)
+        return rule.outcome(*compare_warnings(rule, result.findings)[:2])
     decisions = _decisions(result)
     if rule.item in decisions:
         word = decisions[rule.item]
-        return RuleOutcome(rule.section, rule.text, word, word == rule.bound)
+        return rule.outcome(word, word == rule.bound)
     amounts = _amounts(result)
     if rule.item not in amounts:
         hint = nearest(rule.item, [*amounts, *decisions, "warnings"])
         raise rule.fault(f"the rotor has no '{rule.item}'", hint)
     value, error, unit = amounts[rule.item]
-    return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, unit, error))
+    return rule.outcome(*compare_number(rule, value, unit, error))
 
 
 def findings(result: RotorSystemResult) -> Iterator[tuple[str, Finding]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,10 +33,9 @@ from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
 from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, RunUpSettings, turning
 from labpipe.project.deciding import Compared
 from labpipe.project.ingest import ingest, is_recording
-from labpipe.project.judging import CompareNumber, compare_covers
+from labpipe.project.judging import CompareNumber, compare_covers, compare_warnings
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
-from labpipe.records.finding import WARNING, Finding, of_level
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.rig import Rig
 from labpipe.records.sections import PipelineSection
@@ -190,18 +189,10 @@ class _Address:
     attribute: str
 
 
-def warnings_outcome(rule: Rule, findings_of_rotor: Iterable[Finding]) -> RuleOutcome:
-    """The outcome of a rule such as "warnings: none" or "warnings: not code" on all findings together."""
-    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, findings_of_rotor)))
-    wanted = rule.bound.removeprefix("not ").strip()
-    passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
-    return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
-
-
 def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
-        return warnings_outcome(rule, result.findings)
+        return rule.outcome(*compare_warnings(rule, result.findings)[:2])
     match = _ADDRESS.match(rule.item)
     if match is None:
         raise rule.fault("is no address", "write run_ups.joint[held-out].critical_speed")
@@ -216,9 +207,7 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
         candidates = [(run, _amount(rule, address, result, run)) for run in runs]
         selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
         outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
-        return RuleOutcome(
-            rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
-        )
+        return rule.outcome_of_all(outcomes)
     return _of_method(rule, address, result, compare_number)
 
 
@@ -232,15 +221,13 @@ def _of_method(
                 f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
             )
         worst = max((validation.rms for validation in predictor.left_out), default=None)
-        return RuleOutcome(rule.section, rule.text, *compare_number(rule, worst, "1"))
+        return rule.outcome(*compare_number(rule, worst, "1"))
     if address.item == "verdict":
-        return RuleOutcome(rule.section, rule.text, predictor.verdict, predictor.verdict == rule.bound)
+        return rule.outcome(predictor.verdict, predictor.verdict == rule.bound)
     if address.item not in METHOD_VALUES:
         hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
         raise rule.fault(f"a method has no '{address.item}'", hint)
-    return RuleOutcome(
-        rule.section, rule.text, *compare_number(rule, METHOD_VALUES[address.item](predictor), "1")
-    )
+    return rule.outcome(*compare_number(rule, METHOD_VALUES[address.item](predictor), "1"))
 
 
 def _predictor(rule: Rule, address: _Address, result: RunUpResult) -> RunUpMethod | MetamodelResult:

@@ -15,7 +15,7 @@ import yaml
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
-from labpipe.methods.planning.run_ups import EXPONENTS, expected_run, plan_run_ups
+from labpipe.methods.planning.run_ups import EXPONENTS, RunUpChoice, RunUpPlanSettings, expected_rig
 from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.records import RunUp
@@ -148,11 +148,15 @@ def test_refusals_name_place_and_remedy(
     assert not (tmp_path / "out").exists()
 
 
+def choice_of(settings: RunUpPlanSettings) -> RunUpChoice:
+    return RunUpChoice(settings, expected_rig(settings, {}))
+
+
 def test_one_load_leaves_the_load_s_exponent_open(tmp_path: Path) -> None:
     file = load_plan(_write(tmp_path, loads=["8 N"], goal={}, to_threshold=False, stretches=1))
-    planned = plan_run_ups(file.settings, "", {})
-    assert "viscosity_load +1.00" in planned.plan.undetermined
-    assert planned.plan.remedies == ("a second load",)
+    plan = choice_of(file.settings).plan("").plan
+    assert "viscosity_load +1.00" in plan.undetermined
+    assert plan.remedies == ("a second load",)
 
 
 @pytest.mark.long
@@ -161,18 +165,16 @@ def test_the_remedy_works_and_predicted_errors_are_those_of_draws(tmp_path: Path
     predicted.
     """
     file = load_plan(_write(tmp_path, known=[], goal={}, at_load=None, at_speed=None))
-    assert plan_run_ups(file.settings, "", {}).plan.remedies == ("a measured clearance (known: clearance)",)
+    plan = choice_of(file.settings).plan("").plan
+    assert plan.remedies == ("a measured clearance (known: clearance)",)
     file = load_plan(_write(tmp_path, goal={}, duration="20 min", to_threshold=False))
-    planned = plan_run_ups(file.settings, "", {})
-    assert planned.plan.undetermined == ()
-    runs = [
-        expected_run(planned.expected, planned.candidates[run.name])
-        for run in planned.plan.runs
-        for _ in range(run.count)
-    ]
+    choice = choice_of(file.settings)
+    answered = choice.plan("")
+    assert answered.plan.undetermined == ()
+    runs = [choice.run(run.name) for run in answered.plan.runs for _ in range(run.count)]
     free = np.array([name != "clearance" for name in PARAMETERS])
     prior = np.diag(PRIOR[free] ** -2.0)
-    covariance = planned.answered.covariance[np.ix_(free, free)]
+    covariance = answered.covariance[np.ix_(free, free)]
     information = np.linalg.inv(covariance) - prior
     assert rank_of(np.linalg.cholesky(information).T)[0] == 11
     # At one truth the estimates scatter by C I C, less than C, which holds for truths drawn from the prior.
@@ -180,7 +182,7 @@ def test_the_remedy_works_and_predicted_errors_are_those_of_draws(tmp_path: Path
     rng = np.random.default_rng(8)
     draws = np.array(
         [
-            fit_jointly(planned.expected.rig, [_read(run, rng) for run in runs], known=("clearance",)).values
+            fit_jointly(choice.expected.rig, [_read(run, rng) for run in runs], known=("clearance",)).values
             for _ in range(80)
         ]
     )

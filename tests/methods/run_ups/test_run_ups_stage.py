@@ -194,6 +194,7 @@ def test_a_speed_and_its_interval_are_shown_in_the_unit_of_the_rule(whole: RunUp
         ("run_ups.points.verdict", "determined", False),
         ("run_ups.warnings", "collinear", True),
         ("run_ups.warnings", "not model-mismatch", True),
+        ("run_ups.warnings", "also collinear", True),
         ("run_ups.warnings", "none", False),
     ],
 )

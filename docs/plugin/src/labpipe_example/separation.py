@@ -146,7 +146,7 @@ def outcome(rule: Rule, record: Separation, compare: Compare) -> RuleOutcome:
     """
     if rule.item == KEPT:
         word = str(record.kept).lower()
-        return RuleOutcome(rule.section, rule.text, word, word == rule.bound)
+        return rule.outcome(word, word == rule.bound)
     named = [
         margin.margin
         for margin in record.margins
@@ -156,9 +156,7 @@ def outcome(rule: Rule, record: Separation, compare: Compare) -> RuleOutcome:
         hint = nearest(rule.item, [KEPT, LEAST, *(margin.name for margin in record.margins)])
         raise ConfigError(f"{rule.section}.{rule.address}: no such margin", where=rule.place, hint=hint)
     outcomes = [compare(rule, margin, "1") for margin in sorted(named)]
-    return RuleOutcome(
-        rule.section, rule.text, *next((pair for pair in outcomes if not pair[1]), outcomes[0])
-    )
+    return rule.outcome_of_all(outcomes)
 
 
 def findings(record: Separation) -> Iterator[tuple[str, Finding]]:
