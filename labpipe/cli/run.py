@@ -181,48 +181,33 @@ def tests(pipeline_path: Path, overrides: tuple[str, ...]) -> None:
 LOCK = ".labpipe-watch.lock"
 
 
-class _Seconds(click.ParamType[float]):
+def _seconds(text: str) -> float:
     """A time such as 5 s or 10 min, in seconds."""
+    try:
+        seconds = parse_value(text, "s")
+    except UnitError as error:
+        raise click.BadParameter(f"{error.what}; write it as 10 s or 5 min") from None
+    if not 0 <= seconds < float("inf"):
+        raise click.BadParameter("a time from 0 s on is needed")
+    return seconds
 
-    name = "time"
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        if isinstance(value, float):
-            return value
-        try:
-            seconds = parse_value(str(value), "s")
-        except UnitError as error:
-            self.fail(f"{error.what}; write it as 10 s or 5 min", param, ctx)
-        if not 0 <= seconds < float("inf"):
-            self.fail("a time from 0 s on is needed", param, ctx)
-        return seconds
+_time = partial(click.option, type=_seconds, metavar="TIME", show_default=True)
 
 
 @click.command()
 @click.argument("folder", type=options.PLACE)
 @options.pipeline_file
 @options.out_place
-@click.option("--every", type=_Seconds(), default="10 s", show_default=True, help="Time between two looks.")
-@click.option(
-    "--settle",
-    type=_Seconds(),
-    default="5 s",
-    show_default=True,
-    help="A recording is complete when it did not change for so long.",
-)
+@_time("--every", default="10 s", help="Time between two looks.")
+@_time("--settle", default="5 s", help="A recording is complete when it did not change for so long.")
 @click.option(
     "--marker",
     default="",
     metavar="SUFFIX",
     help="A recording is complete when a file of its name and this suffix is there.",
 )
-@click.option(
-    "--append",
-    type=_Seconds(),
-    default="5 min",
-    show_default=True,
-    help="Results wait so long at most until they are appended.",
-)
+@_time("--append", default="5 min", help="Results wait so long at most until they are appended.")
 @click.option(
     "--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names."
 )
