@@ -138,11 +138,11 @@ def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
             numbers[list(theirs)[place]] = number
     parameters = []
     for parameter in fit.parameters:
-        found = MODE.match(parameter.name)
-        if found is None or found[2] not in theirs:
+        match = MODE.match(parameter.name)
+        if match is None or match[2] not in theirs:
             parameters.append(parameter)
-        elif found[2] in numbers:
-            parameters.append(replace(parameter, name=f"{found[1]}_{numbers[found[2]]}"))
+        elif match[2] in numbers:
+            parameters.append(replace(parameter, name=f"{match[1]}_{numbers[match[2]]}"))
     return replace(fit, parameters=tuple(parameters))
 
 
@@ -373,7 +373,7 @@ def _statement(
         fitted=None,
         reason=common.reason if common is not None and extra > between else "",
         discrepancy=None if common is None else common.discrepancy,
-        repeats=replace(summary, spread=mean.spread * unit, values=tuple(back(one) for one in of.values)),
+        repeats=replace(summary, spread=mean.spread * unit, values=tuple(back(value) for value in of.values)),
     )
 
 

@@ -117,11 +117,11 @@ class MovedMode:
     def finding(self) -> Finding:
         """A note that it is one mode, and between which frequencies it lies."""
         size = np.linalg.norm(self.residues, axis=1)
-        seen = np.abs(self.poles[size > SHOWS * np.max(size)]) / (2 * np.pi)
+        frequencies = np.abs(self.poles[size > SHOWS * np.max(size)]) / (2 * np.pi)
         message = (
             f"the poles around {abs(self.pole) / (2 * np.pi):.6g} Hz are one mode, whose frequency lies "
-            f"between {seen.min():.6g} and {seen.max():.6g} Hz from point to point: what moves loads the "
-            "structure. "
+            f"between {frequencies.min():.6g} and {frequencies.max():.6g} Hz from point to point: what moves "
+            "loads the structure. "
         )
         if self.also:
             message += (

@@ -470,8 +470,8 @@ class Campaign:
 
         Equation (plan-earlier).
         """
-        known = 0.0 if self.known is None else self.known.information
-        return relative_errors(self.rate * duration + known)
+        before = 0.0 if self.known is None else self.known.information
+        return relative_errors(self.rate * duration + before)
 
 
 def with_shares(rig: Rig, tests: Sequence[Multisines], shares: FloatArray) -> Campaign:

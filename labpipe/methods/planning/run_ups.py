@@ -266,8 +266,8 @@ class RunUpChoice:
                 ("rate", f"{(high - low) / (dwell * max(candidate.speed.size - 1, 1)):.3g} rpm/s"),
             )
             seconds = dwell * candidate.speed.size + self.settings.changeover
-            told = information(self.expected, candidate)
-            conditions.append(Condition(candidate.name, seconds, words, told))
+            of_run = information(self.expected, candidate)
+            conditions.append(Condition(candidate.name, seconds, words, of_run))
         return tuple(conditions)
 
     def plan(self, title: str) -> Answered:
@@ -303,9 +303,9 @@ class RunUpChoice:
         for size in (1, 2):
             for chosen in combinations(changes, size):
                 extra = tuple(condition for change in chosen for condition in change.conditions)
-                known = tuple(parameter for change in chosen for parameter in change.known)
+                parameters = tuple(parameter for change in chosen for parameter in change.known)
                 words = " and ".join(change.words for change in chosen)
-                yield Change(words, size, (*self.conditions, *extra), known)
+                yield Change(words, size, (*self.conditions, *extra), parameters)
 
     def _others(self, **changes: Any) -> tuple[Condition, ...]:
         """Conditions under other settings; none where no run is possible."""

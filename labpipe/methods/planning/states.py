@@ -227,8 +227,8 @@ def question_of(
             ("force", f"{max(test.planned.peak_force):.4g} N peak"),
             ("displacement", f"{1e6 * max(test.planned.peak_displacement):.3g} um peak"),
         )
-        told = rows.T @ test.information @ rows
-        conditions.append(Condition(test.state.name, settings.seconds, words, told))
+        information = rows.T @ test.information @ rows
+        conditions.append(Condition(test.state.name, settings.seconds, words, information))
     wanted, duration = tuple(_quantities(settings, tests, slopes, common)), settings.duration
     return RunQuestion(parameters, units, prior, tuple(conditions), wanted, duration, settings.criterion)
 

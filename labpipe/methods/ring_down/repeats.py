@@ -97,14 +97,16 @@ def repeated_decays(
             failed.append(note("repeat-left-out", f"{where} is left out: {error.what}"))
     if len(fits) < max(2, len(pieces) / 2):
         return None
-    numbers, own = tuple(fits), tuple(fits.values())
-    logs, variances = (np.array(parts) for parts in zip(*(_logarithms(fit) for fit in own), strict=True))
+    numbers, of_decays = tuple(fits), tuple(fits.values())
+    logs, variances = (
+        np.array(parts) for parts in zip(*(_logarithms(fit) for fit in of_decays), strict=True)
+    )
     recordings = [decays.decays[number].recording for number in numbers]
     groups = groups_of(settings.repeat_groups, recordings) if settings.repeat_groups else ()
     kept = kept_repeats(logs, variances, groups=groups)
     used = kept.used
     groups = tuple(group for group, is_used in zip(groups, used, strict=False) if is_used)
-    sizes = np.array([np.max(np.abs(fit.pieces[0].amplitudes), axis=1) for fit in own])[used]
+    sizes = np.array([np.max(np.abs(fit.pieces[0].amplitudes), axis=1) for fit in of_decays])[used]
     means, at = [], np.full(n_mode, np.nan)
     for mode in range(n_mode):
         of_mode = [mode, n_mode + mode]
@@ -112,7 +114,7 @@ def repeated_decays(
         means.append(pair)
     left_out = (*failed, *_outliers(decays, numbers, kept, logs, n_mode))
     total, named = len(pieces), settings.repeat_groups
-    return RepeatedDecays(total, numbers, own, left_out, kept, tuple(means), at, named)
+    return RepeatedDecays(total, numbers, of_decays, left_out, kept, tuple(means), at, named)
 
 
 def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
@@ -203,12 +205,12 @@ def with_repeats(
             kinds.append(("k" + of_support, (2.0, 0.0), mass * (2 * np.pi) ** 2))
             kinds.append(("c" + of_support, (1.0, 1.0), 4 * np.pi * mass))
         for name, powers, factor in kinds:
-            own = np.exp(logs[:, [mode, n_mode + mode]] @ powers) * factor
-            errors = [
-                np.sqrt(mean.weights**2 @ noise[:, which * n_mode + mode]) for which, mean in enumerate(pair)
-            ]
+            values = np.exp(logs[:, [mode, n_mode + mode]] @ powers) * factor
+            errors = np.sqrt(
+                [mean.weights**2 @ noise[:, which * n_mode + mode] for which, mean in enumerate(pair)]
+            )
             law = (np.array(powers), factor, repeated.at[mode])
-            entries[name] = _parameter(by_name[name], pair, law, (own, np.array(errors)), repeated, dof)
+            entries[name] = _parameter(by_name[name], pair, law, values, errors, repeated, dof)
     return tuple(entries.get(parameter.name, parameter) for parameter in parameters)
 
 
@@ -216,17 +218,18 @@ def _parameter(
     parameter: Parameter,
     pair: tuple[RepeatMean, RepeatMean],
     law: tuple[FloatArray, float, float],
-    own: tuple[FloatArray, FloatArray],
+    values: FloatArray,
+    errors: FloatArray,
     repeated: RepeatedDecays,
     dof: int,
 ) -> Parameter:
     """factor f^p zeta^q of two means, with its interval by both; *law*: (p, q), the factor, and the amplitude
-    it holds at or nan.
+    it holds at or nan; *values* (n_decay,) of the single decays, *errors* (2,) of the means' logarithms.
     """
     powers, factor, at = law
     value = factor * float(np.exp(powers @ [mean.value for mean in pair]))
     reach = float(np.hypot(*(powers * [mean.half_width for mean in pair])))
-    error = value * float(np.hypot(*(powers * own[1])))
+    error = value * float(np.hypot(*(powers * errors)))
     used = tuple(bool(is_used) for is_used in repeated.kept.used)
     limit, spread = student_limit(dof), value * float(np.hypot(*(powers * [mean.spread for mean in pair])))
     interval = (value * float(np.exp(-reach)), value * float(np.exp(reach)))
@@ -234,7 +237,7 @@ def _parameter(
     for end in (0, -1):
         # A first or last decay that is left out may be of another state.
         if not used[end] and not repeated.groups:
-            other = float(own[0][end])
+            other = float(values[end])
             interval = (min(interval[0], other - limit * spread), max(interval[1], other + limit * spread))
             half = max(half, (interval[1] - interval[0]) / 2)
     follows = bool(np.isfinite(at))
@@ -252,7 +255,7 @@ def _parameter(
             n=repeated.total,
             used=sum(used),
             spread=spread,
-            values=tuple(float(one) for one, is_used in zip(own[0], used, strict=True) if is_used),
+            values=tuple(float(value) for value, is_used in zip(values, used, strict=True) if is_used),
             covariate="amplitude" if follows else "",
             at=float(at) if follows else None,
             groups=len(repeated.groups),
