@@ -26,29 +26,14 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts import parquet
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.json_file import entry_of, plain, record_of
-from labpipe.artefacts.parquet import (
-    as_written,
-    metadata_of,
-    numpy_array,
-    open_parquet,
-    read_columns,
-    read_header,
-)
 from labpipe.artefacts.writing import OutputFolder, without_staging
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.dataset import (
-    DatasetRow,
-    DatasetSummary,
-    ManyTests,
-    TestColumns,
-    TestResult,
-    summary_of,
-    summed,
-)
+from labpipe.records import dataset
 
 FOLDER = "dataset"
 SUFFIX = ".results.parquet"
@@ -69,7 +54,9 @@ _TYPES: Mapping[str, pa.DataType] = {
     "changes": pa.map_(pa.string(), pa.float64()),
 }
 COLUMNS = tuple(
-    field.name for field in dataclasses.fields(DatasetRow) if field.name not in (*_PARTITIONS, "conditions")
+    field.name
+    for field in dataclasses.fields(dataset.DatasetRow)
+    if field.name not in (*_PARTITIONS, "conditions")
 )
 
 
@@ -82,24 +69,24 @@ class Part:
     date: str
 
 
-def write_parts(results: Sequence[TestResult], output: OutputFolder) -> list[str]:
+def write_parts(results: Sequence[dataset.TestResult], output: OutputFolder) -> list[str]:
     """Write the rows of tests, one part for each rig and date, in their order.
 
     The names of the parts below the output folder.
     """
-    groups: dict[tuple[str, str], list[TestResult]] = {}
+    groups: dict[tuple[str, str], list[dataset.TestResult]] = {}
     for result in results:
         if result.rows:
             groups.setdefault((result.rows[0].rig, result.rows[0].date), []).append(result)
     return [_write_part(rig, date, group, output) for (rig, date), group in groups.items()]
 
 
-def _write_part(rig: str, date: str, results: Sequence[TestResult], output: OutputFolder) -> str:
-    summary = entry_of(summed(summary_of(result) for result in results))
+def _write_part(rig: str, date: str, results: Sequence[dataset.TestResult], output: OutputFolder) -> str:
+    summary = entry_of(dataset.summed(dataset.summary_of(result) for result in results))
     contents = {"summary": json.loads(json.dumps(summary, default=plain))}
     header = Header(KIND, {"schema": SCHEMA}, inputs=(), contents=contents)
     table = _table([row for result in results for row in result.rows])
-    table = table.replace_schema_metadata(metadata_of(header))
+    table = table.replace_schema_metadata(parquet.metadata_of(header))
     stream = pa.BufferOutputStream()
     pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
     content = stream.getvalue()
@@ -111,15 +98,15 @@ def _write_part(rig: str, date: str, results: Sequence[TestResult], output: Outp
     return name
 
 
-def read_summary(part: Part) -> DatasetSummary:
+def read_summary(part: Part) -> dataset.DatasetSummary:
     """What a part says of its tests as a whole; DamagedError for a file that is not as labpipe wrote it."""
-    header = read_header(part.path, KIND)
-    with as_written(part.path):
-        summary: DatasetSummary = record_of(header.contents["summary"], DatasetSummary)
+    header = parquet.read_header(part.path, KIND)
+    with parquet.as_written(part.path):
+        summary: dataset.DatasetSummary = record_of(header.contents["summary"], dataset.DatasetSummary)
     return summary
 
 
-def _table(rows: Sequence[DatasetRow]) -> pa.Table:
+def _table(rows: Sequence[dataset.DatasetRow]) -> pa.Table:
     columns = {
         name: pa.array((_cell(row, name) for row in rows), _TYPES.get(name, pa.float64())) for name in COLUMNS
     }
@@ -133,7 +120,7 @@ def _table(rows: Sequence[DatasetRow]) -> pa.Table:
     return pa.table(columns)
 
 
-def _cell(row: DatasetRow, name: str) -> Any:
+def _cell(row: dataset.DatasetRow, name: str) -> Any:
     cell = getattr(row, name)
     return list(cell.items()) if name == "changes" else cell
 
@@ -161,15 +148,15 @@ def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
 
     DamagedError for a file that is not as labpipe wrote it, DataError for one of another schema.
     """
-    header = read_header(part.path, KIND)
+    header = parquet.read_header(part.path, KIND)
     if header.parameters.get("schema") != SCHEMA:
         raise DataError(f"is not of schema {SCHEMA}", part.path, "read it with the version that wrote it")
-    there = open_parquet(part.path).schema_arrow.names
-    with as_written(part.path):
+    there = parquet.open_parquet(part.path).schema_arrow.names
+    with parquet.as_written(part.path):
         if lacking := set(COLUMNS).difference(there):
             raise KeyError(min(lacking))
     chosen = [name for name in there if name in columns or name.startswith((CONDITION, AMOUNT))]
-    table = read_columns(part.path, chosen).replace_schema_metadata(None)
+    table = parquet.read_columns(part.path, chosen).replace_schema_metadata(None)
     for place, name in enumerate(_PARTITIONS):
         table = table.add_column(place, name, pa.array([getattr(part, name)] * table.num_rows, pa.string()))
     return table
@@ -198,7 +185,7 @@ KEYS = ("fit", "term", "parameter", "unit", "low_hz", "high_hz")
 MOST = 100
 
 
-def read_many_tests(folder: Path) -> ManyTests:
+def read_many_tests(folder: Path) -> dataset.ManyTests:
     """The dataset of a folder of results.
 
     DataError where there is none, DamagedError for a part that labpipe did not write.
@@ -206,21 +193,21 @@ def read_many_tests(folder: Path) -> ManyTests:
     table = read_rows(folder)
     table = table.sort_by([("date", "ascending"), ("test", "ascending")])
     valid = table.filter(pc.is_valid(table["parameter"]))
-    return ManyTests(
+    return dataset.ManyTests(
         tuple(_columns(valid)),
         failed=tuple(_name(table.filter(pc.is_valid(table["failed"])), "failed")),
         not_accepted=tuple(_name(table.filter(pc.equal(table["accepted"], False)), "warnings")),
     )
 
 
-def _columns(table: pa.Table) -> Iterator[TestColumns]:
+def _columns(table: pa.Table) -> Iterator[dataset.TestColumns]:
     """One for each fit, term, band and parameter, in the order in which they first stand in the dataset."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for row, key in enumerate(table.select(KEYS).to_pylist()):
         groups.setdefault(tuple(key.values()), []).append(row)
     for (fit, term, parameter, unit, low_hz, high_hz), rows in groups.items():
         group = table.take(rows)
-        yield TestColumns(
+        yield dataset.TestColumns(
             str(fit),
             str(term),
             str(parameter),
@@ -237,7 +224,7 @@ def _columns(table: pa.Table) -> Iterator[TestColumns]:
 
 
 def _numbers(table: pa.Table, name: str) -> FloatArray:
-    return np.asarray(numpy_array(table[name]), np.float64)
+    return np.asarray(parquet.numpy_array(table[name]), np.float64)
 
 
 def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:

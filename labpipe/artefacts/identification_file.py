@@ -18,16 +18,9 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import ComplexArray
+from labpipe.artefacts import json_file
 from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
-from labpipe.artefacts.json_file import (
-    DIGEST,
-    RECORD_FAULTS,
-    entry_of,
-    read_digested,
-    record_of,
-    write_digested,
-)
 from labpipe.errors import DataError, cut
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.fit_details import DETAILS
@@ -51,17 +44,21 @@ _FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
 
 def fit_entry(fit: Fit) -> dict[str, Any]:
     """The entry of a fit, its findings as warnings and remarks."""
-    entry: dict[str, Any] = entry_of(fit)
+    entry: dict[str, Any] = json_file.entry_of(fit)
     del entry["findings"]
-    entry |= dict.fromkeys(DETAILS.names()) | {detail.key: entry_of(detail) for detail in fit.details}
+    entry |= dict.fromkeys(DETAILS.names()) | {
+        detail.key: json_file.entry_of(detail) for detail in fit.details
+    }
     return {**entry, "centre_hz": fit.centre_hz, **finding_entries(fit.findings)}
 
 
 def read_fit(entry: dict[str, Any]) -> Fit:
     """The fit of its entry."""
-    fit: Fit = record_of({**entry, "findings": findings_of(entry)}, Fit)
+    fit: Fit = json_file.record_of({**entry, "findings": findings_of(entry)}, Fit)
     kinds = ((key, DETAILS.load(key)) for key in DETAILS.names() if entry.get(key) is not None)
-    return dataclasses.replace(fit, details=tuple(record_of(entry[key], kind.record) for key, kind in kinds))
+    return dataclasses.replace(
+        fit, details=tuple(json_file.record_of(entry[key], kind.record) for key, kind in kinds)
+    )
 
 
 def finding_entries(findings: tuple[Finding, ...]) -> dict[str, list[dict[str, str]]]:
@@ -93,7 +90,7 @@ def _work(settings: Sequence[Any], responses: Sequence[SourceRef]) -> dict[str, 
         "schema": SCHEMA,
         "labpipe": __version__,
         "code": code_digest(),
-        "settings": [entry_of(fit) for fit in settings],
+        "settings": [json_file.entry_of(fit) for fit in settings],
         "responses": [dataclasses.asdict(response) for response in responses],
     }
     return json.loads(json.dumps(entry))
@@ -103,7 +100,7 @@ def write_fits(
     path: Path, fits: Sequence[Fit], settings: Sequence[Any], responses: Sequence[SourceRef]
 ) -> None:
     """Write the fits with the settings and the checksums of the responses they were made from."""
-    write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
+    json_file.write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
 
 
 def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[SourceRef]) -> bool:
@@ -113,11 +110,11 @@ def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[Sour
     """
     if not path.exists():
         return False
-    entries = read_digested(path, "file of fits")
+    entries = json_file.read_digested(path, "file of fits")
     work = _work(settings, responses)
     if {key: entries.get(key) for key in work} != work:
         return False
-    if DIGEST not in entries:
+    if json_file.DIGEST not in entries:
         raise DamagedError("carries no digest", path)
     return True
 
@@ -130,9 +127,9 @@ def read_fits(path: Path) -> list[Fit]:
 def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
     """The fits of a file that `write_fits` wrote, and its digest; DamagedError for another one."""
     try:
-        entries = read_digested(path, "file of fits")
-        return [read_fit(entry) for entry in entries["fits"]], str(entries.get(DIGEST, ""))
-    except RECORD_FAULTS as error:
+        entries = json_file.read_digested(path, "file of fits")
+        return [read_fit(entry) for entry in entries["fits"]], str(entries.get(json_file.DIGEST, ""))
+    except json_file.RECORD_FAULTS as error:
         raise DamagedError(f"is not readable as fits ({cut(str(error))})", path, AGAIN) from None
 
 
@@ -161,15 +158,18 @@ def write_identification(path: Path, identification: Identification) -> None:
         "rig": identification.rig,
         "settings": identification.settings,
         **({"failed": failed} if failed else {}),
-        **({} if identification.dataset is None else {"dataset": entry_of(identification.dataset)}),
+        **({} if identification.dataset is None else {"dataset": json_file.entry_of(identification.dataset)}),
         "fits": [fit_entry(fit) for fit in identification.fits],
         **of_rules,
         **_found_entries(identification.outcomes),
         "responses": [_response_entry(response) for response in identification.responses],
         **({"spectra": spectra} if spectra else {}),
-        **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
+        **{
+            section(name).entry: json_file.entry_of(record)
+            for name, record in identification.sections.items()
+        },
     }
-    write_digested(path, entries)
+    json_file.write_digested(path, entries)
 
 
 def read_identification(path: Path) -> Identification:
@@ -178,14 +178,14 @@ def read_identification(path: Path) -> Identification:
     DataError when the file is none, or was changed after labpipe wrote it.
     """
     try:
-        entries = read_digested(path, NAME)
+        entries = json_file.read_digested(path, NAME)
     except FileNotFoundError:
         raise DataError("no such file", path, "run `labpipe identify` first") from None
     if entries.get("schema") not in READ_SCHEMAS:
         raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", path)
     try:
         return _identification(_upgrade(entries))
-    except RECORD_FAULTS as error:
+    except json_file.RECORD_FAULTS as error:
         # Same schema, other entries: written by another version, or edited by hand.
         version = cut(str(entries.get("labpipe", "?")))
         written = f"was written by labpipe {version}, or edited ({type(error).__name__}: {cut(str(error))})"
@@ -219,14 +219,14 @@ def _check_plain(entries: dict[str, Any]) -> None:
     """TypeError for a plain entry of another type, and for tests that are no tests."""
     for name, kind in _PLAIN.items():
         if name in entries:
-            record_of(entries[name], kind)
+            json_file.record_of(entries[name], kind)
     for reference in (*entries.get("sources", ()), *entries.get("inputs", ())):
-        record_of({"path": reference["path"], "sha256": reference["sha256"]}, Mapping[str, str])
-    tests = record_of(entries.get("settings", {}).get("tests", []), tuple[Mapping[str, Any], ...])
+        json_file.record_of({"path": reference["path"], "sha256": reference["sha256"]}, Mapping[str, str])
+    tests = json_file.record_of(entries.get("settings", {}).get("tests", []), tuple[Mapping[str, Any], ...])
     for test in tests:
-        record_of(test["name"], str)
+        json_file.record_of(test["name"], str)
     for test in (*tests, *entries.get("responses", ()), *entries.get("spectra", ())):
-        for condition in record_of(test["conditions"], Mapping[str, Any]).values():
+        for condition in json_file.record_of(test["conditions"], Mapping[str, Any]).values():
             if not isinstance(condition, (str, int, float)):
                 raise TypeError(f"{cut(repr(condition))} is no condition")
 
@@ -248,8 +248,8 @@ def _identification(entries: dict[str, Any]) -> Identification:
         failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
         inputs=tuple(entries.get("inputs", [])),
         code=entries.get("code", ""),
-        digest=entries.get(DIGEST, ""),
-        dataset=record_of(entries["dataset"], DatasetIndex) if "dataset" in entries else None,
+        digest=entries.get(json_file.DIGEST, ""),
+        dataset=json_file.record_of(entries["dataset"], DatasetIndex) if "dataset" in entries else None,
         sections=_records(entries),
     )
 
@@ -257,7 +257,7 @@ def _identification(entries: dict[str, Any]) -> Identification:
 # What every result has; other keys are those of sections, which are loaded only then.
 _WITHOUT_SECTIONS = {
     "schema", "labpipe", "title", "pipeline", "sources", "settings", "rig", "responses", "spectra", "fits",
-    "accept", "expect", "found", "failed", "inputs", "code", "dataset", DIGEST,
+    "accept", "expect", "found", "failed", "inputs", "code", "dataset", json_file.DIGEST,
 }  # fmt: skip
 
 
@@ -266,12 +266,12 @@ def _records(entries: dict[str, Any]) -> dict[str, Any]:
     if set(entries) <= _WITHOUT_SECTIONS:
         return {}
     there = ((name, part) for name, part in sections() if part.entry in entries)
-    return {name: record_of(entries[part.entry], part.record) for name, part in there}
+    return {name: json_file.record_of(entries[part.entry], part.record) for name, part in there}
 
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
     entry = {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
-    return entry if outcome.decision is None else {**entry, **entry_of(outcome.decision)}
+    return entry if outcome.decision is None else {**entry, **json_file.entry_of(outcome.decision)}
 
 
 def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
@@ -287,7 +287,7 @@ def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     rules, outcomes = entries.get(key, []), []
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
     for entry, shown in zip(rules, texts, strict=True):
-        decision = record_of(entry, RuleDecision) if "outcome" in entry else None
+        decision = json_file.record_of(entry, RuleDecision) if "outcome" in entry else None
         outcomes.append(
             RuleOutcome(key, entry["rule"], entry["value"], entry["passed"], shown=shown, decision=decision)
         )
@@ -309,10 +309,10 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
         "outputs": [dataclasses.asdict(port) for port in response.outputs],
         "inputs": [dataclasses.asdict(port) for port in response.inputs],
         "frequency_hz": response.frequency.tolist(),
-        "matrix": entry_of(response.matrix),
+        "matrix": json_file.entry_of(response.matrix),
         "variance": None if variance is None else variance.tolist(),
         **{name: None if values is None else values.tolist() for name, values in optional.items()},
-        **({} if response.open_loop is None else {"open_loop": entry_of(response.open_loop)}),
+        **({} if response.open_loop is None else {"open_loop": json_file.entry_of(response.open_loop)}),
         "snr_channels": list(response.snr_channels),
         "averages": response.averages,
         "covariance_dof": response.covariance_dof,
@@ -322,7 +322,7 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
 
 
 def _response(entry: dict[str, Any]) -> FrequencyResponse:
-    matrix: ComplexArray = record_of(entry["matrix"], ComplexArray)
+    matrix: ComplexArray = json_file.record_of(entry["matrix"], ComplexArray)
     variance = entry["variance"]
     dof = entry["covariance_dof"]
     optional: dict[str, Any] = {
@@ -337,12 +337,12 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         form=entry["form"],
         covariance=None if variance is None else BlockCovariance.uncorrelated(np.array(variance, np.float64)),
         **optional,
-        open_loop=record_of(entry["open_loop"], ComplexArray) if "open_loop" in entry else None,
+        open_loop=json_file.record_of(entry["open_loop"], ComplexArray) if "open_loop" in entry else None,
         snr_channels=tuple(entry["snr_channels"]),
         averages=entry["averages"],
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
-        findings=record_of(findings_of(entry), tuple[Finding, ...]),
+        findings=json_file.record_of(findings_of(entry), tuple[Finding, ...]),
         conditions=entry["conditions"],
     )
 
@@ -356,7 +356,7 @@ def _spectra_entry(spectra: ChannelSpectra) -> dict[str, Any]:
         "channels": [dataclasses.asdict(channel) for channel in spectra.channels],
         "runs": list(spectra.runs),
         "frequency_hz": spectra.frequency.tolist(),
-        "vectors": entry_of(spectra.vectors),
+        "vectors": json_file.entry_of(spectra.vectors),
         "variance": np.einsum("lrcc->lrc", spectra.covariance).real.tolist(),
         "covariance_dof": spectra.covariance_dof,
         "conditions": spectra.conditions,
@@ -369,12 +369,12 @@ def _spectra(entry: dict[str, Any]) -> ChannelSpectra:
     dof = entry["covariance_dof"]
     return ChannelSpectra(
         frequency=np.array(entry["frequency_hz"], np.float64),
-        vectors=record_of(entry["vectors"], ComplexArray),
+        vectors=json_file.record_of(entry["vectors"], ComplexArray),
         covariance=np.asarray(variance[..., None] * np.eye(variance.shape[-1]), np.complex128),
         channels=tuple(Channel(**channel) for channel in entry["channels"]),
         runs=tuple(entry["runs"]),
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
-        findings=record_of(findings_of(entry), tuple[Finding, ...]),
+        findings=json_file.record_of(findings_of(entry), tuple[Finding, ...]),
         conditions=entry["conditions"],
     )

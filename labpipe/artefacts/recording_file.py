@@ -15,16 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts import parquet
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header, SourceRef, header_from_json, source_ref
-from labpipe.artefacts.parquet import (
-    arrow_array,
-    batches,
-    metadata_of,
-    numpy_array,
-    open_parquet,
-    read_header,
-)
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
@@ -76,7 +69,7 @@ class RecordingWriter:
     ) -> None:
         if self._header is not None:
             writer = self._open(np.empty((0, len(self._schema))))
-            writer.add_key_value_metadata(metadata_of(self._header))
+            writer.add_key_value_metadata(parquet.metadata_of(self._header))
         if self._writer is not None:
             self._writer.close()
         if self._header is not None:
@@ -104,7 +97,7 @@ class RecordingWriter:
 
     def write(self, block: FloatArray) -> None:
         """Append a block (n, n_channel) [SI]."""
-        arrays = [arrow_array(column) for column in np.ascontiguousarray(block.T)]
+        arrays = [parquet.arrow_array(column) for column in np.ascontiguousarray(block.T)]
         self._open(block).write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def finish(self, header: Header) -> None:
@@ -172,8 +165,8 @@ class StoredRecording:
 
     def _blocks_in_turn(self, n_sample: int) -> Iterator[FloatArray]:
         names = [channel.name for channel in self.channels]
-        for batch in batches(self.path, names, n_sample):
-            yield np.column_stack([numpy_array(batch.column(name)) for name in names])
+        for batch in parquet.batches(self.path, names, n_sample):
+            yield np.column_stack([parquet.numpy_array(batch.column(name)) for name in names])
 
     def in_memory(self) -> Recording:
         """The whole recording as an array record."""
@@ -183,7 +176,7 @@ class StoredRecording:
 
 def open_recording(path: Path) -> StoredRecording:
     """A calibrated recording on disk; DataError when the file is not one."""
-    return _recording_of(path, read_header(path, "recording"))
+    return _recording_of(path, parquet.read_header(path, "recording"))
 
 
 def _recording_of(path: Path, header: Header) -> StoredRecording:
@@ -191,7 +184,7 @@ def _recording_of(path: Path, header: Header) -> StoredRecording:
     channels = tuple(
         Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in contents["channels"]
     )
-    file = open_parquet(path)
+    file = parquet.open_parquet(path)
     missing = {channel.name for channel in channels} - set(file.schema_arrow.names)
     if missing:
         raise DataError(f"lacks the column of channel {', '.join(sorted(missing))}", path)

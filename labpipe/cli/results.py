@@ -16,18 +16,8 @@ from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
 from labpipe.errors import DataError, cut
+from labpipe.project import catalogue_search
 from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow, name_of
-from labpipe.project.catalogue_search import LEVEL as DIFFERENCE_LEVEL
-from labpipe.project.catalogue_search import (
-    Difference,
-    Series,
-    dataset_parameters,
-    differences,
-    found_results,
-    found_values,
-    trends,
-    undated,
-)
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, of_fit
@@ -50,7 +40,11 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     file.
     """
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
-    find = found_values if criteria.parameter or criteria.fit or criteria.test else found_results
+    find = (
+        catalogue_search.found_values
+        if criteria.parameter or criteria.fit or criteria.test
+        else catalogue_search.found_results
+    )
     with results_read(folder) as here:
         rows: Sequence[ValueRow | ResultRow] = find(here, criteria)
     if table is not None:
@@ -128,12 +122,13 @@ def trend(
     """
     if output is not None:
         format_of(output)
+    criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
     with results_read(folder) as here:
-        rows = found_values(here, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
+        rows = catalogue_search.found_values(here, criteria)
         paths = [] if output is None else sorted({row.path for row in rows})
         results = {path: read_identification(here / path) for path in paths}
-    all_series = trends(rows, over)
-    for row in undated(rows) if over == DATE else ():
+    all_series = catalogue_search.trends(rows, over)
+    for row in catalogue_search.undated(rows) if over == DATE else ():
         what = f"test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03"
         echo(f"warning: {row.path}: {what}", err=True)
     selected = [row for series in all_series for row in series.rows]
@@ -150,7 +145,7 @@ def trend(
         echo(f"written: {output}", err=True)
 
 
-def _echo_series(series: Series) -> None:
+def _echo_series(series: catalogue_search.Series) -> None:
     echo(f"{series.parameter} of {series.fit} over {series.over}")
     # Over conditions other than time, values are expected to differ.
     outside = set(map(id, series.outside)) if series.over == DATE else set()
@@ -167,12 +162,12 @@ def _echo_series(series: Series) -> None:
         echo(f"  {_control(series)}")
 
 
-def _unit(series: Series) -> str:
+def _unit(series: catalogue_search.Series) -> str:
     """The unit of all values."""
     return readable_unit(series.unit, (row.value for row in series.rows))
 
 
-def _slope(series: Series) -> str:
+def _slope(series: catalogue_search.Series) -> str:
     """The slope in words, in display units."""
     line = series.line
     if line is None:
@@ -190,7 +185,7 @@ def _slope(series: Series) -> str:
     return for_terminal(f"{stated}: {verdict}, p = {p_value:.2g}{scatter}")
 
 
-def _control(series: Series) -> str:
+def _control(series: catalogue_search.Series) -> str:
     limits = series.limits
     if limits is None:
         return "fewer than three values give no control limits"
@@ -220,7 +215,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard
     errors alone, corrected for the number of parameters (Holm).
     """
-    pairs = differences(_parameters(first), _parameters(second))
+    pairs = catalogue_search.differences(_parameters(first), _parameters(second))
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
     if table is not None:
         write_rows(table, [dataclasses.asdict(pair) for pair in selected])
@@ -229,7 +224,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
         echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
     tested = [pair for pair in pairs if pair.p_value is not None]
     n_different = sum(pair.differs for pair in tested)
-    level = f"level {100 * DIFFERENCE_LEVEL:g} %, corrected for their number"
+    level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
 
 
@@ -239,11 +234,11 @@ def _parameters(path: Path) -> list[ListedParameter]:
         file = here / NAME if here.is_dir() else here
         identification = read_identification(file)
         if identification.dataset is not None:
-            return dataset_parameters(file.parent)
+            return catalogue_search.dataset_parameters(file.parent)
         return [listed for fit in identification.fits for listed in of_fit(fit)]
 
 
-def _cells(pair: Difference) -> tuple[str, ...]:
+def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:
     """A row in one unit, all numbers to the place that the error of the difference supports.
 
     Differences have no offset (degC).

@@ -36,26 +36,18 @@ from labpipe.estimation.weights import (
     weight_uncertainty,
     whitener,
 )
+from labpipe.records import uncertain
 from labpipe.records.finding import Contribution, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
-from labpipe.records.uncertain import (
-    COURSES,
-    Budget,
-    MatrixError,
-    RepeatSource,
-    Uncertain,
-    Uncertainty,
-    uncertainty_of,
-)
 
 # Standard errors from a minimum below which an estimate is the minimum.
 AT_MINIMUM = 1e-3
 # From a setup with changed numbers to its model.
 ModelOf = Callable[[Setup], BandModel]
 # A source, and the change (n_parameter,) of reported parameters by one standard uncertainty of it.
-Source = tuple[Uncertainty, FloatArray]
+Source = tuple[uncertain.Uncertainty, FloatArray]
 # From a setup, its model and data to the reported parameters of a whole fit.
 Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
 
@@ -74,7 +66,7 @@ class Case:
     model_of: ModelOf
 
 
-def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
+def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget | None:
     """The budget of reported *parameters*; None where no number has an uncertainty, or the fit did not
     converge.
 
@@ -98,7 +90,9 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
         return None
     names = tuple(parameter.name for parameter in parameters)
     dof = float(np.min(case.estimate.student_dof))
-    return Budget(names, full_errors(parameters), dof, tuple(sources[n][0] for n in kept), changes[kept])
+    return uncertain.Budget(
+        names, full_errors(parameters), dof, tuple(sources[n][0] for n in kept), changes[kept]
+    )
 
 
 def full_errors(parameters: Sequence[Parameter]) -> FloatArray:
@@ -112,7 +106,7 @@ def _model_of(case: Case, changed: Case) -> BandModel:
 
 
 def _slopes(
-    case: Case, sources: Sequence[tuple[Uncertainty, Change]], values: Callable[[Case], FloatArray]
+    case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], values: Callable[[Case], FloatArray]
 ) -> FloatArray:
     """Changes (n_source, n) of *values* (n,) by one standard uncertainty of each source."""
     sizes = [SHARE * uncertainty.std_error for uncertainty, _ in sources]
@@ -128,7 +122,7 @@ def _slopes(
 NEGLIGIBLE, MOST_ROUNDS = 1e-2, 5
 
 
-def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
+def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], Stated]:
     """The fit with stated numbers where data and statements together have them, the sources, and what these
     still change of its residual.
 
@@ -168,7 +162,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
 
 
 def _move(
-    case: Case, sources: Sequence[tuple[Uncertainty, Change]], at: FloatArray, values: FloatArray
+    case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], at: FloatArray, values: FloatArray
 ) -> Case:
     """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)
     [parameter units].
@@ -181,7 +175,7 @@ def _move(
 
 
 def _residual_changes(
-    case: Case, sources: Sequence[tuple[Uncertainty, Change]], weights: Weights
+    case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], weights: Weights
 ) -> FloatArray:
     """Changes of the whitened residual (n_source, n_equation) [1] by one standard uncertainty of each source.
 
@@ -219,7 +213,7 @@ def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[
     return [(_of_mass(number), relative * np.array(times_mass))]
 
 
-def mass_uncertainty(settings: FitSettings) -> Uncertainty | None:
+def mass_uncertainty(settings: FitSettings) -> uncertain.Uncertainty | None:
     """The uncertainty of a given mass; None where it has none, or is estimated."""
     number = dict(settings.uncertainties).get("mass")
     if number is None or settings.mass == ESTIMATE or not number.std_error > 0:
@@ -227,8 +221,8 @@ def mass_uncertainty(settings: FitSettings) -> Uncertainty | None:
     return _of_mass(number)
 
 
-def _of_mass(number: Uncertain) -> Uncertainty:
-    return uncertainty_of(number, f"mass {number.value:g} kg", "kg")
+def _of_mass(number: uncertain.Uncertain) -> uncertain.Uncertainty:
+    return uncertain.uncertainty_of(number, f"mass {number.value:g} kg", "kg")
 
 
 def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
@@ -242,7 +236,7 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
         return fit
     names = tuple(parameter.name for parameter in fit.parameters)
     uncertainties, changes = zip(*counted, strict=True)
-    added = Budget(names, before, float(fit.dof), uncertainties, np.array(changes))
+    added = uncertain.Budget(names, before, float(fit.dof), uncertainties, np.array(changes))
     budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
     widened = with_systematic(fit.parameters, added, budget.dof)
     stated = zip(widened, budget.systematic, strict=True)
@@ -265,7 +259,9 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
     return replace(fit, parameters=contribute(fit.parameters, fit.budget, coverage))
 
 
-def contribute(parameters: Sequence[Parameter], budget: Budget, coverage: float) -> tuple[Parameter, ...]:
+def contribute(
+    parameters: Sequence[Parameter], budget: uncertain.Budget, coverage: float
+) -> tuple[Parameter, ...]:
     """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all
     of them.
 
@@ -292,9 +288,9 @@ def contribute(parameters: Sequence[Parameter], budget: Budget, coverage: float)
 Change = Callable[[Case, float], Case]
 
 
-def sources_of(setup: Setup, measured: Measured) -> list[tuple[Uncertainty, Change]]:
+def sources_of(setup: Setup, measured: Measured) -> list[tuple[uncertain.Uncertainty, Change]]:
     """Every source with what an error of it does; numbers of one source change together."""
-    changes: dict[str, list[tuple[Uncertainty, Change]]] = {}
+    changes: dict[str, list[tuple[uncertain.Uncertainty, Change]]] = {}
     for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):
         for number, port in enumerate(ports):
             for calibration in port.uncertainties:
@@ -312,7 +308,7 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[Uncertainty, Chan
     return [(entries[0][0], _together(entries)) for entries in changes.values()]
 
 
-def _together(entries: Sequence[tuple[Uncertainty, Change]]) -> Change:
+def _together(entries: Sequence[tuple[uncertain.Uncertainty, Change]]) -> Change:
     """All changes of one source by the same number of standard uncertainties."""
     first = entries[0][0].std_error
 
@@ -336,7 +332,7 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
     """
     if effect == "direction":
         return _change_of_direction(number, sign)
-    slope, power = COURSES[effect]
+    slope, power = uncertain.COURSES[effect]
 
     def change(case: Case, error: float) -> Case:
         factor = np.exp(sign * error * slope * case.measured.omega**power)
@@ -369,7 +365,7 @@ def _change_of_direction(number: int, sign: float) -> Change:
     return change
 
 
-def _change_by(matrix_error: MatrixError) -> Change:
+def _change_by(matrix_error: uncertain.MatrixError) -> Change:
     """What the error of a number in a sum of channels does to the whole matrix, in proportion to it."""
 
     def change(case: Case, error: float) -> Case:
@@ -406,23 +402,23 @@ def _heavier(case: Case, error: float) -> Case:
     return _with_settings(case, mass=mass + error)
 
 
-def support_uncertainties(support: Support | None) -> Iterator[tuple[str, Uncertainty]]:
+def support_uncertainties(support: Support | None) -> Iterator[tuple[str, uncertain.Uncertainty]]:
     """Uncertainties of stiffness and damping, by these names, of a support that is subtracted.
 
     In all tests on it they are the same errors.
     """
     for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
-        number: Uncertain | None = None if support is None else getattr(support, name)
+        number: uncertain.Uncertain | None = None if support is None else getattr(support, name)
         if number is not None and number.std_error > 0:
             source = f"{name} of the support, {amount_text(number.value, None, unit)}"
-            yield name, uncertainty_of(number, source, unit)
+            yield name, uncertain.uncertainty_of(number, source, unit)
 
 
 def _other_support(name: str) -> Change:
     def change(case: Case, error: float) -> Case:
         support = case.setup.settings.subtract
         assert support is not None
-        number: Uncertain = getattr(support, name)
+        number: uncertain.Uncertain = getattr(support, name)
         moved = replace(support, **{name: replace(number, value=number.value + error)})
         return _with_settings(case, subtract=moved)
 
@@ -497,7 +493,11 @@ def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
 
 
 def with_repeat_sources(
-    fit: Fit, sources: Sequence[RepeatSource], test: str, conditions: Mapping[str, Any], coverage: float
+    fit: Fit,
+    sources: Sequence[uncertain.RepeatSource],
+    test: str,
+    conditions: Mapping[str, Any],
+    coverage: float,
 ) -> Fit:
     """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties.
 
@@ -509,7 +509,7 @@ def with_repeat_sources(
     return with_contributions(with_sources(fit, counted), coverage) if counted else fit
 
 
-def _source(source: RepeatSource, fit: Fit, test: str, conditions: Mapping[str, Any]) -> Source:
+def _source(source: uncertain.RepeatSource, fit: Fit, test: str, conditions: Mapping[str, Any]) -> Source:
     if source.per and source.per not in conditions:
         what = (
             f"{source.name} goes by the condition '{source.per}', which "
@@ -520,4 +520,4 @@ def _source(source: RepeatSource, fit: Fit, test: str, conditions: Mapping[str, 
     changed = fit.parameter(source.parameter)
     amount = source.relative * changed.value
     changes = np.array([amount if p.name == source.parameter else 0.0 for p in fit.parameters])
-    return Uncertainty(f"{source.name} ({same})", abs(amount), changed.unit, source.dof), changes
+    return uncertain.Uncertainty(f"{source.name} ({same})", abs(amount), changed.unit, source.dof), changes

@@ -14,21 +14,12 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import coverage_factor
 from labpipe.errors import ConfigError
+from labpipe.estimation import statistics
 from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.linear_models import PER_MASS
 from labpipe.estimation.measured import select_ports
 from labpipe.estimation.model import DynamicModel, Matrices, Setup
 from labpipe.estimation.settings import VISCOUS, FitSettings, Support
-from labpipe.estimation.statistics import (
-    Estimate,
-    condition_number,
-    correlation,
-    derive,
-    estimated,
-    inflation_factors,
-    restated,
-    widen,
-)
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Unstated
@@ -63,7 +54,7 @@ class Estimated:
 
 def reported_fit(
     settings: FitSettings,
-    estimate: Estimate,
+    estimate: statistics.Estimate,
     parameters: tuple[Parameter, ...],
     band: tuple[float, float],
     n_line: int,
@@ -83,8 +74,8 @@ def reported_fit(
         dof=estimate.dof,
         gof=estimate.gof,
         parameters=parameters,
-        condition_number=condition_number(estimate.scaled_design),
-        correlation=correlation(estimate.covariance),
+        condition_number=statistics.condition_number(estimate.scaled_design),
+        correlation=statistics.correlation(estimate.covariance),
         converged=estimate.converged,
         iterations=estimate.iterations,
     )
@@ -227,12 +218,12 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
     if "b_x" in total.names and "b_y" in total.names:
         x, y = total.value("b_x"), total.value("b_y")
         error = propagate(total, {"b_x": -y / (x**2 + y**2), "b_y": x / (x**2 + y**2)})
-        parameters.append(derive("forcing_angle", "rad", float(np.arctan2(y, x)), error, dof))
+        parameters.append(statistics.derive("forcing_angle", "rad", float(np.arctan2(y, x)), error, dof))
     if is_corrected(settings):
         for name, unit in zip(total.names, total.units, strict=True):
             if unit in ("N/m", "N.s/m"):
                 value, error = total.value(name), total.std_error(name)
-                parameters.append(derive(f"{name}_total", unit, value, error, dof))
+                parameters.append(statistics.derive(f"{name}_total", unit, value, error, dof))
     parameters.extend(
         Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed
     )
@@ -271,7 +262,7 @@ def _propagated_all(
     for name, (unit, values) in quantities_at_steps.items():
         slope = (values[1 : n + 1] - values[n + 1 :]) / (2 * steps)
         error = float(np.sqrt(max(slope @ total.covariance @ slope, 0.0)))
-        parameters.append(derive(name, unit, float(values[0]), error, dof))
+        parameters.append(statistics.derive(name, unit, float(values[0]), error, dof))
     return parameters
 
 
@@ -292,17 +283,19 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     m = total.value("m") if "m" in total.names else 1.0 if stiffness != "k" else float(given)
     resonance = []
     if "m" in total.names and m != 0 and transfer_of(setup):
-        resonance.append(derive("modal_constant", "1/kg", 1 / m, propagate(total, {"m": -1 / m**2}), dof))
+        resonance.append(
+            statistics.derive("modal_constant", "1/kg", 1 / m, propagate(total, {"m": -1 / m**2}), dof)
+        )
     if k * m <= 0:
         return resonance
     w_n = np.sqrt(k / m)
     f_n = w_n / (2 * np.pi)
     slopes = {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}
-    resonance.insert(0, derive("f_n", "Hz", float(f_n), propagate(total, slopes), dof))
+    resonance.insert(0, statistics.derive("f_n", "Hz", float(f_n), propagate(total, slopes), dof))
     if damping:
         zeta = total.value(damping) / (2 * m * w_n)
         slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
-        resonance.insert(1, derive("zeta", "1", float(zeta), propagate(total, slopes), dof))
+        resonance.insert(1, statistics.derive("zeta", "1", float(zeta), propagate(total, slopes), dof))
     return resonance
 
 
@@ -322,7 +315,9 @@ INTERVAL = 0.95
 EVEN = 1e-3
 
 
-def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> tuple[Parameter, ...]:
+def reported_parameters(
+    estimate: statistics.Estimate, model: BandModel, setup: Setup
+) -> tuple[Parameter, ...]:
     """Estimated and derived parameters with the uncertainty that noise leaves them.
 
     Without convergence the values of the last step, without standard errors.
@@ -336,11 +331,11 @@ def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> t
     return parameters if estimate.converged else without_intervals(parameters)
 
 
-def _coefficients(estimate: Estimate, reported: Estimated, model: BandModel) -> list[Parameter]:
+def _coefficients(estimate: statistics.Estimate, reported: Estimated, model: BandModel) -> list[Parameter]:
     """The estimated parameters, followed by those tied to them."""
-    vifs = inflation_factors(estimate.scaled_design)
+    vifs = statistics.inflation_factors(estimate.scaled_design)
     coefficients = [
-        estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
+        statistics.estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
         for name, unit, vif, dof in zip(
             reported.names, reported.units, vifs, estimate.student_dof, strict=True
         )
@@ -373,7 +368,7 @@ def widened_parameters(
         for before, after in zip(plain, wide, strict=True)
     ]
     return tuple(
-        widen(parameter, max(factor, 1.0)) if factor > 0 else parameter
+        statistics.widen(parameter, max(factor, 1.0)) if factor > 0 else parameter
         for parameter, factor in zip(parameters, factors, strict=True)
     )
 
@@ -415,7 +410,7 @@ def _expand(parameter: Parameter, systematic: float, dof: float) -> Parameter:
         low = high = reach
     else:
         low, high = (math.hypot(side, reach * systematic / combined) for side in (low, high))
-    return restated(parameter, value, combined, (value - low, value + high), systematic=systematic)
+    return statistics.restated(parameter, value, combined, (value - low, value + high), systematic=systematic)
 
 
 # A model between the measured lines: so many frequencies that straight lines from one to the next show its

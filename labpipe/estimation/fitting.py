@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError, SettingError
+from labpipe.estimation import causes, derived, diagnostics
 from labpipe.estimation.budget import (
     Case,
     budget_of,
@@ -19,39 +20,8 @@ from labpipe.estimation.budget import (
     with_contributions,
     with_given_mass,
 )
-from labpipe.estimation.causes import (
-    EXPLAINED,
-    delay_findings,
-    drift_findings,
-    mass_findings,
-    stated_findings,
-)
 from labpipe.estimation.comparison import candidates, comparison_findings
 from labpipe.estimation.damping import damp
-from labpipe.estimation.derived import (
-    BandModel,
-    drawn_densely,
-    is_corrected,
-    reported_fit,
-    reported_parameters,
-    widened_parameters,
-    with_systematic,
-    with_unstated,
-)
-from labpipe.estimation.diagnostics import (
-    MISMATCH_P,
-    covariance_findings,
-    estimate_findings,
-    goodness_findings,
-    is_of_closed_loop,
-    leakage_findings,
-    mode_findings,
-    motion_notes,
-    narrow_findings,
-    parameter_findings,
-    quality_findings,
-    with_cautions,
-)
 from labpipe.estimation.draws import bootstrap, propagate
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
@@ -104,7 +74,10 @@ def identify(
             raise SettingError("repeat_groups", what, "several, of which each has all of the FRFs")
         if judging and settings.repeats == "each" and measured.repeats is not None:
             fits = over_repeats(fits, measured, settings, _fits)
-        fits = tuple(with_unstated(with_cautions(fit, measured.findings), measured, settings) for fit in fits)
+        fits = tuple(
+            derived.with_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
+            for fit in fits
+        )
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
@@ -139,7 +112,7 @@ def fit_linear(
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    setup = Setup(outputs, inputs, settings, is_of_closed_loop(response.findings))
+    setup = Setup(outputs, inputs, settings, diagnostics.is_of_closed_loop(response.findings))
     view, model = form_view(response.form, settings), _model(setup)
     fits, bands = [], _bands(response, settings)
     for band, lines in bands:
@@ -149,8 +122,12 @@ def fit_linear(
         except FitError as error:
             what = f"band {band[0]:g}-{band[1]:g} Hz: {error.what}"
             raise FitError(what, error.where, error.hint) from None
-        drift = drift_findings(measured, fit.model, fit.values, len(bands))
-        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
+        drift = causes.drift_findings(measured, fit.model, fit.values, len(bands))
+        quality = (
+            *diagnostics.quality_findings(response, rows, columns, lines),
+            *diagnostics.covariance_findings(response),
+            *drift,
+        )
         # Bands of a sliding fit are drawn as coefficients over frequency; what is only counted is not drawn.
         curve = _curve(view, measured, fit, dense=judging and len(bands) == 1)
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
@@ -203,11 +180,11 @@ class _BandFit:
 
     fit: Fit
     fitted: ComplexArray
-    model: BandModel
+    model: derived.BandModel
     values: FloatArray
 
 
-def _model(setup: Setup) -> BandModel:
+def _model(setup: Setup) -> derived.BandModel:
     """The settings' model.
 
     A transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations, and
@@ -225,7 +202,7 @@ def _may_have_residuals(setup: Setup) -> bool:
     """Whether a fit is of one mode of unknown mass, by nothing but its coefficients."""
     settings = setup.settings
     plain = settings.damping == VISCOUS and not (
-        settings.fixed or settings.tied or settings.eliminate or is_corrected(settings)
+        settings.fixed or settings.tied or settings.eliminate or derived.is_corrected(settings)
     )
     return settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain
 
@@ -256,7 +233,7 @@ def _beside_others(
     return DrivingMode(), other, said
 
 
-def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
+def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
     """The settings' model less the parameters that were eliminated, so that those of *names* are left."""
     model = _model(setup)
     for name in model.names:
@@ -265,13 +242,13 @@ def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
     return model
 
 
-def _estimate(measured: Measured, model: BandModel, settings: FitSettings) -> Estimate:
+def _estimate(measured: Measured, model: derived.BandModel, settings: FitSettings) -> Estimate:
     """The estimate by the settings' estimator."""
     return settings.estimates.fit(measured, model, settings.weight)
 
 
 def _fit_band(
-    setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool
+    setup: Setup, model: derived.BandModel, measured: Measured, band: Band, n_band: int, judging: bool
 ) -> _BandFit:
     settings, estimator = setup.settings, setup.settings.estimates
     estimate = _estimate(measured, model, settings)
@@ -291,11 +268,11 @@ def _fit_band(
         model, estimate, dropped = _eliminate(measured, model, estimate, settings)
     shown = expected(measured, model) if estimator.models_leakage else model
     fitted = shown.receptance(estimate.values, measured.omega)
-    leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
+    leakage = diagnostics.leakage_findings(measured, model.whole(estimate.values), estimator)
     case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
     judged = _judge(case, n_band, leaking=bool(leakage)) if judging else _Judged(by_lines(case))
     estimate, judgement = judged.estimate, judged.judgement
-    parameters = reported_parameters(estimate, model, setup)
+    parameters = derived.reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
         refit = functools.partial(_refit, setup, model)
@@ -310,13 +287,13 @@ def _fit_band(
         if settings.compare or settings.damping != VISCOUS
         else ((), ())
     )
-    notes = (*notes, *budgeted.notes, *motion_notes(measured), *place_notes(setup))
+    notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
     fit = replace(
-        reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
+        derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
-            *estimate_findings(estimate, model.names, measured.omega.size, model.units),
+            *diagnostics.estimate_findings(estimate, model.names, measured.omega.size, model.units),
             *judgement.findings,
-            *goodness_findings(estimate.gof),
+            *diagnostics.goodness_findings(estimate.gof),
             *leakage,
             *(_mass_findings(case, judged) if judging else ()),
             *_parameter_findings(budgeted.parameters, band, setup, measured, leaking=bool(leakage)),
@@ -358,7 +335,7 @@ def _with_budget(
     if budget is None:
         return _Budgeted(parameters)
     budget = budget.enlarged(factors)
-    expanded = with_systematic(parameters, budget)
+    expanded = derived.with_systematic(parameters, budget)
     draws = case.setup.settings.monte_carlo
     if not draws:
         return _Budgeted(expanded, budget)
@@ -370,12 +347,14 @@ def _parameter_findings(
     parameters: tuple[Parameter, ...], band: Band, setup: Setup, measured: Measured, *, leaking: bool
 ) -> list[Finding]:
     """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
-    of_mode = mode_findings(parameters, band, setup)
+    of_mode = diagnostics.mode_findings(parameters, band, setup)
     driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
-    others = parameter_findings(parameters, driving=driving, held=setup.closed_loop)
+    others = diagnostics.parameter_findings(parameters, driving=driving, held=setup.closed_loop)
     narrow: list[Finding] = []
     if measured.omega.size > 1 and not leaking and not setup.closed_loop:
-        narrow = narrow_findings(parameters, float(np.median(np.diff(measured.omega))) / (2 * np.pi))
+        narrow = diagnostics.narrow_findings(
+            parameters, float(np.median(np.diff(measured.omega))) / (2 * np.pi)
+        )
     kept = (finding for finding in others if not (of_mode and finding.code == "unphysical"))
     return [*kept, *of_mode, *narrow]
 
@@ -384,7 +363,7 @@ def _with_honest_intervals(
     parameters: tuple[Parameter, ...],
     judgement: Judgement,
     estimate: Estimate,
-    model: BandModel,
+    model: derived.BandModel,
     setup: Setup,
 ) -> tuple[Parameter, ...]:
     """The parameters with the intervals that the judgement of the residual leaves them."""
@@ -393,16 +372,18 @@ def _with_honest_intervals(
     if judgement.model_error is not None:
 
         def reported(values: FloatArray, covariance: FloatArray) -> tuple[Parameter, ...]:
-            return reported_parameters(replace(estimate, values=values, covariance=covariance), model, setup)
+            return derived.reported_parameters(
+                replace(estimate, values=values, covariance=covariance), model, setup
+            )
 
         return judgement.model_error.stated(parameters, reported)
     if judgement.covariance is None:
         return parameters
     pair = [
-        reported_parameters(replace(estimate, covariance=c), model, setup)
+        derived.reported_parameters(replace(estimate, covariance=c), model, setup)
         for c in (estimate.covariance, judgement.covariance)
     ]
-    return widened_parameters(parameters, *pair)
+    return derived.widened_parameters(parameters, *pair)
 
 
 @dataclass(frozen=True)
@@ -472,14 +453,16 @@ def _contradict(
     settings, pulls = case.setup.settings, assessed.pulls
     before, after = case.estimate.gof.chi2_reduced, assessed.reduced
     assert before is not None and after is not None and assessed.p_value is not None and pulls is not None
-    unexplained = assessed.p_value < MISMATCH_P and after - 1 > (1 - EXPLAINED) * (before - 1)
+    unexplained = assessed.p_value < diagnostics.MISMATCH_P and after - 1 > (1 - causes.EXPLAINED) * (
+        before - 1
+    )
     if settings.sliding is not None or unexplained:
         return (), {}
     mass = mass_uncertainty(settings)
     values = {} if mass is None else {mass.source: float(settings.mass)}  # type: ignore[arg-type]
     sources = (uncertainty.source for uncertainty in uncertainties)
     factors = dict(zip(sources, map(float, pulls.factors), strict=True))
-    return tuple(stated_findings(uncertainties, pulls, values)), factors
+    return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
 def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
@@ -495,16 +478,23 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
         return []
     chance = case.estimate.gof.chi2_p
     # A channel that is late makes any mass look wrong.
-    late = delay_findings(case.measured, model, values) if chance is not None and chance < MISMATCH_P else []
-    return [*judged.findings, *(late or mass_findings(case.measured, model, values, setup, judged.stated))]
+    late = (
+        causes.delay_findings(case.measured, model, values)
+        if chance is not None and chance < diagnostics.MISMATCH_P
+        else []
+    )
+    return [
+        *judged.findings,
+        *(late or causes.mass_findings(case.measured, model, values, setup, judged.stated)),
+    ]
 
 
-def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:
+def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[Parameter, ...]:
     """The parameters of one bootstrap repeat; FitError where the estimator does not converge."""
     estimate = _estimate(measured, model, setup.settings)
     if not estimate.converged:
         raise FitError("not converged")
-    return reported_parameters(estimate, model, setup)
+    return derived.reported_parameters(estimate, model, setup)
 
 
 def _eliminate(
@@ -556,5 +546,5 @@ def _curve(view: FormView, measured: Measured, fit: _BandFit, *, dense: bool) ->
         receptance = fit.model.receptance(fit.values, 2 * np.pi * at)
         return receptance * view.factor(at)[:, None, None] + view.offset
 
-    between, values = drawn_densely(model, frequency)
+    between, values = derived.drawn_densely(model, frequency)
     return replace(curve, dense_frequency=between, dense=values)

@@ -12,17 +12,10 @@ from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
+from labpipe.estimation import statistics
 from labpipe.estimation.descent import Linearisation, scaled_triangle
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel
-from labpipe.estimation.statistics import (
-    Estimate,
-    condition_number,
-    determination,
-    inflation_factors,
-    stack,
-    stacked_terms,
-)
 from labpipe.estimation.weights import complex_rows, has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.identification import Goodness
 
@@ -35,7 +28,7 @@ BIAS_NOTE = (
 )
 
 
-def least_squares(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
+def least_squares(measured: Measured, model: DynamicModel, weight: str = "none") -> statistics.Estimate:
     """Equation-error estimate; rows of the equation of motion without common parameters are separate
     regressions.
 
@@ -46,12 +39,12 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     equation = regression(measured, model, weight)
     n_parameter = len(model.terms)
     values, covariance, parameter_dof = equation_solution(equation, model)
-    r2, adjusted = determination(equation.right_side, equation.residual(values), n_parameter)
+    r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), n_parameter)
     design, amplification = _plain_design(measured, model, values, equation.terms)
     dof = measured.n_equation - n_parameter
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
     scaled, notes = measured.shared_noise * covariance, (BIAS_NOTE,)
-    return Estimate(
+    return statistics.Estimate(
         values=values,
         covariance=scaled,
         scaled_design=design,
@@ -165,7 +158,7 @@ def _plain_design(
     with contextlib.suppress(FitError):
         designs.append(model.equation_terms(model.receptance(values, measured.omega), measured.omega))
     candidates = [equation_design(terms, model, values) for terms in designs]
-    return max(candidates, key=lambda design: condition_number(design[0]))
+    return max(candidates, key=lambda design: statistics.condition_number(design[0]))
 
 
 def equation_design(
@@ -176,9 +169,9 @@ def equation_design(
 
     An error dH adds Z dH to the equation of motion, which is as large as Z H = B for dH as large as H.
     """
-    lengths, triangle, _ = scaled_triangle(stacked_terms(terms).T)
+    lengths, triangle, _ = scaled_triangle(statistics.stacked_terms(terms).T)
     forces = np.sqrt(terms.shape[1]) * np.linalg.norm(model.whole(values).force)
-    return triangle, forces * np.sqrt(inflation_factors(triangle)) / lengths
+    return triangle, forces * np.sqrt(statistics.inflation_factors(triangle)) / lengths
 
 
 def triangle_of(columns: FloatArray) -> FloatArray:
@@ -230,8 +223,8 @@ def _invert(
 
 def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """One regression: estimates and their covariance from its residual variance."""
-    columns = stacked_terms(terms).T
-    side = stack(right_side.reshape(-1))
+    columns = statistics.stacked_terms(terms).T
+    side = statistics.stack(right_side.reshape(-1))
     if side.size <= columns.shape[1]:
         what = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
         raise FitError(what, hint="widen the band")
@@ -274,7 +267,9 @@ BREAKDOWN_NOTE = (
 )
 
 
-def instrumental_variables(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
+def instrumental_variables(
+    measured: Measured, model: DynamicModel, weight: str = "none"
+) -> statistics.Estimate:
     """V^T A p = V^T b, V being A with the model's FRF of the last estimate instead of the measured one;
     started from ls.
 
@@ -288,16 +283,16 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
     )
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
-    correlation = weakest_correlation(instruments, stacked_terms(equation.terms))
+    correlation = weakest_correlation(instruments, statistics.stacked_terms(equation.terms))
     converged = stationary and correlation >= WEAKEST_INSTRUMENTS
     covariance = _sandwich(measured, model, equation, instruments, values)
     dof = measured.n_equation - len(model.terms)
-    r2, adjusted = determination(equation.right_side, equation.residual(values), len(model.terms))
+    r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), len(model.terms))
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
     notes = () if converged else (BREAKDOWN_NOTE.format(correlation=correlation),)
     design, amplification = equation_design(fitted_terms, model, values)
     scaled = measured.shared_noise * covariance
-    return Estimate(
+    return statistics.Estimate(
         values=values,
         covariance=scaled,
         scaled_design=design,
@@ -321,7 +316,10 @@ def instrument_step(
 
     def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
         equation = regression(changed, changed_model, weight)
-        columns, side = stacked_terms(equation.terms), stack(equation.right_side.reshape(-1))
+        columns, side = (
+            statistics.stacked_terms(equation.terms),
+            statistics.stack(equation.right_side.reshape(-1)),
+        )
         size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
         return _solve_instrumental(instruments, columns, side, size)
 
@@ -332,7 +330,10 @@ def _iterate(
     measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray
 ) -> tuple[FloatArray, bool, int]:
     """(estimate, True if converged, iterations)."""
-    columns, side = stacked_terms(equation.terms), stack(equation.right_side.reshape(-1))
+    columns, side = (
+        statistics.stacked_terms(equation.terms),
+        statistics.stack(equation.right_side.reshape(-1)),
+    )
     # Parameters of different dimension are compared in units of the regressors' lengths.
     size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
     last: ComplexArray | None = None
@@ -386,7 +387,7 @@ def _sandwich(
     """
     scores = _scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
-    bread = np.linalg.pinv(instruments @ stacked_terms(equation.terms).T)
+    bread = np.linalg.pinv(instruments @ statistics.stacked_terms(equation.terms).T)
     covariance: FloatArray = bread @ middle @ bread.T
     return covariance
 
@@ -415,7 +416,7 @@ def _residual_scores(
     values: FloatArray,
 ) -> FloatArray:
     """sum over lines of g g^T, g = V^T e of one line, enlarged by n / (n - k)."""
-    products = instruments * stack(equation.residual(values).reshape(-1))
+    products = instruments * statistics.stack(equation.residual(values).reshape(-1))
     by_line = products.reshape(values.size, 2, measured.omega.size, -1).sum(axis=(1, 3))
     middle: FloatArray = by_line @ by_line.T * (measured.n_equation / (measured.n_equation - values.size))
     return middle
@@ -423,7 +424,7 @@ def _residual_scores(
 
 def _weighted_columns(terms: ComplexArray, equation: Regression) -> FloatArray:
     weights = equation.line_weights
-    return stacked_terms(terms if np.all(weights == 1) else terms * weights[:, None, None])
+    return statistics.stacked_terms(terms if np.all(weights == 1) else terms * weights[:, None, None])
 
 
 def _change(new: NDArray[np.inexact], old: NDArray[np.inexact]) -> float:

@@ -19,15 +19,8 @@ from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.certificate import FREQUENCY, CertifiedQuantity, read_certificate
+from labpipe.records import uncertain
 from labpipe.records.settings import Settings, Uncertainties, setting
-from labpipe.records.uncertain import (
-    ChannelUncertainty,
-    Uncertain,
-    Uncertainty,
-    parse_uncertain,
-    split_uncertainty,
-    uncertainty_of,
-)
 from labpipe.registry import nearest
 
 # The uncertainties of a channel of a rig file: of its sensitivity, delay, phase and direction.
@@ -58,18 +51,20 @@ class Written:
     dof: str
     uncertainties: Uncertainties
     chain: ChainUncertaintySettings | None
-    certified: tuple[ChannelUncertainty, ...] = ()
+    certified: tuple[uncertain.ChannelUncertainty, ...] = ()
 
 
-def channel_uncertainties(written: Written, key: str, faults: Faults) -> tuple[ChannelUncertainty, ...]:
+def channel_uncertainties(
+    written: Written, key: str, faults: Faults
+) -> tuple[uncertain.ChannelUncertainty, ...]:
     """All uncertainties of a channel that are not zero; faults at their entries."""
-    readers: dict[str, Callable[[Written], Iterator[ChannelUncertainty]]] = {
+    readers: dict[str, Callable[[Written], Iterator[uncertain.ChannelUncertainty]]] = {
         "sensitivity": _of_sensitivity,
         "delay": _of_delay,
         "dof": _of_direction,
         "uncertainty": _of_chain,
     }
-    uncertainties: list[ChannelUncertainty] = []
+    uncertainties: list[uncertain.ChannelUncertainty] = []
     for entry, read in readers.items():
         try:
             uncertainties.extend(read(written))
@@ -78,55 +73,63 @@ def channel_uncertainties(written: Written, key: str, faults: Faults) -> tuple[C
     return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
 
 
-def _of_sensitivity(written: Written) -> Iterator[ChannelUncertainty]:
+def _of_sensitivity(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it
     names.
     """
     yield from written.certified
-    text, uncertainty = split_uncertainty(written.sensitivity)
+    text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
     if "#" in text:
         slope = calibrated_slope(text, written.node.folder)
         if slope.std_error:
-            number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
+            number = uncertain.Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
             yield _of_channel(written, "gain", number, f"sensitivity {text}")
     if uncertainty:
         yield _of_channel(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
 
 
-def _of_channel(written: Written, effect: str, number: Uncertain, source: str) -> ChannelUncertainty:
+def _of_channel(
+    written: Written, effect: str, number: uncertain.Uncertain, source: str
+) -> uncertain.ChannelUncertainty:
     unit = {"gain": "1", "delay": "s"}.get(effect, "rad")
-    return ChannelUncertainty(effect, uncertainty_of(number, f"{written.name}.{source}", unit))
+    return uncertain.ChannelUncertainty(
+        effect, uncertain.uncertainty_of(number, f"{written.name}.{source}", unit)
+    )
 
 
-def _relative(text: str, uncertainty: str) -> Uncertain:
+def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
     """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
     value, _, unit = text.strip().partition(" ")
-    number = parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
-    return Uncertain(
+    number = uncertain.parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
+    return uncertain.Uncertain(
         1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source
     )
 
 
-def _of_delay(written: Written) -> Iterator[ChannelUncertainty]:
+def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     for name, number in written.uncertainties:
         if name == "delay":
             yield _of_channel(written, "delay", number, "delay")
 
 
-def _of_direction(written: Written) -> Iterator[ChannelUncertainty]:
+def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
-    _, uncertainty = split_uncertainty(written.dof)
+    _, uncertainty = uncertain.split_uncertainty(written.dof)
     if uncertainty:
-        yield _of_channel(written, "direction", parse_uncertain(f"0 rad +- {uncertainty}", "rad"), "dof")
+        yield _of_channel(
+            written, "direction", uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad"), "dof"
+        )
 
 
-def _of_chain(written: Written) -> Iterator[ChannelUncertainty]:
+def _of_chain(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     if written.chain is None:
         return
     if written.chain.gain:
-        yield _of_channel(written, "gain", parse_uncertain(f"1 +- {written.chain.gain}", "1"), "gain")
+        yield _of_channel(
+            written, "gain", uncertain.parse_uncertain(f"1 +- {written.chain.gain}", "1"), "gain"
+        )
     if written.chain.phase:
-        number = parse_uncertain(f"0 rad +- {written.chain.phase}", "rad")
+        number = uncertain.parse_uncertain(f"0 rad +- {written.chain.phase}", "rad")
         yield _of_channel(written, "phase", number, "phase")
 
 
@@ -243,7 +246,7 @@ class Certified:
     """
 
     text: str
-    uncertainties: tuple[ChannelUncertainty, ...]
+    uncertainties: tuple[uncertain.ChannelUncertainty, ...]
     response: tuple[tuple[float, float, float], ...] = ()
 
 
@@ -275,7 +278,7 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         raise UnitError(f"{named} states a sensitivity of zero")
     source = f"certificate {certificate.number}"
     relative = max(u / abs(value) for u, value in zip(stated.std_errors, stated.values, strict=True))
-    gain = ChannelUncertainty("gain", Uncertainty(source, relative, "1"))
+    gain = uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, relative, "1"))
     if not settings.over:
         if len(stated.values) > 1:
             hint = f"over: {FREQUENCY}, at: 80 Hz"
@@ -291,7 +294,9 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         if phases.std_errors is None:
             raise UnitError(f"{named} states no uncertainty of '{settings.phase}'")
         error = max(parse_value(f"{u!r} {phases.unit}", "rad") for u in phases.std_errors)
-        uncertainties.append(ChannelUncertainty("phase", Uncertainty(f"{source}, phase", error, "rad")))
+        uncertainties.append(
+            uncertain.ChannelUncertainty("phase", uncertain.Uncertainty(f"{source}, phase", error, "rad"))
+        )
     return Certified(f"{at!r} {stated.unit}", tuple(uncertainties), response)
 
 

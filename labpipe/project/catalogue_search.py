@@ -26,15 +26,7 @@ import pyarrow.compute as pc
 from scipy import special
 
 from labpipe.arrays import FloatArray
-from labpipe.artefacts.dataset_file import (
-    AMOUNT,
-    CONDITION,
-    Part,
-    amount_of,
-    columns_of_conditions,
-    parts,
-    read_part,
-)
+from labpipe.artefacts import dataset_file
 from labpipe.artefacts.identification_file import NAME
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.project.catalogue import (
@@ -81,7 +73,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
         if pattern:
             table = _by_name(table, column, pattern)
     table = _at_conditions(table, criteria.where)
-    conditions = list(columns_of_conditions(table.column_names))
+    conditions = list(dataset_file.columns_of_conditions(table.column_names))
     units = {condition: _unit(table, condition) for condition in conditions}
     rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
     return [_value_row(row, f"{name}/{NAME}" if name != "." else NAME, conditions, units) for row in rows]
@@ -110,14 +102,18 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
 def _choose(folder: Path, criteria: Filter) -> pa.Table:
     """The rows with a value of the rigs and days asked for."""
     columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN}
-    tables = [read_part(part, columns) for part in parts(folder) if _may_hold(part, criteria)]
+    tables = [
+        dataset_file.read_part(part, columns)
+        for part in dataset_file.parts(folder)
+        if _may_hold(part, criteria)
+    ]
     if not tables:
         return pa.table({name: pa.array([], pa.string()) for name in (*_NAMED, "date")})
     table = pa.concat_tables(tables, promote_options="default")
     return table.filter(pc.is_valid(table["parameter"]))
 
 
-def _may_hold(part: Part, criteria: Filter) -> bool:
+def _may_hold(part: dataset_file.Part, criteria: Filter) -> bool:
     since, until = (checked_day(day) if day else "" for day in (criteria.since, criteria.until))
     in_time = (not since or part.date >= since) and (not until or part.date <= until)
     return in_time and (not criteria.rig or _fits(f"*{criteria.rig}*", part.rig, re.IGNORECASE))
@@ -148,22 +144,22 @@ def _holds(table: pa.Table, text: str) -> Any:
     ConfigError for one that cannot be read or that no test has.
     """
     name, sign, bound = split_condition(text)
-    if CONDITION + name not in table.column_names:
+    if dataset_file.CONDITION + name not in table.column_names:
         raise ConfigError(
             f"no test has the condition '{name}'",
-            hint=nearest(name, list(columns_of_conditions(table.column_names))),
+            hint=nearest(name, list(dataset_file.columns_of_conditions(table.column_names))),
         )
     try:
         amount, unit = si_amount(bound)
     except UnitError as error:
         if sign not in ("=", "!="):
             raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
-        return (pc.equal if sign == "=" else pc.not_equal)(table[CONDITION + name], bound)
+        return (pc.equal if sign == "=" else pc.not_equal)(table[dataset_file.CONDITION + name], bound)
     present = _unit(table, name)
     if unit != present:
         raise ConfigError(f"'{text}': the condition '{name}' is in {present or 'words'}, not in {unit}")
     near = SAME * max(abs(amount), SAME)
-    values = table[AMOUNT + name]
+    values = table[dataset_file.AMOUNT + name]
     if sign in ("=", "!="):
         same = pc.less_equal(pc.abs(pc.subtract(values, amount)), near)
         return same if sign == "=" else pc.invert(same)
@@ -172,21 +168,25 @@ def _holds(table: pa.Table, text: str) -> Any:
 
 def _unit(table: pa.Table, condition: str) -> str:
     """The unit of a condition's amounts; empty for words, and where tests have it in different dimensions."""
-    texts = (text for text in pc.unique(table[CONDITION + condition]).to_pylist() if text is not None)
-    units = {amount_of(text)[1] for text in texts}
+    texts = (
+        text for text in pc.unique(table[dataset_file.CONDITION + condition]).to_pylist() if text is not None
+    )
+    units = {dataset_file.amount_of(text)[1] for text in texts}
     return units.pop() if len(units) == 1 else ""
 
 
 def _value_row(row: dict[str, Any], path: str, conditions: Sequence[str], units: dict[str, str]) -> ValueRow:
     entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in ("path", "changes")}
-    texts = {name: text for name in conditions if (text := row[CONDITION + name]) is not None}
+    texts = {name: text for name in conditions if (text := row[dataset_file.CONDITION + name]) is not None}
     return ValueRow(
         **entries,
         path=path,
         changes=json.dumps(dict(row["changes"])),
         conditions=texts,
         amounts={
-            name: (amount, units[name]) for name in texts if (amount := row.get(AMOUNT + name)) is not None
+            name: (amount, units[name])
+            for name in texts
+            if (amount := row.get(dataset_file.AMOUNT + name)) is not None
         },
     )
 

@@ -16,20 +16,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import NORMAL, Parameter
 from labpipe.records.identification import Fit, RuleDecision, RuleOutcome, changes_of
 from labpipe.records.uncertain import parse_uncertain
-from labpipe.uncertainty.decisions import (
-    CONDITIONAL_PASS,
-    FAIL,
-    PASS,
-    Limits,
-    acceptance_by_risk,
-    conformance,
-    global_risk,
-    guard_band,
-    joint_conformance,
-    least_joint_conformance,
-    outcome_by_guard,
-    outcome_by_risk,
-)
+from labpipe.uncertainty import decisions
 
 # (value [SI], whether it meets the rule, the value in the rule's unit, how limits were decided on)
 Compared = tuple[float | str | None, bool, str, RuleDecision | None]
@@ -66,9 +53,9 @@ def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> C
         return None, False, "not judged: there is no value", None
     if error is None or not math.isfinite(error):
         return value, False, f"not judged: {shown} has no standard uncertainty", None
-    probability = conformance(value, error, limits)
+    probability = decisions.conformance(value, error, limits)
     outcome, acceptance = _outcome(decision, value, error, limits, probability)
-    risks = None if process is None else global_risk(process, error, limits, acceptance)
+    risks = None if process is None else decisions.global_risk(process, error, limits, acceptance)
     ends = (None, None) if acceptance is None else (_end(acceptance.low), _end(acceptance.high))
     record = RuleDecision(
         outcome=outcome,
@@ -86,11 +73,11 @@ def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> C
     return value, outcome in decision.outcomes, f"{shown}: {outcome}, {within(probability)}", record
 
 
-def limits_of(decision: Decision, unit: str) -> Limits:
+def limits_of(decision: Decision, unit: str) -> decisions.Limits:
     """The limits in SI; UnitError for those of another dimension, or where the lower one does not come
     first.
     """
-    limits = Limits(
+    limits = decisions.Limits(
         parse_value(decision.low, unit) if decision.low else -math.inf,
         parse_value(decision.high, unit) if decision.high else math.inf,
     )
@@ -125,25 +112,31 @@ def _text(decision: Decision, value: float, error: float | None, unit: str) -> s
 
 
 def _outcome(
-    decision: Decision, value: float, error: float, limits: Limits, probability: float
-) -> tuple[str, Limits | None]:
+    decision: Decision, value: float, error: float, limits: decisions.Limits, probability: float
+) -> tuple[str, decisions.Limits | None]:
     """The outcome, and the values that pass; None where none does."""
     if decision.rule == RISK:
-        return outcome_by_risk(probability, decision.risk), acceptance_by_risk(error, limits, decision.risk)
+        return decisions.outcome_by_risk(probability, decision.risk), decisions.acceptance_by_risk(
+            error, limits, decision.risk
+        )
     if decision.rule == SIMPLE:
-        return (PASS if limits.hold(value) else FAIL), limits
-    guard = guard_band(error, decision.risk) if decision.guard is None else decision.guard * NORMAL * error
+        return (decisions.PASS if limits.hold(value) else decisions.FAIL), limits
+    guard = (
+        decisions.guard_band(error, decision.risk)
+        if decision.guard is None
+        else decision.guard * NORMAL * error
+    )
     if guard < 0:
         # A band outwards: what passes lies within it, and nothing is conditional.
         wide = limits.narrowed(guard)
-        return (PASS if wide.hold(value) else FAIL), wide
+        return (decisions.PASS if wide.hold(value) else decisions.FAIL), wide
     narrow = limits.narrowed(guard)
-    return outcome_by_guard(value, guard, limits), narrow if narrow.low <= narrow.high else None
+    return decisions.outcome_by_guard(value, guard, limits), narrow if narrow.low <= narrow.high else None
 
 
 def _specific(outcome: str, probability: float) -> float:
     """The risk of this decision: of a false acceptance where the value passes, of a false rejection else."""
-    return 1.0 - probability if outcome in (PASS, CONDITIONAL_PASS) else probability
+    return 1.0 - probability if outcome in (decisions.PASS, decisions.CONDITIONAL_PASS) else probability
 
 
 def _end(value: float) -> float | None:
@@ -162,7 +155,7 @@ class Limited:
 
     owner: Fit | Comparison
     name: str
-    limits: Limits
+    limits: decisions.Limits
     value: float | None
     error: float | None
     changes: Mapping[str, float] = field(default_factory=dict)
@@ -220,15 +213,17 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
         is_known = is_known and common is not None
         covariance[first, second] = covariance[second, first] = common or 0.0
     if is_known:
-        probability = joint_conformance(values, covariance, limits)
+        probability = decisions.joint_conformance(values, covariance, limits)
     else:
-        singles = [conformance(*single) for single in zip(values, errors, limits, strict=True)]
-        probability = least_joint_conformance(singles)
+        singles = [decisions.conformance(*single) for single in zip(values, errors, limits, strict=True)]
+        probability = decisions.least_joint_conformance(singles)
     if decision.rule == RISK:
-        outcome = outcome_by_risk(probability, decision.risk)
+        outcome = decisions.outcome_by_risk(probability, decision.risk)
     else:
         outcome = (
-            PASS if all(limit.hold(value) for limit, value in zip(limits, values, strict=True)) else FAIL
+            decisions.PASS
+            if all(limit.hold(value) for limit, value in zip(limits, values, strict=True))
+            else decisions.FAIL
         )
     record = RuleDecision(
         outcome=outcome,

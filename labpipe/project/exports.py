@@ -18,14 +18,8 @@ import scipy
 
 from labpipe import __version__
 from labpipe.arrays import FloatArray
+from labpipe.artefacts import measured_files
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.artefacts.measured_files import (
-    DECAY_SUFFIX,
-    SPECTRA_SUFFIX,
-    read_decays,
-    read_response,
-    read_spectra,
-)
 from labpipe.artefacts.parquet import arrow_array, open_parquet
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
@@ -52,7 +46,7 @@ def write_csv(artefact: Path, target: Path) -> None:
     """
     table = _table(artefact)
     if table is None:
-        write_frf_csv(target, read_response(artefact))
+        write_frf_csv(target, measured_files.read_response(artefact))
     else:
         write_table_csv(table, target)
 
@@ -61,7 +55,7 @@ def write_parquet(artefact: Path, target: Path) -> None:
     """The same tables as Parquet, without labpipe's header."""
     table = _table(artefact)
     if table is None:
-        read_response(artefact)  # DataError for a file that is no response
+        measured_files.read_response(artefact)  # DataError for a file that is no response
         table = open_parquet(artefact).read().to_pandas()
     table.to_parquet(target, index=False)
 
@@ -70,8 +64,8 @@ def _table(artefact: Path) -> pd.DataFrame | None:
     """An artefact as a table by the ending of its name; None for an FRF."""
     tables = {
         ".json": parameter_table,
-        DECAY_SUFFIX: decay_table,
-        SPECTRA_SUFFIX: spectra_table,
+        measured_files.DECAY_SUFFIX: decay_table,
+        measured_files.SPECTRA_SUFFIX: spectra_table,
         RECORDING_SUFFIX: recording_table,
     }
     return next((table(artefact) for suffix, table in tables.items() if artefact.name.endswith(suffix)), None)
@@ -89,7 +83,7 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_uff(target, open_recording(artefact).in_memory(), binary)
     else:
-        write_frf_uff(target, read_response(artefact), binary)
+        write_frf_uff(target, measured_files.read_response(artefact), binary)
 
 
 def write_uff58b(artefact: Path, target: Path) -> None:
@@ -105,7 +99,7 @@ def write_mat(artefact: Path, target: Path) -> None:
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_mat(target, open_recording(artefact).in_memory())
     else:
-        write_frf_mat(target, read_response(artefact))
+        write_frf_mat(target, measured_files.read_response(artefact))
 
 
 def write_shapes(artefact: Path, target: Path) -> None:
@@ -165,7 +159,7 @@ def decay_table(artefact: Path) -> pd.DataFrame:
     """One row per sample: the number of the decay from 1, its recording, time in it in seconds, and the
     responses in SI units.
     """
-    decays = read_decays(artefact)
+    decays = measured_files.read_decays(artefact)
     names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
     tables = []
     for number, decay in enumerate(decays.decays, 1):
@@ -179,7 +173,10 @@ def decay_table(artefact: Path) -> pd.DataFrame:
 
 def _refuse_tables(artefact: Path, what: str) -> None:
     """DataError for spectra of all channels and for decays, of which there are tables only."""
-    for suffix, name in ((SPECTRA_SUFFIX, "spectra of all channels"), (DECAY_SUFFIX, "free decays")):
+    for suffix, name in (
+        (measured_files.SPECTRA_SUFFIX, "spectra of all channels"),
+        (measured_files.DECAY_SUFFIX, "free decays"),
+    ):
         if artefact.name.endswith(suffix):
             raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
 
@@ -188,7 +185,7 @@ def spectra_table(artefact: Path) -> pd.DataFrame:
     """One row per run and line: real part, imaginary part and standard deviation of every channel "name
     [unit]".
     """
-    spectra = read_spectra(artefact)
+    spectra = measured_files.read_spectra(artefact)
     tables = []
     for number, run in enumerate(spectra.runs):
         table = pd.DataFrame({"run": run, "frequency_hz": spectra.frequency})

@@ -16,17 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts import recording_file
 from labpipe.artefacts.digest import DigestAlong, file_sha256
 from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import fresh_path, has_header
-from labpipe.artefacts.recording_file import (
-    SUFFIX,
-    RecordingWriter,
-    StoredRecording,
-    open_recording,
-    read_ahead,
-    recording_contents,
-)
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, readings
@@ -46,7 +39,9 @@ IN_CACHE = 1 << 12
 
 def is_recording(path: Path) -> bool:
     """Whether the file is already a calibrated recording of labpipe's own."""
-    return path.name.endswith(SUFFIX) or (path.suffix == ".parquet" and path.is_file() and has_header(path))
+    return path.name.endswith(recording_file.SUFFIX) or (
+        path.suffix == ".parquet" and path.is_file() and has_header(path)
+    )
 
 
 def ingest(
@@ -57,7 +52,7 @@ def ingest(
     base: Path,
     joined: Sequence[Path] = (),
     by: str = "",
-) -> StoredRecording:
+) -> recording_file.StoredRecording:
     """The calibrated recording of a raw file, made unless the one on disk is fresh.
 
     *name* is the recording's file name in the output folder without its ending; *base* is the folder to which
@@ -65,14 +60,14 @@ def ingest(
     or sample. Raises DataError with file and line for what cannot be used.
     """
     if is_recording(source):
-        return open_recording(source)
+        return recording_file.open_recording(source)
     table = _join([source, *joined], rig, by) if joined else _open(source, rig)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
     inputs = tuple(source_ref(path, base) for path in (source, *joined))
     header = Header("recording", parameters, inputs=inputs)
-    if (fresh := fresh_path(output, name + SUFFIX, header)) is not None:
-        return open_recording(fresh)
-    target = output.write_path(name + SUFFIX)
+    if (fresh := fresh_path(output, name + recording_file.SUFFIX, header)) is not None:
+        return recording_file.open_recording(fresh)
+    target = output.write_path(name + recording_file.SUFFIX)
     recording = _write(table, rig, target, header, source.stem)
     for path, reference in zip((source, *joined), header.inputs, strict=True):
         if source_ref(path, base) != reference:
@@ -172,7 +167,7 @@ class Calibration:
         return block if self._sums is None else np.concatenate([block, block @ self._sums], axis=1)
 
 
-def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> StoredRecording:
+def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> recording_file.StoredRecording:
     timed = check_table(table, rig)
     channels = rig.all_channels
     time = TimeAxisScreen(rig.time) if rig.time else None
@@ -180,7 +175,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> S
         stated_rate(table, rig)
     screen, calibration = channel_screen(rig), Calibration(rig)
     try:
-        with RecordingWriter(target, channels) as writer:
+        with recording_file.RecordingWriter(target, channels) as writer:
             for chunk in table.chunks(timed):
                 if time is not None:
                     time.add(chunk[:, 0] * rig.time_scale)
@@ -188,7 +183,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> S
                 screen.add(block)
                 writer.write(calibration.with_sums(block))
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
-            contents = recording_contents(channels, sample_rate, name, screen.levels())
+            contents = recording_file.recording_contents(channels, sample_rate, name, screen.levels())
             of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
             findings = (*of_table, *screen.findings())
             writer.finish(dataclasses.replace(header, findings=findings, contents=contents))
@@ -265,7 +260,11 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     names: dict[str, None] = {}
     numbers: dict[str, int] = {}
     for path in paths:
-        stem = path.name.removesuffix(SUFFIX) if path.name.endswith(SUFFIX) else path.stem
+        stem = (
+            path.name.removesuffix(recording_file.SUFFIX)
+            if path.name.endswith(recording_file.SUFFIX)
+            else path.stem
+        )
         name, number = stem, numbers.get(stem, 1)
         while name in names:
             number += 1
@@ -275,14 +274,16 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     return list(names)
 
 
-def ingest_all(sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path) -> list[StoredRecording]:
+def ingest_all(
+    sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path
+) -> list[recording_file.StoredRecording]:
     """`ingest` for many files of one rig."""
     paths = list(sources)
     named = zip(paths, unique_names(paths), strict=True)
     return [ingest(path, rig, output, name, base) for path, name in named]
 
 
-def recording_refs(recording: StoredRecording, base: Path) -> tuple[SourceRef, ...]:
+def recording_refs(recording: recording_file.StoredRecording, base: Path) -> tuple[SourceRef, ...]:
     """The references by which a result names the raw files behind a recording."""
     return recording.header.inputs or (source_ref(recording.path, base),)
 
@@ -344,7 +345,7 @@ class RawRecording:
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
-        return read_ahead(self._blocks_in_turn(n_sample))
+        return recording_file.read_ahead(self._blocks_in_turn(n_sample))
 
     def _blocks_in_turn(self, n_sample: int) -> Iterator[FloatArray]:
         for columns in self._screened() if self._findings is None else self._record():

@@ -9,15 +9,7 @@ from typing import Any
 
 from labpipe.display import amount_text, with_error
 from labpipe.errors import ConfigError
-from labpipe.project.deciding import (
-    Compared,
-    Limited,
-    decide,
-    decided_together,
-    limited_by_comparison,
-    limited_by_fit,
-    stated_error,
-)
+from labpipe.project import deciding
 from labpipe.project.rules import Rule
 from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
 from labpipe.records.comparison import Comparison, ConditionMatrices
@@ -31,18 +23,20 @@ from labpipe.registry import nearest
 # Numbers held against a rule, and how they are shown: in the unit in which the rule is written.
 
 # (rule, value, unit, standard uncertainty) -> what is compared
-CompareNumber = Callable[..., Compared]
+CompareNumber = Callable[..., deciding.Compared]
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 
 
-def compare_number(rule: Rule, value: float | None, unit: str, error: float | None = None) -> Compared:
+def compare_number(
+    rule: Rule, value: float | None, unit: str, error: float | None = None
+) -> deciding.Compared:
     """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule.
 
     One that could not be given meets none. *error*: its standard uncertainty [unit], by which rules with
     limits are decided; all others compare the value alone.
     """
     if rule.decision is not None:
-        return decide(rule, value, error, unit)
+        return deciding.decide(rule, value, error, unit)
     try:
         text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
@@ -69,7 +63,7 @@ def found_text(rule: Rule, value: float, unit: str) -> str:
     )
 
 
-def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> Compared:
+def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> deciding.Compared:
     """Whether a 95 % interval [*unit*, SI] covers the value of the rule.
 
     The interval as text, in SI and in the unit of the rule.
@@ -85,7 +79,7 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> C
     return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends, None
 
 
-def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
+def compare_expanded(rule: Rule, parameter: Parameter) -> deciding.Compared:
     """The expanded uncertainty, half the 95 % interval where noise alone is known.
 
     Relative to the value where the rule is in per cent.
@@ -179,7 +173,7 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
 
     ConfigError at its place where it addresses what the result does not have.
     """
-    numbers: list[Limited] = []
+    numbers: list[deciding.Limited] = []
     for member in rule.together:
         try:
             numbers.extend(_limit(member, fits, records))
@@ -187,10 +181,10 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
             raise ConfigError(
                 f"{member.section}.{rule.address}.{member.address}: {error.what}", member.place, error.hint
             ) from None
-    return decided_together(rule, numbers)
+    return deciding.decided_together(rule, numbers)
 
 
-def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[Limited]:
+def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[deciding.Limited]:
     """The numbers that one of several limits addresses."""
     comparisons = [
         record
@@ -200,11 +194,13 @@ def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[
         if isinstance(record, Comparison) and record.name == rule.fit
     ]
     if comparisons:
-        return [limited_by_comparison(rule, comparisons[0], _amount(rule, comparisons[0], rule.item))]
+        return [
+            deciding.limited_by_comparison(rule, comparisons[0], _amount(rule, comparisons[0], rule.item))
+        ]
     addressed = _having(rule, _address(rule, fits))
     if not addressed or rule.item in _FIT_VALUES:
         raise UnitError("no such fit or parameter in the result", "limits together need parameters of fits")
-    return [limited_by_fit(rule, fit, fit.parameter(rule.item)) for fit in addressed]
+    return [deciding.limited_by_fit(rule, fit, fit.parameter(rule.item)) for fit in addressed]
 
 
 def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
@@ -274,7 +270,7 @@ def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
     ]
 
 
-def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> Compared:
+def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> deciding.Compared:
     """ "collinear" must be among the warnings, "not collinear" must not, "also collinear" may; "none" means
     no warning at all.
     """
@@ -311,7 +307,7 @@ def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
     return (name, attribute) if name else (item, "")
 
 
-def _compare_item(rule: Rule, fit: Fit) -> Compared:
+def _compare_item(rule: Rule, fit: Fit) -> deciding.Compared:
     if not fit.converged:
         return None, False, "not judged: the fit did not converge", None
     if rule.item in _FIT_VALUES:
@@ -324,12 +320,12 @@ def _compare_item(rule: Rule, fit: Fit) -> Compared:
     return _compare_attribute(rule, parameter, attribute)
 
 
-def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> Compared:
+def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deciding.Compared:
     if attribute == "std_error":
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
         return compare_expanded(rule, parameter)
-    return compare_number(rule, parameter.value, parameter.unit, stated_error(parameter))
+    return compare_number(rule, parameter.value, parameter.unit, deciding.stated_error(parameter))
 
 
 # Holding comparisons against rules: "name.amount", "name.amount.covers", ".std_error", ".expanded",
@@ -377,4 +373,4 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
         raise rule.fault(f"the matrix has no '{rule.item}'", hint) from None
-    return rule.outcome(*compare_number(rule, amount.value, amount.unit, stated_error(amount)))
+    return rule.outcome(*compare_number(rule, amount.value, amount.unit, deciding.stated_error(amount)))

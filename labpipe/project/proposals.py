@@ -10,20 +10,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.project.first_guess import (
-    MODAL_LINES,
-    GuessedChannel,
-    band_of,
-    copies,
-    first_rows,
-    guess_channels,
-    half_power_lines,
-    highest_peak,
-    peaks_of,
-    step_of,
-    time_columns,
-    with_hammer,
-)
+from labpipe.project import first_guess
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.first_look import Excitation, look, round_down
@@ -46,7 +33,7 @@ class FirstLook:
     Rows (n_sample, n_channel) as recorded.
     """
 
-    channels: tuple[GuessedChannel, ...]
+    channels: tuple[first_guess.GuessedChannel, ...]
     rate: float
     time: str
     rows: FloatArray
@@ -63,25 +50,27 @@ class FirstLook:
 
 def first_look(table: Table) -> FirstLook:
     """The channels of a table with what its metadata say, its rate and time column, and its first rows."""
-    names, rows = first_rows(table)
+    names, rows = first_guess.first_rows(table)
     if rows.shape[0] < 2:
         raise DataError("holds too few samples", table.path)
-    times = time_columns(names, rows)
+    times = first_guess.time_columns(names, rows)
     signal_numbers = [number for number, name in enumerate(names) if name not in times]
     if not signal_numbers:
         raise DataError("holds no column but time", table.path)
     time = times[0] if times and table.sample_rate is None else ""
-    step = step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
+    step = first_guess.step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
     rate = table.sample_rate or (1 / step if step else 0.0)
-    copied = copies([names[n] for n in signal_numbers], rows[:, signal_numbers])
+    copied = first_guess.copies([names[n] for n in signal_numbers], rows[:, signal_numbers])
     chosen = [n for n in signal_numbers if names[n] not in copied]
     others: dict[str, int] = getattr(table, "unused", {})
     unused = (
         *(f"{name}: {reason}" for name, reason in copied.items()),
         *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
     )
-    channels = guess_channels([names[n] for n in chosen], table.units, getattr(table, "sensitivities", {}))
-    return FirstLook(with_hammer(channels, rows[:, chosen]), rate, time, rows[:, chosen], unused)
+    channels = first_guess.guess_channels(
+        [names[n] for n in chosen], table.units, getattr(table, "sensitivities", {})
+    )
+    return FirstLook(first_guess.with_hammer(channels, rows[:, chosen]), rate, time, rows[:, chosen], unused)
 
 
 def excitation_of(force: FloatArray, rate: float) -> Excitation:
@@ -133,13 +122,13 @@ def propose(
     """The fit around the highest peak of a *mobility* (n_line,) [1]: a single mass where force and response
     are at one point, which the phase of complex ones can deny, else a mode.
     """
-    peak, seen = highest_peak(mobility, coherence)
+    peak, seen = first_guess.highest_peak(mobility, coherence)
     turned = abs(np.angle(mobility[peak])) > np.radians(AT_ONE_POINT)
     size = np.abs(mobility)
-    lines = half_power_lines(size, peak)
-    if (at_one_point and not turned) or frequency.size < MODAL_LINES:
-        return Proposal("sdof", band_of(frequency, size, peak), seen, lines)
-    return Proposal("modal", band_of(frequency, size, peak, MODAL_LINES), seen, lines)
+    lines = first_guess.half_power_lines(size, peak)
+    if (at_one_point and not turned) or frequency.size < first_guess.MODAL_LINES:
+        return Proposal("sdof", first_guess.band_of(frequency, size, peak), seen, lines)
+    return Proposal("modal", first_guess.band_of(frequency, size, peak, first_guess.MODAL_LINES), seen, lines)
 
 
 def proposals(
@@ -199,7 +188,7 @@ def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Propo
     return propose(response.frequency, peak_of, at_one_point=True, coherence=coherence)
 
 
-def _as_channel(channel: GuessedChannel) -> Channel:
+def _as_channel(channel: first_guess.GuessedChannel) -> Channel:
     """The channel for a look at the spectra; what is not known counts as a displacement, in any unit."""
     is_plain = channel.quantity in ("force", "velocity", "acceleration")
     quantity = channel.quantity if is_plain else "displacement"
@@ -246,7 +235,7 @@ def _strongest_peak(decays: Sequence[FloatArray]) -> tuple[int, int]:
     length = sorted(decay.size for decay in decays)[len(decays) // 2]
     taper = 0.5 + 0.5 * np.cos(np.pi * np.arange(length) / length)
     power = np.mean([_power(decay[:length], taper) for decay in decays if decay.size >= length], axis=0)
-    peaks = peaks_of(np.sqrt(power))
+    peaks = first_guess.peaks_of(np.sqrt(power))
     peaks = peaks[peaks >= LEAST_PERIODS]
     return (int(peaks[np.argmax(power[peaks])]) if peaks.size else 0), length
 

@@ -8,15 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labpipe.errors import ConfigError
-from labpipe.project.calibrations import (
-    Certified,
-    ChainUncertaintySettings,
-    Written,
-    calibrated_slope,
-    certified_sensitivity,
-    channel_uncertainties,
-    read_sensor_response,
-)
+from labpipe.project import calibrations
 from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
@@ -95,10 +87,10 @@ class ChannelSettings(Settings):
     range: tuple[float, float] | None = setting(
         "text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None
     )
-    uncertainty: ChainUncertaintySettings | None = setting(
+    uncertainty: calibrations.ChainUncertaintySettings | None = setting(
         "section",
         "uncertainty of the whole chain",
-        section=ChainUncertaintySettings,
+        section=calibrations.ChainUncertaintySettings,
         default=None,
         before="doubt",
     )
@@ -336,14 +328,14 @@ def _sum_channel(
     return Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
 
 
-def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, Certified | None]:
+def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, calibrations.Certified | None]:
     """A channel with the number of its certificate in the place of the reference to it, and what else the
     certificate states; None without one.
     """
     entry = node.content.get("sensitivity") if isinstance(node.content, dict) else None
     if entry is None or not isinstance(entry.content, dict) or "certificate" not in entry.content:
         return node, None
-    certified = certified_sensitivity(entry, join(key, "sensitivity"), faults)
+    certified = calibrations.certified_sensitivity(entry, join(key, "sensitivity"), faults)
     if certified is None:
         return node, None
     if certified.response and "response" in node.content:
@@ -365,7 +357,7 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     limits = _limits(settings, node, key, faults)
     dof, angle = _direction(split_uncertainty(settings.dof)[0] or name, node, key, faults)
     response = _response(settings, node, key, faults) or (certified.response if certified else ())
-    written = Written(
+    written = calibrations.Written(
         name,
         node,
         settings.sensitivity,
@@ -375,7 +367,7 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
         certified.uncertainties if certified else (),
     )
     # Of a number that cannot be read there is one fault, not a second one of its uncertainty.
-    uncertainties = channel_uncertainties(written, key, faults) if len(faults) == before else ()
+    uncertainties = calibrations.channel_uncertainties(written, key, faults) if len(faults) == before else ()
     if len(faults) > before:
         return None
     sign = -1.0 if settings.invert else 1.0
@@ -405,7 +397,7 @@ def _response(
     if not settings.response:
         return ()
     try:
-        return read_sensor_response(node.folder / settings.response)
+        return calibrations.read_sensor_response(node.folder / settings.response)
     except UnitError as error:
         faults.add_unit(node.content["response"], join(key, "response"), error)
         return ()
@@ -437,7 +429,7 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
     "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration.
     """
     if "#" in text:
-        slope = calibrated_slope(text, node.folder)
+        slope = calibrations.calibrated_slope(text, node.folder)
         text = f"{slope.value!r} {slope.unit}"
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:

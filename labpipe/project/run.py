@@ -13,23 +13,12 @@ from pathlib import Path
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder, existing_home, staging_folder
 from labpipe.errors import ConfigError, DataError
+from labpipe.project import one_test
 from labpipe.project.executors import Execute, serially
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import unique_names
 from labpipe.project.many_tests import Gathered, advice, identify, keeps_dataset
 from labpipe.project.measured import MeasuredTest, file_stem
-from labpipe.project.one_test import (
-    Done,
-    Job,
-    Tell,
-    brought,
-    finished_fits,
-    measure,
-    measured_of,
-    measured_refs,
-    silent,
-    work,
-)
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.rules import Rule
 from labpipe.project.work import check_tested
@@ -51,7 +40,7 @@ class Manner:
     *execute* does the jobs of several tests; *processes*: for a study, 0 for one per processor.
     """
 
-    tell: Tell = silent
+    tell: one_test.Tell = one_test.silent
     progress: Progress = lambda _done, _total, _name: None
     execute: Execute = serially
     processes: int = 0
@@ -91,7 +80,7 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     )
 
 
-def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
+def run_only(pipeline: Pipeline, target: Path, test: str) -> one_test.Done:
     """One test of several up to its fits, into the folder that a run of all of them goes on from; ConfigError
     for a test that there is not.
 
@@ -101,7 +90,7 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
     if test not in names or len(names) < MANY:
         raise ConfigError(f"no test '{test}' among several", pipeline.path, nearest(test, names))
     with staging_folder(existing_home(target)) as scratch:
-        return work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
+        return one_test.work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
 
 
 def identify_many(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification | None:
@@ -146,8 +135,10 @@ def measure_tests(
             done = {}
             for job in jobs:
                 # The only test of a pipeline, measured here.
-                with brought(job) as near:
-                    done[job.test.name] = Done(job.test.name, measure(near, output, manner.tell))
+                with one_test.brought(job) as near:
+                    done[job.test.name] = one_test.Done(
+                        job.test.name, one_test.measure(near, output, manner.tell)
+                    )
     output.remarks.extend(remark for outcome in done.values() for remark in outcome.remarks)
     finished = [job for job in jobs if done[job.test.name].failed is None]
     failed = tuple(failure for job in jobs if (failure := done[job.test.name].failed) is not None)
@@ -156,9 +147,9 @@ def measure_tests(
         raise DataError(f"{failed[0].message} ({others})")
     sources = [source for job in finished for source in done[job.test.name].sources]
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
-    tests = [part for job in finished for part in measured_of(job, output)]
-    inputs = tuple(reference for job in finished for reference in measured_refs(job, output))
-    return Measured(tuple(tests), tuple(sources), finished_fits(finished, output), failed, inputs)
+    tests = [part for job in finished for part in one_test.measured_of(job, output)]
+    inputs = tuple(reference for job in finished for reference in one_test.measured_refs(job, output))
+    return Measured(tuple(tests), tuple(sources), one_test.finished_fits(finished, output), failed, inputs)
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:
@@ -172,7 +163,7 @@ def _jobs(
     scratch: Path,
     fits: Sequence[str],
     rules: tuple[Rule, ...] | None = None,
-) -> list[Job]:
+) -> list[one_test.Job]:
     """One job for each test.
 
     ConfigError when two would write the same file, or a fit names a test that there is not.
@@ -192,7 +183,7 @@ def _jobs(
         check_tested(settings, test_names)
     names = iter(unique_names([source.path for test in pipeline.tests for source in test.recordings]))
     return [
-        Job(
+        one_test.Job(
             test,
             tuple(next(names) for _ in test.recordings),
             frf=test.frf or pipeline.frf,
@@ -210,11 +201,11 @@ def _jobs(
     ]
 
 
-def _outcomes(jobs: Sequence[Job], manner: Manner) -> Iterator[Done]:
+def _outcomes(jobs: Sequence[one_test.Job], manner: Manner) -> Iterator[one_test.Done]:
     """Outcomes of the jobs as they end; DataError when the user interrupts them."""
     count = 0
     try:
-        for outcome in manner.execute(work, jobs):
+        for outcome in manner.execute(one_test.work, jobs):
             count += 1
             manner.progress(count, len(jobs), outcome.test)
             if outcome.halts and outcome.failed is not None:

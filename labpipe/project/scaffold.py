@@ -17,14 +17,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError, LabpipeError
-from labpipe.project.first_guess import (
-    MODAL_LINES,
-    GuessedChannel,
-    band_of,
-    highest_peak,
-    peaks_of,
-    phase_rises,
-)
+from labpipe.project import first_guess
 from labpipe.project.guessed_frfs import GuessedFrf, guessed_frf
 from labpipe.project.proposals import (
     UNSEEN,
@@ -171,7 +164,7 @@ def _rig(first: FirstLook, path: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _channel_line(channel: GuessedChannel, anchor: str) -> str:
+def _channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
     """A channel; *anchor*: of a unit that several channels of a quantity share, '&' where it is decided, '*'
     where it is only referred to.
     """
@@ -331,24 +324,27 @@ def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
     moving = guessed.frequency > 0
     frequency = guessed.frequency[moving]
     mobility = np.sqrt(np.mean(np.square(sizes), axis=0))[moving] * frequency ** _order(guessed)
-    peaks = peaks_of(mobility)
+    peaks = first_guess.peaks_of(mobility)
     ends = [*(peaks[:-1] + peaks[1:]) // 2, frequency.size - 1]
     # Stretches of lines with their peaks: those that are too short for a fit go with the next.
     stretches: list[tuple[int, list[int]]] = []
     begin, inside = 0, []
     for peak, end in zip(peaks.tolist(), ends, strict=False):
         inside.append(peak)
-        if end - begin >= MODAL_LINES or end == ends[-1]:
+        if end - begin >= first_guess.MODAL_LINES or end == ends[-1]:
             stretches.append((begin, inside))
             begin, inside = int(end), []
-    if len(stretches) > 1 and ends[-1] - stretches[-1][0] < MODAL_LINES:
+    if len(stretches) > 1 and ends[-1] - stretches[-1][0] < first_guess.MODAL_LINES:
         begin, inside = stretches.pop()
         stretches[-1][1].extend(inside)
     lines = []
     after = [*(begin for begin, _ in stretches[1:]), frequency.size - 1]
     for number, ((begin, inside), end) in enumerate(zip(stretches, after, strict=True), 1):
         part = slice(begin, end + 1)
-        bands = [band_of(frequency[part], mobility[part], peak - begin, MODAL_LINES) for peak in inside]
+        bands = [
+            first_guess.band_of(frequency[part], mobility[part], peak - begin, first_guess.MODAL_LINES)
+            for peak in inside
+        ]
         lines += [f"  mode_{number}:", "    model: modal"]
         band = f"    band: {bands[0][0]:.6g}-{bands[-1][1]:.6g} Hz"
         lines.append(_remark(band, "around a peak of all points"))
@@ -438,8 +434,8 @@ def _with_falling_phase(guessed: GuessedFrf) -> GuessedFrf:
     if not guessed.word or np.sum(guessed.frequency > 0) < 3:
         return guessed
     mobility = _mobility(guessed)
-    peak, _ = highest_peak(np.sqrt(np.mean(np.abs(mobility) ** 2, axis=1)))
-    if not phase_rises(mobility, peak):
+    peak, _ = first_guess.highest_peak(np.sqrt(np.mean(np.abs(mobility) ** 2, axis=1)))
+    if not first_guess.phase_rises(mobility, peak):
         return guessed
     return replace(guessed, values=guessed.values.conj(), conjugate=True)
 

@@ -20,17 +20,10 @@ from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import FileKind
 from labpipe.registry import nearest
-from labpipe.simulate.virtual_rigs import (
-    VIRTUAL_RIGS,
-    LoggedFile,
-    LoggedTable,
-    VirtualRig,
-    VirtualRigKind,
-    simulate,
-)
+from labpipe.simulate import virtual_rigs
 
 
-def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
+def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> virtual_rigs.VirtualRig:
     """The settings of a virtual rig file, of the class of its kind.
 
     ConfigErrors with every fault at its place.
@@ -40,13 +33,13 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
     entries = faults.mapping(tree, "")
     kind = entries["kind"].text if "kind" in entries else ""
     if not kind:
-        faults.add(tree, "kind", "is missing", f"known: {', '.join(VIRTUAL_RIGS.names())}")
-    elif kind not in VIRTUAL_RIGS.names():
-        known = VIRTUAL_RIGS.names()
+        faults.add(tree, "kind", "is missing", f"known: {', '.join(virtual_rigs.VIRTUAL_RIGS.names())}")
+    elif kind not in virtual_rigs.VIRTUAL_RIGS.names():
+        known = virtual_rigs.VIRTUAL_RIGS.names()
         faults.add_at(entries, "", "kind", f"unknown virtual rig '{kind}'", nearest(kind, known))
     faults.raise_any()
-    chosen: VirtualRigKind = VIRTUAL_RIGS.load(kind)
-    rig: VirtualRig | None = read_settings(chosen.settings, tree, "", faults)
+    chosen: virtual_rigs.VirtualRigKind = virtual_rigs.VIRTUAL_RIGS.load(kind)
+    rig: virtual_rigs.VirtualRig | None = read_settings(chosen.settings, tree, "", faults)
     faults.raise_any()
     assert rig is not None
     return rig
@@ -58,9 +51,11 @@ VIRTUAL_RIG_FILE = FileKind(load_virtual_rig)
 TRUTH = "truth.json"
 
 
-def simulate_files(rig: VirtualRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+def simulate_files(
+    rig: virtual_rigs.VirtualRig, seed: int, runs: Iterable[str] | None, output: OutputFolder
+) -> list[str]:
     """Write the files of a virtual rig and truth.json; their names."""
-    simulation = simulate(rig, seed, runs)
+    simulation = virtual_rigs.simulate(rig, seed, runs)
     names = []
     for run, content in simulation.files.items():
         name = f"{run}{_suffix(content)}"
@@ -71,11 +66,11 @@ def simulate_files(rig: VirtualRig, seed: int, runs: Iterable[str] | None, outpu
     return [*names, TRUTH]
 
 
-def _suffix(content: LoggedTable | FrequencyResponse | LoggedFile) -> str:
-    return ".parquet" if isinstance(content, LoggedTable) and not content.text else ".csv"
+def _suffix(content: virtual_rigs.LoggedTable | FrequencyResponse | virtual_rigs.LoggedFile) -> str:
+    return ".parquet" if isinstance(content, virtual_rigs.LoggedTable) and not content.text else ".csv"
 
 
-def _write_table(path: Path, table: LoggedTable) -> None:
+def _write_table(path: Path, table: virtual_rigs.LoggedTable) -> None:
     """Text with six significant digits, which is what a 16-bit logger holds and more.
 
     Parquet as the table says.
@@ -101,7 +96,7 @@ def _write_table(path: Path, table: LoggedTable) -> None:
 
 
 WRITERS: dict[type, Callable[[Path, Any], None]] = {
-    LoggedTable: _write_table,
+    virtual_rigs.LoggedTable: _write_table,
     FrequencyResponse: write_frf_csv,
-    LoggedFile: lambda path, file: file.write(path, file.content),
+    virtual_rigs.LoggedFile: lambda path, file: file.write(path, file.content),
 }

@@ -9,17 +9,9 @@ from pathlib import Path
 
 from labpipe.artefacts.writing import is_remote
 from labpipe.errors import ConfigError
+from labpipe.project import settings_reader
 from labpipe.project.marked_yaml import Marked
 from labpipe.project.rig_file import load_rig, move, override_channels
-from labpipe.project.settings_reader import (
-    Faults,
-    conditions_in,
-    files_of,
-    join,
-    listed,
-    plain_stem,
-    read_settings,
-)
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.rig import RecordedCondition, Rig
 from labpipe.spectra.settings import FrfSettings
@@ -56,30 +48,38 @@ class ReadyFrf:
         return dataclasses.replace(self, paths=tuple(path.absolute() for path in self.paths))
 
 
-def read_ready_frfs(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
+def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
     """The responses of the entry *key*: a file, a description, or a list of them.
 
     Faults for those that cannot be read.
     """
     frfs: list[ReadyFrf] = []
-    for entry in listed(node):
+    for entry in settings_reader.listed(node):
         if isinstance(entry.content, dict):
             frfs.extend(_describe(entry, key, faults))
         else:
-            frfs.extend(ReadyFrf((path,)) for path in files_of(entry, key, faults))
+            frfs.extend(ReadyFrf((path,)) for path in settings_reader.files_of(entry, key, faults))
     return frfs
 
 
-def _describe(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
+def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
     """The response of an entry with `each:`, or the responses of the files that `file:` names."""
-    layout = read_settings(FrfLayout, node, key, faults)
+    layout = settings_reader.read_settings(FrfLayout, node, key, faults)
     if layout is None:
         return []
     files: list[tuple[Path, ...]]
     if layout.file:
-        files = [(path,) for path in files_of(node.content["file"], join(key, "file"), faults)]
+        files = [
+            (path,)
+            for path in settings_reader.files_of(
+                node.content["file"], settings_reader.join(key, "file"), faults
+            )
+        ]
     else:
-        named = [files_of(item, join(key, "each"), faults) for item in listed(node.content["each"])]
+        named = [
+            settings_reader.files_of(item, settings_reader.join(key, "each"), faults)
+            for item in settings_reader.listed(node.content["each"])
+        ]
         files = [tuple(path for paths in named for path in paths)]
     frfs = []
     for paths in filter(None, files):
@@ -95,7 +95,7 @@ def _describe(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
 
 
 def _dofs(
-    path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults
+    path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The dofs of a file's rows and columns: from its name, else from the entry."""
     named = _name(path, layout, node, key, faults) if layout.pattern else {}
@@ -104,13 +104,17 @@ def _dofs(
     return outputs, inputs
 
 
-def _name(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults) -> dict[str, str]:
+def _name(
+    path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
+) -> dict[str, str]:
     """The dofs in a file's name."""
-    matched = conditions_in(plain_stem(path), layout.pattern)
+    matched = settings_reader.conditions_in(settings_reader.plain_stem(path), layout.pattern)
     if matched is not None and set(matched) <= {"output", "input"}:
         return matched
     what = (
-        f"does not match '{plain_stem(path)}'" if matched is None else "holds more than {output} and {input}"
+        f"does not match '{settings_reader.plain_stem(path)}'"
+        if matched is None
+        else "holds more than {output} and {input}"
     )
     faults.add_at(
         node.content, key, "pattern", what, "for example 'H_{output}_{input}'; {} stands for any other part"
@@ -119,7 +123,12 @@ def _name(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults)
 
 
 def _check_dofs(
-    word: str, names: tuple[str, ...], layout: FrfLayout, node: Marked, key: str, faults: Faults
+    word: str,
+    names: tuple[str, ...],
+    layout: FrfLayout,
+    node: Marked,
+    key: str,
+    faults: settings_reader.Faults,
 ) -> None:
     """A fault where the dofs of a described file are not as many as its description needs."""
     assert layout.table is not None
@@ -127,7 +136,7 @@ def _check_dofs(
     has_all = bool(layout.elements) and (word == "output" or all("/" in name for name, _ in layout.elements))
     if not names and not has_all:
         hint = f"name the dof, or its place in the files' names by pattern: '{{{word}}}'"
-        faults.add(node, join(key, word), "is missing", hint)
+        faults.add(node, settings_reader.join(key, word), "is missing", hint)
     elif len(names) > 1 and not layout.table.matrix:
         hint = "several are the rows or columns of a matrix"
         faults.add_at(node.content, key, word, "one dof is needed", hint)
@@ -171,7 +180,7 @@ class SourceFile:
         )
 
 
-def read_rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig | None:
+def read_rig(node: Marked | None, folder: Path, faults: settings_reader.Faults, key: str) -> Rig | None:
     """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
     if node is None:
         return None
@@ -194,18 +203,18 @@ class RecordingReader:
     rig: Rig | None
     rig_node: Marked | None
     folder: Path
-    faults: Faults
+    faults: settings_reader.Faults
 
     def sources(self, node: Marked, key: str) -> list[SourceFile]:
         """The recorded files of an entry or a list of entries; faults for those that cannot be read."""
         sources: list[SourceFile] = []
-        for entry in listed(node):
+        for entry in settings_reader.listed(node):
             if isinstance(entry.content, dict):
                 sources.extend(self._describe(entry, key))
                 continue
             if self.rig is None and self.rig_node is None:
                 self.faults.add(node, key, "no rig file is named", "add rig: FILE")
-            paths = files_of(entry, key, self.faults, elsewhere=True)
+            paths = settings_reader.files_of(entry, key, self.faults, elsewhere=True)
             sources.extend(SourceFile(path, self.rig) for path in paths if self.rig is not None)
         return sources
 
@@ -217,7 +226,11 @@ class RecordingReader:
             self.faults.add_at(entry.content, key, named[1], what, "leave one out")
         file = entry.content[named[0]] if named else Marked(None, entry.where)
         rig = self._rig(entry, key)
-        paths = [path for item in listed(file) for path in files_of(item, key, self.faults, elsewhere=True)]
+        paths = [
+            path
+            for item in settings_reader.listed(file)
+            for path in settings_reader.files_of(item, key, self.faults, elsewhere=True)
+        ]
         if rig is None or not paths:
             return []
         if named == ["join"]:
@@ -239,7 +252,9 @@ class RecordingReader:
     def _by(self, entry: Marked, key: str) -> str:
         node = entry.content.get("by")
         if node is not None and node.text not in BY:
-            self.faults.add(node, join(key, "by"), f"unknown '{node.text}'", f"known: {', '.join(BY)}")
+            self.faults.add(
+                node, settings_reader.join(key, "by"), f"unknown '{node.text}'", f"known: {', '.join(BY)}"
+            )
         return node.text if node is not None else ""
 
     def _move(self, rig: Rig, path: Path, entry: Marked, key: str) -> Rig:
@@ -247,15 +262,17 @@ class RecordingReader:
         node = entry.content.get("pattern")
         if node is None:
             return rig
-        dofs = conditions_in(plain_stem(path), node.text)
+        dofs = settings_reader.conditions_in(settings_reader.plain_stem(path), node.text)
         if dofs is None:
-            what = f"does not match '{plain_stem(path)}'"
-            self.faults.add(node, join(key, "pattern"), what, "for example '{}_{output}_{input}'")
+            what = f"does not match '{settings_reader.plain_stem(path)}'"
+            self.faults.add(
+                node, settings_reader.join(key, "pattern"), what, "for example '{}_{output}_{input}'"
+            )
             return rig
         try:
             return move(rig, dofs)
         except ConfigError as error:
-            self.faults.add(node, join(key, "pattern"), error.what, error.hint)
+            self.faults.add(node, settings_reader.join(key, "pattern"), error.what, error.hint)
             return rig
 
     def _rig(self, entry: Marked, key: str) -> Rig | None:
@@ -266,10 +283,14 @@ class RecordingReader:
             return None
         if "channels" not in entry.content:
             own = "rig" in entry.content
-            return read_rig(rig_node, self.folder, self.faults, join(key, "rig")) if own else self.rig
+            return (
+                read_rig(rig_node, self.folder, self.faults, settings_reader.join(key, "rig"))
+                if own
+                else self.rig
+            )
         try:
             path, channels = self.folder / rig_node.text, entry.content["channels"]
-            return override_channels(path, channels, self.faults, join(key, "channels"))
+            return override_channels(path, channels, self.faults, settings_reader.join(key, "channels"))
         except ConfigError as error:
             self.faults.merge(error)
             return None
@@ -315,7 +336,7 @@ class EachFile:
 
     def named(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
-        return (conditions_in(_stem(path), self.pattern) or {}) if self.pattern else {}
+        return (settings_reader.conditions_in(_stem(path), self.pattern) or {}) if self.pattern else {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
         """The test of a recording, by default named after its file.
@@ -323,7 +344,7 @@ class EachFile:
         ConfigError for a name that does not match the pattern.
         """
         stem = _stem(source.path)
-        if self.pattern and conditions_in(stem, self.pattern) is None:
+        if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
         conditions = {**self.conditions, **self.named(source.path)}
         return Test(name or stem, (source,), (), conditions, self.recorded, self.frf)
@@ -343,7 +364,7 @@ class TestReader:
     top: dict[str, Marked]
     folder: Path
     rig: Rig | None
-    faults: Faults
+    faults: settings_reader.Faults
 
     def tests(self) -> tuple[Test, ...]:
         """All tests in their order; the recordings of a file without `tests:` are one test without a name."""
@@ -382,7 +403,7 @@ class TestReader:
         per_file = self._each(entries, key)
         together = self._together(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
-        for source in self._recordings(entries["each"], join(key, "each")):
+        for source in self._recordings(entries["each"], settings_reader.join(key, "each")):
             try:
                 test = per_file.test(source)
             except ConfigError as error:
@@ -422,7 +443,7 @@ class TestReader:
         if "together" not in entries:
             return []
         pattern = entries["pattern"].text if "pattern" in entries else ""
-        parts = [node.text for node in listed(entries["together"])]
+        parts = [node.text for node in settings_reader.listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
                 self.faults.add_at(
@@ -434,8 +455,12 @@ class TestReader:
         entries = node.content if isinstance(node.content, dict) else {}
         recordings: list[SourceFile] = []
         if "recordings" in entries:
-            recordings = self._recordings(entries["recordings"], join(key, "recordings"))
-        frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
+            recordings = self._recordings(entries["recordings"], settings_reader.join(key, "recordings"))
+        frfs = (
+            read_ready_frfs(entries["frfs"], settings_reader.join(key, "frfs"), self.faults)
+            if "frfs" in entries
+            else []
+        )
         if not recordings and not frfs and not len(self.faults):
             place = node if node.place else next(iter(self.top.values()))
             self.faults.add(place, key, "neither recordings nor frfs")
@@ -457,11 +482,11 @@ class TestReader:
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top else {}
-        own = self.faults.mapping(entries["frf"], join(key, "frf"))
+        own = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
         both = {**(common if isinstance(common, dict) else {}), **own}
         whole = {name: node for name, node in both.items() if node.content is not None}
         node = replace(entries["frf"], content=whole)
-        return read_settings(FrfSettings, node, join(key, "frf"), self.faults)
+        return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
@@ -478,7 +503,9 @@ class TestReader:
             if not isinstance(node.content, dict):
                 written[name] = node.text
                 continue
-            source = read_settings(RecordedCondition, node, join(key, "conditions", name), self.faults)
+            source = settings_reader.read_settings(
+                RecordedCondition, node, settings_reader.join(key, "conditions", name), self.faults
+            )
             if source is not None:
                 recorded[name] = source
         return written, recorded

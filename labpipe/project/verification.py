@@ -11,19 +11,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from labpipe.artefacts import measured_files
 from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX
 from labpipe.artefacts.dataset_file import Part, read_part
 from labpipe.artefacts.header import source_ref
 from labpipe.artefacts.identification_file import FOLDER, NAME, read_fits, read_identification
 from labpipe.artefacts.json_file import DIGEST, read_digested
-from labpipe.artefacts.measured_files import (
-    DECAY_SUFFIX,
-    RESPONSE_SUFFIX,
-    SPECTRA_SUFFIX,
-    read_decays,
-    read_response,
-    read_spectra,
-)
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.places import fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
@@ -98,9 +91,9 @@ KINDS: Mapping[str, _Kind] = {
     RECORDING_SUFFIX: _Kind(
         lambda path: open_recording(path).in_memory(), _digest_of, _header_inputs, _nothing
     ),
-    RESPONSE_SUFFIX: _measure(read_response),
-    DECAY_SUFFIX: _measure(read_decays),
-    SPECTRA_SUFFIX: _measure(read_spectra),
+    measured_files.RESPONSE_SUFFIX: _measure(measured_files.read_response),
+    measured_files.DECAY_SUFFIX: _measure(measured_files.read_decays),
+    measured_files.SPECTRA_SUFFIX: _measure(measured_files.read_spectra),
 }
 # Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a
 # damaged one.

@@ -11,13 +11,7 @@ import numpy as np
 import scipy
 
 from labpipe.errors import DataError
-from labpipe.raw_files.mat_table import (
-    has_hdf5_variables,
-    is_hdf5,
-    load_hdf5_variables,
-    load_variables,
-    text_of,
-)
+from labpipe.raw_files import mat_table
 from labpipe.records.recording import Recording
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 
@@ -55,9 +49,9 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 def holds_response(path: Path) -> bool:
     """True if a readable MATLAB or HDF5 file holds a response."""
-    if is_hdf5(path):
-        return has_hdf5_variables(path, _MARKS)
-    return set(_MARKS) <= load_variables(path).keys()
+    if mat_table.is_hdf5(path):
+        return mat_table.has_hdf5_variables(path, _MARKS)
+    return set(_MARKS) <= mat_table.load_variables(path).keys()
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
@@ -65,7 +59,11 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
 
     DataError names a missing variable or one of wrong size.
     """
-    variables = load_hdf5_variables(path, _KNOWN) if is_hdf5(path) else load_variables(path)
+    variables = (
+        mat_table.load_hdf5_variables(path, _KNOWN)
+        if mat_table.is_hdf5(path)
+        else mat_table.load_variables(path)
+    )
     needed = ("frequency_hz", "H", "form", "outputs", "inputs")
     missing = [key for key in needed if key not in variables]
     if missing:
@@ -79,7 +77,7 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     # MATLAB drops trailing dimensions of 1.
     optional = {key: _shape(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
     optional["covariance_dof"] = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
-    matrix, form = _shape(variables, "H", shape, path), text_of(variables["form"])
+    matrix, form = _shape(variables, "H", shape, path), mat_table.text_of(variables["form"])
     return FrequencyResponse(frequency, matrix, outputs, inputs, form=form, **optional, name=name)
 
 
@@ -112,7 +110,7 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
 def _texts(cells: Any) -> list[str]:
     """The texts of a cell array, or of the rows of a char array."""
     return [
-        text_of(np.array(cell) if isinstance(cell, str) else cell).strip()
+        mat_table.text_of(np.array(cell) if isinstance(cell, str) else cell).strip()
         for cell in np.asarray(cells).ravel()
     ]
 

@@ -16,19 +16,9 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value, unit_of
+from labpipe.raw_files import uff
 from labpipe.raw_files.frf_csv import cube
 from labpipe.raw_files.table import unique
-from labpipe.raw_files.uff import (
-    COHERENCE,
-    FRF,
-    TIME,
-    UffAxis,
-    UffPoint,
-    UffRecord,
-    open_uff,
-    read_numbers,
-    read_uff,
-)
 from labpipe.records.response import FORMS as RESPONSE_FORMS
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.rig import AXIS_ANGLES
@@ -63,23 +53,23 @@ def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> Fr
     without a factor their labels count, else SI. DataError for a missing or repeated element, for different
     forms or frequencies, and for missing numbers.
     """
-    records = read_uff(path)
-    frfs = [record for record in records if record.function == FRF]
+    records = uff.read_uff(path)
+    frfs = [record for record in records if record.function == uff.FRF]
     try:
         if not frfs:
             hint = "time records belong under recordings: in a pipeline"
             raise DataError("holds no FRF records", hint=hint)
         form = stated[0] if stated else _one_form(frfs)
-        with open_uff(path) as buffer:
+        with uff.open_uff(path) as buffer:
             factors = [_stated_factor(record, *stated) if stated else frf_factor(record) for record in frfs]
-            coherences = [record for record in records if record.function == COHERENCE]
+            coherences = [record for record in records if record.function == uff.COHERENCE]
             return _response(buffer, frfs, coherences, form, factors, name)
     except DataError as error:
         error.where = error.where or str(path)
         raise
 
 
-def _one_form(frfs: Sequence[UffRecord]) -> str:
+def _one_form(frfs: Sequence[uff.UffRecord]) -> str:
     forms = [form_of(record) for record in frfs]
     for record, form in zip(frfs, forms, strict=True):
         if form != forms[0]:
@@ -90,8 +80,8 @@ def _one_form(frfs: Sequence[UffRecord]) -> str:
 
 def _response(
     buffer: mmap.mmap,
-    frfs: list[UffRecord],
-    coherences: list[UffRecord],
+    frfs: list[uff.UffRecord],
+    coherences: list[uff.UffRecord],
     form: str,
     factors: list[float],
     name: str,
@@ -123,13 +113,13 @@ def _response(
     )
 
 
-def _key(point: UffPoint) -> Key:
+def _key(point: uff.UffPoint) -> Key:
     """Point and direction, without the sign."""
     return point.name, point.node, abs(point.direction)
 
 
-def _elements(records: Sequence[UffRecord]) -> dict[tuple[Key, Key], UffRecord]:
-    elements: dict[tuple[Key, Key], UffRecord] = {}
+def _elements(records: Sequence[uff.UffRecord]) -> dict[tuple[Key, Key], uff.UffRecord]:
+    elements: dict[tuple[Key, Key], uff.UffRecord] = {}
     for record in records:
         pair = _key(record.response), _key(record.reference)
         if pair in elements:
@@ -139,7 +129,7 @@ def _elements(records: Sequence[UffRecord]) -> dict[tuple[Key, Key], UffRecord]:
     return elements
 
 
-def _element(elements: dict[tuple[Key, Key], UffRecord], output: Key, reference: Key) -> UffRecord:
+def _element(elements: dict[tuple[Key, Key], uff.UffRecord], output: Key, reference: Key) -> uff.UffRecord:
     if (output, reference) not in elements:
         what = f"no FRF record for response {_text(output)} and reference {_text(reference)}"
         raise DataError(what, hint="a full matrix is required")
@@ -150,16 +140,16 @@ def _text(key: Key) -> str:
     return f"{key[0] or key[1]} {AXES[key[2]]}".strip()
 
 
-def _frequency(buffer: mmap.mmap, record: UffRecord) -> FloatArray:
+def _frequency(buffer: mmap.mmap, record: uff.UffRecord) -> FloatArray:
     """The frequencies [Hz] of a record."""
     try:
-        abscissa = read_numbers(buffer, record.layout)[0]
+        abscissa = uff.read_numbers(buffer, record.layout)[0]
     except ValueError as error:
         raise DataError(f"{record.where}: {error}") from None
     return record.start + record.step * np.arange(record.n_value) if abscissa is None else abscissa
 
 
-def _same_lines(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> FloatArray | ComplexArray:
+def _same_lines(buffer: mmap.mmap, record: uff.UffRecord, frequency: FloatArray) -> FloatArray | ComplexArray:
     """The numbers of a record; DataError unless its frequencies equal *frequency*."""
     if record.n_value != frequency.size:
         what = f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}"
@@ -167,10 +157,10 @@ def _same_lines(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> 
     abscissa = _frequency(buffer, record)
     if not np.allclose(abscissa, frequency, rtol=_SAME_AXIS, atol=0):
         raise DataError(f"the frequencies of {record.where} differ from those of the first FRF record")
-    return read_numbers(buffer, record.layout)[1]
+    return uff.read_numbers(buffer, record.layout)[1]
 
 
-def _values(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray, factor: float) -> ComplexArray:
+def _values(buffer: mmap.mmap, record: uff.UffRecord, frequency: FloatArray, factor: float) -> ComplexArray:
     if record.layout.parts != 2:
         raise DataError(f"{record.where}: an FRF of real numbers, complex ones are required")
     sign = -1.0 if (record.response.direction < 0) != (record.reference.direction < 0) else 1.0
@@ -214,8 +204,8 @@ class UffTable:
         self.path = path
         records = [
             record
-            for record in read_uff(path)
-            if record.function == TIME or (record.function, record.abscissa.kind) == (0, 17)
+            for record in uff.read_uff(path)
+            if record.function == uff.TIME or (record.function, record.abscissa.kind) == (0, 17)
         ]
         if not records:
             raise DataError("holds no time records", path, "FRFs belong under frfs: in a pipeline")
@@ -230,10 +220,11 @@ class UffTable:
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the column]; DataError for a truncated record."""
-        with open_uff(self.path) as buffer:
+        with uff.open_uff(self.path) as buffer:
             try:
                 table = [
-                    np.asarray(read_numbers(buffer, self._records[name].layout)[1], float) for name in columns
+                    np.asarray(uff.read_numbers(buffer, self._records[name].layout)[1], float)
+                    for name in columns
                 ]
             except ValueError as error:
                 raise DataError(f"a time record cannot be read: {error}", self.path) from None
@@ -242,7 +233,7 @@ class UffTable:
             yield np.column_stack([column[start : start + CHUNK_ROWS] for column in table]) * factors
 
 
-def _check_alike(records: list[UffRecord], path: Path) -> None:
+def _check_alike(records: list[uff.UffRecord], path: Path) -> None:
     first = records[0]
     for record in records:
         if not record.even or not record.step > 0:
@@ -257,7 +248,7 @@ def _check_alike(records: list[UffRecord], path: Path) -> None:
             raise DataError(what, path, "one file is one recording: split it")
 
 
-def channel_name(record: UffRecord) -> str:
+def channel_name(record: uff.UffRecord) -> str:
     """Entity name of the response, else its node and direction, else the axis label, the title or the
     record's number.
     """
@@ -284,12 +275,12 @@ def readable_unit(label: str, kind: int) -> str:
     return text
 
 
-def axis_unit(axis: UffAxis) -> str:
+def axis_unit(axis: uff.UffAxis) -> str:
     """The unit of an axis by its label, '' for none or an unknown one."""
     return readable_unit(axis.unit, axis.kind) if axis.unit else ""
 
 
-def form_of(record: UffRecord) -> str:
+def form_of(record: uff.UffRecord) -> str:
     """receptance, mobility or accelerance by the data types of the two axes.
 
     DataError for any other function.
@@ -311,12 +302,12 @@ def form_of(record: UffRecord) -> str:
     return FORMS[record.ordinate.kind]
 
 
-def _check_directions(record: UffRecord) -> None:
+def _check_directions(record: uff.UffRecord) -> None:
     if max(abs(record.response.direction), abs(record.reference.direction)) > 3:
         raise DataError(f"{record.where}: rotations and moments are not supported")
 
 
-def frf_factor(record: UffRecord) -> float:
+def frf_factor(record: uff.UffRecord) -> float:
     """SI value per value of an FRF record.
 
     DataError for an unknown label, or one that contradicts the 164 record.
@@ -344,7 +335,7 @@ _CALLED = (
 )
 
 
-def titled_form(record: UffRecord) -> str:
+def titled_form(record: uff.UffRecord) -> str:
     """The form that the title of an FRF record names, '' where it does not."""
     called = _TITLED.search(record.title)
     if called is None:
@@ -352,25 +343,25 @@ def titled_form(record: UffRecord) -> str:
     return next((form for form, word in _CALLED if re.match(word, called[1], re.IGNORECASE)), "")
 
 
-def frf_values(path: Path, records: Sequence[UffRecord]) -> tuple[FloatArray, ComplexArray]:
+def frf_values(path: Path, records: Sequence[uff.UffRecord]) -> tuple[FloatArray, ComplexArray]:
     """Frequencies (n,) [Hz] and H (n, n_record) [unit of the file] of FRF records of one length; of the
     first alone where they differ.
     """
-    with open_uff(path) as buffer:
+    with uff.open_uff(path) as buffer:
         frequency = _frequency(buffer, records[0])
         alike = [record for record in records if record.n_value == frequency.size]
-        values = np.stack([read_numbers(buffer, r.layout)[1] for r in alike], axis=1)
+        values = np.stack([uff.read_numbers(buffer, r.layout)[1] for r in alike], axis=1)
         return frequency, np.asarray(values, np.complex128)
 
 
-def _labelled_form(record: UffRecord) -> str:
+def _labelled_form(record: uff.UffRecord) -> str:
     """The form of which the label of a record with open data types is a unit; '' for none."""
     unit = readable_unit(record.ordinate.unit, 12) if record.ordinate.unit else ""
     dimension = parse_unit(unit).dimension if unit else None
     return next((f for f in FORMS.values() if parse_unit(RESPONSE_FORMS[f]).dimension == dimension), "")
 
 
-def _stated_factor(record: UffRecord, form: str, factor: float | None) -> float:
+def _stated_factor(record: uff.UffRecord, form: str, factor: float | None) -> float:
     """SI value per value of a record whose *form* somebody states: their *factor*, else by its label where
     that is a unit of this form, else 1.
 
@@ -391,7 +382,7 @@ def _stated_factor(record: UffRecord, form: str, factor: float | None) -> float:
         return 1.0
 
 
-def _labelled_factor(record: UffRecord) -> float | None:
+def _labelled_factor(record: uff.UffRecord) -> float | None:
     """The factor of the labels: one for the whole quotient, or one for each part.
 
     1 without labels, None for unknown ones.
@@ -416,7 +407,7 @@ def _labelled_factor(record: UffRecord) -> float | None:
     return None
 
 
-def time_unit(record: UffRecord) -> tuple[str, float]:
+def time_unit(record: uff.UffRecord) -> tuple[str, float]:
     """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) without a unit.
 
     With a record 164 the SI unit by data type; else the unit of the label, and factor 1.

@@ -8,16 +8,8 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.records import identification
 from labpipe.records.finding import Finding
-from labpipe.records.identification import (
-    CountedFinding,
-    DatasetIndex,
-    Failed,
-    Fit,
-    ListedParameter,
-    RuleOutcome,
-    of_fit,
-)
 
 # Rows of a dataset of results: one for each parameter of each fit of a test, and one for a test that could
 # not be evaluated.
@@ -76,7 +68,7 @@ class PartialOutcome:
     fault: (what, hint) where fits of a test were addressed and none of them has what the rule names.
     """
 
-    outcome: RuleOutcome | None = None
+    outcome: identification.RuleOutcome | None = None
     addressed: int = 0
     fault: tuple[str, str] | None = None
 
@@ -100,18 +92,18 @@ class TestResult:
     rows: tuple[DatasetRow, ...]
     findings: tuple[tuple[str, Finding], ...] = ()
     partial: tuple[PartialOutcome, ...] = ()
-    forbidden: tuple[RuleOutcome, ...] = ()
+    forbidden: tuple[identification.RuleOutcome, ...] = ()
 
 
-def rows_of_fit(fit: Fit, common: Mapping[str, object]) -> Iterator[DatasetRow]:
+def rows_of_fit(fit: identification.Fit, common: Mapping[str, object]) -> Iterator[DatasetRow]:
     """The rows of one fit; *common*: what all rows of its test share."""
     covariance = noise_covariance(fit)
-    for listed in of_fit(fit):
+    for listed in identification.of_fit(fit):
         row = {**_entries(fit, listed), "covariance": covariance.get(listed.parameter.name), **common}
         yield DatasetRow(**row)  # type: ignore[arg-type]
 
 
-def _entries(fit: Fit, listed: ListedParameter) -> dict[str, object]:
+def _entries(fit: identification.Fit, listed: identification.ListedParameter) -> dict[str, object]:
     parameter = listed.parameter
     low, high = parameter.ci95 or (None, None)
     return {
@@ -134,7 +126,7 @@ def _entries(fit: Fit, listed: ListedParameter) -> dict[str, object]:
     }
 
 
-def noise_covariance(fit: Fit) -> dict[str, FloatArray]:
+def noise_covariance(fit: identification.Fit) -> dict[str, FloatArray]:
     """Rows of the covariance by noise, r_ij s_i s_j, of the estimated parameters by their names: (n,) [units
     of both]; none without.
     """
@@ -148,7 +140,9 @@ def noise_covariance(fit: Fit) -> dict[str, FloatArray]:
     return {parameter.name: row for parameter, row in zip(estimated, covariance, strict=True)}
 
 
-def is_accepted(partial: Sequence[PartialOutcome], forbidden: Sequence[RuleOutcome]) -> bool | None:
+def is_accepted(
+    partial: Sequence[PartialOutcome], forbidden: Sequence[identification.RuleOutcome]
+) -> bool | None:
     """Whether every rule that addresses a test holds there; None where none does.
 
     A rule that the test cannot keep or break does not.
@@ -171,10 +165,10 @@ class DatasetSummary:
     tests that failed.
     """
 
-    index: DatasetIndex = field(default_factory=DatasetIndex)
+    index: identification.DatasetIndex = field(default_factory=identification.DatasetIndex)
     partial: tuple[PartialOutcome, ...] = ()
-    forbidden: tuple[RuleOutcome, ...] = ()
-    failed: tuple[Failed, ...] = ()
+    forbidden: tuple[identification.RuleOutcome, ...] = ()
+    failed: tuple[identification.Failed, ...] = ()
 
     def with_more(self, other: DatasetSummary) -> DatasetSummary:
         """Of these tests and of further ones."""
@@ -193,17 +187,20 @@ def summary_of(result: TestResult) -> DatasetSummary:
     """One test summed up."""
     row = result.rows[0] if result.rows else None
     if row is not None and row.failed is not None:
-        return DatasetSummary(index=DatasetIndex(failed=1, rows=1), failed=(Failed(row.test, row.failed),))
+        return DatasetSummary(
+            index=identification.DatasetIndex(failed=1, rows=1),
+            failed=(identification.Failed(row.test, row.failed),),
+        )
     fits: dict[str, int] = {}
     for name, _, _ in dict.fromkeys(
         (row.fit, row.term, row.low_hz) for row in result.rows if row.fit is not None
     ):
         fits[name] = fits.get(name, 0) + 1
     findings = {
-        (finding.level, finding.code): CountedFinding(finding, origin, 1)
+        (finding.level, finding.code): identification.CountedFinding(finding, origin, 1)
         for origin, finding in reversed(result.findings)
     }
-    index = DatasetIndex(
+    index = identification.DatasetIndex(
         tests=1,
         not_accepted=int(row is not None and row.accepted is False),
         rows=len(result.rows),

@@ -17,20 +17,8 @@ from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.text import parameter_cells
+from labpipe.report import chart
 from labpipe.report.budget import comparison_budget_blocks
-from labpipe.report.chart import (
-    PALETTE_SIZE,
-    Axis,
-    Chart,
-    Panel,
-    Series,
-    curve,
-    dots,
-    level,
-    named_ticks,
-    span,
-    stack,
-)
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import over_frequency, scale_of
 from labpipe.report.loop_figures import (
@@ -105,33 +93,35 @@ def _abscissa(comparison: Comparison, points: Sequence[ComparedPoint]) -> list[f
     return [factor * point.condition for point in points if point.condition is not None]
 
 
-def _condition(comparison: Comparison) -> Axis:
+def _condition(comparison: Comparison) -> chart.Axis:
     unit = unit_text(comparison.condition_unit) if comparison.condition_unit else ""
-    return Axis(comparison.condition or "test", unit)
+    return chart.Axis(comparison.condition or "test", unit)
 
 
-def _subject(comparison: Comparison) -> Axis:
-    return Axis(comparison.subject.split(",")[0], unit_text(comparison.unit))
+def _subject(comparison: Comparison) -> chart.Axis:
+    return chart.Axis(comparison.subject.split(",")[0], unit_text(comparison.unit))
 
 
-def _tests(comparison: Comparison, points: Sequence[ComparedPoint], name: str, colour: int) -> Series:
+def _tests(comparison: Comparison, points: Sequence[ComparedPoint], name: str, colour: int) -> chart.Series:
     """Values with their 95 % intervals."""
     factor = scale_of(comparison.unit)
     values = factor * np.array([point.value for point in points])
     ends = factor * np.array([point.ci95 or (point.value, point.value) for point in points]).T
-    return dots(
+    return chart.dots(
         name, _abscissa(comparison, points), values, colour, marker="o", size=4.0, bars=(ends[0], ends[1])
     )
 
 
 def _trend(comparison: Comparison) -> Figure:
     x, y = np.array(comparison.line).T
-    law = curve("fitted law", scale_of(comparison.condition_unit) * x, scale_of(comparison.unit) * y, 1)
-    panel = Panel(
+    law = chart.curve("fitted law", scale_of(comparison.condition_unit) * x, scale_of(comparison.unit) * y, 1)
+    panel = chart.Panel(
         _condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law)
     )
     mean = f" at the mean {comparison.second}" if comparison.second else ""
-    return _figure(comparison, stack([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}")
+    return _figure(
+        comparison, chart.stack([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}"
+    )
 
 
 def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
@@ -147,18 +137,18 @@ def _difference(comparison: Comparison) -> Figure:
     groups = _groups(comparison)
     above, below = [], []
     for order, (group, points) in enumerate(groups.items()):
-        colour = order % PALETTE_SIZE
+        colour = order % chart.PALETTE_SIZE
         above.append(_tests(comparison, points, group, colour))
         away = [100 * (point.value / _mean_at(comparison, point) - 1) for point in points]
-        below.append(dots(group, _abscissa(comparison, points), away, colour, marker="o", size=4.0))
+        below.append(chart.dots(group, _abscissa(comparison, points), away, colour, marker="o", size=4.0))
     x = _condition(comparison)
     panels = (
-        Panel(x, _subject(comparison), tuple(above), share=3.0),
-        Panel(x, Axis("from the mean", "%"), (*below, level(0.0)), share=2.0),
+        chart.Panel(x, _subject(comparison), tuple(above), share=3.0),
+        chart.Panel(x, chart.Axis("from the mean", "%"), (*below, chart.level(0.0)), share=2.0),
     )
     below_text = "below: distance from the mean of a condition"
     meaning = f"{' and '.join(groups)} with 95 % intervals of the fits; {below_text}"
-    return _figure(comparison, stack(panels, 4.4), meaning)
+    return _figure(comparison, chart.stack(panels, 4.4), meaning)
 
 
 def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
@@ -170,59 +160,65 @@ def _repeatability(comparison: Comparison) -> Figure:
     """Every test in its setting; shaded: the scatter within a setting about the mean of all."""
     factor, groups = scale_of(comparison.unit), _groups(comparison)
     mean, within = (factor * comparison.amount(name).value for name in ("mean", "within"))
-    series: list[Series] = []
+    series: list[chart.Series] = []
     for order, points in enumerate(groups.values()):
         values = [factor * point.value for point in points]
         places = order + np.linspace(-BESIDE, BESIDE, len(points))
-        series.append(dots("tests", places, values, marker="o", size=4.0))
+        series.append(chart.dots("tests", places, values, marker="o", size=4.0))
         series.append(
-            curve("mean of a setting", [order - BAR, order + BAR], [float(np.mean(values))] * 2, 1, width=1.5)
+            chart.curve(
+                "mean of a setting", [order - BAR, order + BAR], [float(np.mean(values))] * 2, 1, width=1.5
+            )
         )
-    x = Axis(_condition(comparison).title, _condition(comparison).unit, ticks=named_ticks(list(groups)))
-    panel = Panel(x, _subject(comparison), (*series, level(mean), span(mean - within, mean + within, 0)))
+    x = chart.Axis(
+        _condition(comparison).title, _condition(comparison).unit, ticks=chart.named_ticks(list(groups))
+    )
+    panel = chart.Panel(
+        x, _subject(comparison), (*series, chart.level(mean), chart.span(mean - within, mean + within, 0))
+    )
     meaning = "tests (dots), mean of each setting (bars); shaded: standard deviation within a setting"
-    return _figure(comparison, stack([panel], 3.2), meaning)
+    return _figure(comparison, chart.stack([panel], 3.2), meaning)
 
 
 def _ratio(comparison: Comparison) -> Figure:
     """Measured and theory over the condition, and their ratio with the common one."""
-    chart = _beside(comparison, "theory", "bearing: measured / theory")
+    graphic = _beside(comparison, "theory", "bearing: measured / theory")
     meaning = (
         "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' "
         "stiffness, shaded: the common one"
     )
-    return _figure(comparison, chart, meaning)
+    return _figure(comparison, graphic, meaning)
 
 
 def _rayleigh(comparison: Comparison) -> Figure:
     """Measured damping beside beta times stiffness."""
-    chart = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
+    graphic = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
     meaning = "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals"
-    return _figure(comparison, chart, meaning)
+    return _figure(comparison, graphic, meaning)
 
 
-def _beside(comparison: Comparison, what: str, ratio: str) -> Chart:
+def _beside(comparison: Comparison, what: str, ratio: str) -> chart.Chart:
     """Measured and predicted values over the condition; below, their ratio."""
     points, factor = comparison.points, scale_of(comparison.unit)
     x, condition = _abscissa(comparison, points), _condition(comparison)
     theory = [np.nan if point.theory is None else factor * point.theory for point in points]
-    predicted = curve(what, x, theory, 1, "--", width=1.5, marker="s", size=6.0)
+    predicted = chart.curve(what, x, theory, 1, "--", width=1.5, marker="s", size=6.0)
     ratios = [np.nan if point.ratio is None else point.ratio for point in points]
     ends = np.array([point.ratio_ci95 or (np.nan, np.nan) for point in points], float).T
-    measured = dots("measured", x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
+    measured = chart.dots("measured", x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
     common = _common(comparison, "ratio") if comparison.kind == "ratio" else ()
-    above = Panel(
+    above = chart.Panel(
         condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0
     )
-    below = Panel(condition, Axis(ratio), (measured, *common, level(1.0)), share=2.0)
-    return stack([above, below], 5.0)
+    below = chart.Panel(condition, chart.Axis(ratio), (measured, *common, chart.level(1.0)), share=2.0)
+    return chart.stack([above, below], 5.0)
 
 
-def _common(comparison: Comparison, name: str) -> tuple[Series, ...]:
+def _common(comparison: Comparison, name: str) -> tuple[chart.Series, ...]:
     """A common value with its 95 % interval across the whole width."""
     amount = comparison.amount(name)
-    shade = () if amount.ci95 is None else (span(*amount.ci95, 2, 0.2),)
-    return (level(amount.value, 2, width=1.0), *shade)
+    shade = () if amount.ci95 is None else (chart.span(*amount.ci95, 2, 0.2),)
+    return (chart.level(amount.value, 2, width=1.0), *shade)
 
 
 def _overlays(comparison: Comparison) -> Figure:
@@ -235,16 +231,16 @@ def _overlays(comparison: Comparison) -> Figure:
         "before and after the ratio."
     )
     alternative = f"Measured and theoretical response of {comparison.subject}"
-    return Figure(stack(panels, 0.6 + 2.5 * len(panels)), caption, alternative)
+    return Figure(chart.stack(panels, 0.6 + 2.5 * len(panels)), caption, alternative)
 
 
-def _overlay(overlay: Overlay) -> Panel:
+def _overlay(overlay: Overlay) -> chart.Panel:
     series = (
-        dots("measured", overlay.frequency, overlay.measured, size=1.0),
-        curve("theory", overlay.frequency, overlay.theory, 1, "--"),
-        curve("theory times ratio", overlay.frequency, overlay.matched, 2),
+        chart.dots("measured", overlay.frequency, overlay.measured, size=1.0),
+        chart.curve("theory", overlay.frequency, overlay.theory, 1, "--"),
+        chart.curve("theory times ratio", overlay.frequency, overlay.matched, 2),
     )
-    return over_frequency(Axis(f"{overlay.form} (SI)", logarithmic=True), series, title=overlay.test)
+    return over_frequency(chart.Axis(f"{overlay.form} (SI)", logarithmic=True), series, title=overlay.test)
 
 
 def _reciprocity(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> list[Figure]:
@@ -262,19 +258,21 @@ def _pair(comparison: Comparison, point: ComparedPoint, response: FrequencyRespo
         for to, by in ((first, second), (second, first))
     )
     series = (
-        dots(f"{first}/{second}", response.frequency, forth, size=1.5),
-        curve(f"{second}/{first}", response.frequency, back, 1),
+        chart.dots(f"{first}/{second}", response.frequency, forth, size=1.5),
+        chart.curve(f"{second}/{first}", response.frequency, back, 1),
     )
-    chart = stack([over_frequency(Axis(f"{response.form} (SI)", logarithmic=True), series)], 3.0)
+    graphic = chart.stack(
+        [over_frequency(chart.Axis(f"{response.form} (SI)", logarithmic=True), series)], 3.0
+    )
     both = f"{first}/{second} and {second}/{first}"
     caption = f"{comparison.name}, test {point.test}: {both}; rms difference {100 * point.value:.2g} %."
-    return Figure(chart, caption, f"Reciprocity of {point.group} in test {point.test}")
+    return Figure(graphic, caption, f"Reciprocity of {point.group} in test {point.test}")
 
 
-def _figure(comparison: Comparison, chart: Chart, meaning: str) -> Figure:
+def _figure(comparison: Comparison, graphic: chart.Chart, meaning: str) -> Figure:
     over = f" over {comparison.condition}" if comparison.condition else ""
     caption = f"{comparison.name}: {comparison.subject}{over}; {meaning}."
-    return Figure(chart, caption, f"{comparison.kind} of {comparison.subject}{over}")
+    return Figure(graphic, caption, f"{comparison.kind} of {comparison.subject}{over}")
 
 
 FIGURES: dict[str, Callable[[Comparison], Figure]] = {

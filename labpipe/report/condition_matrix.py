@@ -11,30 +11,11 @@ import numpy as np
 
 from labpipe.display import difference_in, two_digits, with_error
 from labpipe.quantities import to_display
-from labpipe.records.comparison import (
-    ConditionAxis,
-    ConditionMatrices,
-    ConditionMatrix,
-    EquilibriumPath,
-    MatrixPoint,
-    Repeated,
-    condition_unit,
-)
+from labpipe.records import comparison
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.text import parameter_cells
-from labpipe.report.chart import (
-    PALETTE_SIZE,
-    Axis,
-    Chart,
-    Panel,
-    Series,
-    cells,
-    curve,
-    look,
-    named_ticks,
-    stack,
-)
+from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, rounded
 
@@ -45,7 +26,7 @@ READABLE = 1e6
 CIRCLE = np.linspace(0.0, 2 * math.pi, 121)
 
 
-def coverage_figure(matrix: ConditionMatrix) -> list[Figure]:
+def coverage_figure(matrix: comparison.ConditionMatrix) -> list[Figure]:
     """Number of tests at every combination of the first two conditions.
 
     Nothing where there is one condition.
@@ -56,35 +37,35 @@ def coverage_figure(matrix: ConditionMatrix) -> list[Figure]:
     for point in matrix.points:
         counts[point.place[1], point.place[0]] += len(point.tests)
     texts = [[str(count) if count else "none" for count in row] for row in counts]
-    chart = _map(matrix.axes, counts / max(counts.max(), 1) * 0.6, texts, "number of tests")
-    return [Figure(chart, "Tests at each combination of conditions.", f"Map of the tests of {matrix.name}")]
+    graphic = _map(matrix.axes, counts / max(counts.max(), 1) * 0.6, texts, "number of tests")
+    return [Figure(graphic, "Tests at each combination of conditions.", f"Map of the tests of {matrix.name}")]
 
 
 def _map(
-    axes: Sequence[ConditionAxis], values: np.ndarray, texts: Sequence[Sequence[str]], name: str
-) -> Chart:
+    axes: Sequence[comparison.ConditionAxis], values: np.ndarray, texts: Sequence[Sequence[str]], name: str
+) -> chart.Chart:
     """A matrix (second, first) over the levels of two conditions, the first along the abscissa, the second
     upwards.
     """
     across, up = ([f"{axis.shown(level):.4g}" for level in axis.levels] for axis in axes[:2])
     x, y = (
-        Axis(axis.name, _unit(axis), ticks=named_ticks(ticks))
+        chart.Axis(axis.name, _unit(axis), ticks=chart.named_ticks(ticks))
         for axis, ticks in zip(axes, (across, up[::-1]), strict=False)
     )
-    panel = Panel(x, y, (cells(values[::-1], texts[::-1], name),))
-    return stack([panel], ROOM + MAP_HEIGHT * values.shape[0])
+    panel = chart.Panel(x, y, (chart.cells(values[::-1], texts[::-1], name),))
+    return chart.stack([panel], ROOM + MAP_HEIGHT * values.shape[0])
 
 
-def _unit(axis: ConditionAxis) -> str:
+def _unit(axis: comparison.ConditionAxis) -> str:
     return legible(axis.shown_unit)
 
 
-def coefficient_figures(matrix: ConditionMatrix, name: str) -> list[Figure]:
+def coefficient_figures(matrix: comparison.ConditionMatrix, name: str) -> list[Figure]:
     """One figure of lines for every combination of the third and further conditions.
 
     Of two conditions a map as well.
     """
-    groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
+    groups: dict[tuple[int, ...], list[comparison.MatrixPoint]] = {}
     for point in matrix.points:
         groups.setdefault(point.place[2:], []).append(point)
     figures = []
@@ -96,18 +77,22 @@ def coefficient_figures(matrix: ConditionMatrix, name: str) -> list[Figure]:
     return figures
 
 
-def _values(points: Sequence[MatrixPoint], name: str) -> list[tuple[MatrixPoint, Repeated]]:
+def _values(
+    points: Sequence[comparison.MatrixPoint], name: str
+) -> list[tuple[comparison.MatrixPoint, comparison.Repeated]]:
     return [(point, value) for point in points if (value := point.value(name)) is not None]
 
 
-def _lines(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:
+def _lines(
+    matrix: comparison.ConditionMatrix, name: str, points: Sequence[comparison.MatrixPoint], at: str
+) -> Figure:
     """The coefficient over the first condition, one line with bars for every level of the second; dashed: the
     theory.
     """
     first, unit = matrix.axes[0], matrix.unit_of(name)
     having = _values(points, name)
-    series: list[Series] = []
-    expected: list[Series] = []
+    series: list[chart.Series] = []
+    expected: list[chart.Series] = []
     for number, second in enumerate(sorted({point.place[1:2] for point, _ in having})):
         line = [(point, value) for point, value in having if point.place[1:2] == second]
         title = matrix.axes[1].text(matrix.axes[1].levels[second[0]]) if second else "measured"
@@ -115,28 +100,32 @@ def _lines(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at
         y = np.array([to_display(value.parameter.value, unit) for _, value in line])
         ends = [value.parameter.ci95 or (value.parameter.value,) * 2 for _, value in line]
         low, high = (np.array([to_display(pair[end], unit) for pair in ends]) for end in (0, 1))
-        series.append(curve(title, x, y, *look(number), marker="o", size=4.0, bars=(low, high)))
+        series.append(chart.curve(title, x, y, *chart.look(number), marker="o", size=4.0, bars=(low, high)))
         theory = [np.nan if value.theory is None else to_display(value.theory, unit) for _, value in line]
         if np.any(np.isfinite(theory)):
             entry = "" if expected else "theory"
-            expected.append(curve(entry, x, theory, number % PALETTE_SIZE, "--", width=0.9))
-    panel = Panel(Axis(first.name, _unit(first)), Axis(name, legible(unit)), (*series, *expected))
+            expected.append(chart.curve(entry, x, theory, number % chart.PALETTE_SIZE, "--", width=0.9))
+    panel = chart.Panel(
+        chart.Axis(first.name, _unit(first)), chart.Axis(name, legible(unit)), (*series, *expected)
+    )
     where, dashed = f" at {at}" if at else "", "; dashed: theory" if expected else ""
     caption = f"{name} over {first.name}{where}: means of repeats with 95 % intervals{dashed}."
-    return Figure(stack([panel], 3.2), caption, f"{name} of {matrix.name} over {first.name}")
+    return Figure(chart.stack([panel], 3.2), caption, f"{name} of {matrix.name} over {first.name}")
 
 
-def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:
+def _value_map(
+    matrix: comparison.ConditionMatrix, name: str, points: Sequence[comparison.MatrixPoint], at: str
+) -> Figure:
     shape = (len(matrix.axes[1].levels), len(matrix.axes[0].levels))
     values, unit = np.full(shape, np.nan), matrix.unit_of(name)
     for point, value in _values(points, name):
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
     largest = float(np.nanmax(np.abs(values))) or 1.0
     texts = [[_number_text(value) if np.isfinite(value) else "none" for value in row] for row in values]
-    chart = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
+    graphic = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
     where = f" at {at}" if at else ""
     caption = f"{_title(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
-    return Figure(chart, caption, f"Map of {name} of {matrix.name}")
+    return Figure(graphic, caption, f"Map of {name} of {matrix.name}")
 
 
 def _title(name: str, unit: str) -> str:
@@ -151,23 +140,25 @@ def _number_text(value: float) -> str:
     return f"{float(f'{value:.4g}'):.{max(0, 3 - math.floor(math.log10(abs(value))))}f}"
 
 
-def path_figure(matrix: ConditionMatrix) -> Figure:
+def path_figure(matrix: comparison.ConditionMatrix) -> Figure:
     """The rest positions over the load, one line per level of the other conditions, within the clearance
     circle where it is known.
     """
-    series: list[Series] = []
+    series: list[chart.Series] = []
     for number, path in enumerate(matrix.paths):
         scale = 1e6 if path.clearance is None else 1.0 / path.clearance
         x, y = (scale * np.array([point.position[axis] for point in path.points]) for axis in (0, 1))
-        colour, dash = look(number)
-        series.append(curve(path.at or "rest position", x, y, colour, dash, marker="o", size=4.0))
+        colour, dash = chart.look(number)
+        series.append(chart.curve(path.at or "rest position", x, y, colour, dash, marker="o", size=4.0))
     clearance = matrix.paths[0].clearance
     if clearance is not None:
-        series.append(curve("clearance", np.cos(CIRCLE), np.sin(CIRCLE), 6, "-", width=0.7))
+        series.append(chart.curve("clearance", np.cos(CIRCLE), np.sin(CIRCLE), 6, "-", width=0.7))
     unit, title = ("um", "{}") if clearance is None else ("", "{} / clearance")
-    panel = Panel(Axis(title.format("x"), unit), Axis(title.format("y"), unit), tuple(series), equal=True)
+    panel = chart.Panel(
+        chart.Axis(title.format("x"), unit), chart.Axis(title.format("y"), unit), tuple(series), equal=True
+    )
     caption = "Rest position of the shaft as the load rises, one line per level of the other conditions."
-    return Figure(stack([panel], 5.0), caption, f"Path of the rest position of {matrix.name}")
+    return Figure(chart.stack([panel], 5.0), caption, f"Path of the rest position of {matrix.name}")
 
 
 EXPLAINED = (
@@ -183,7 +174,7 @@ PATH_EXPLAINED = (
 
 
 def matrix_sections(
-    matrices: ConditionMatrices,
+    matrices: comparison.ConditionMatrices,
     identification: Identification,  # noqa: ARG001
 ) -> tuple[Section, ...]:
     """Two sections for every matrix: the tests, then the coefficients; a third for rest positions."""
@@ -198,7 +189,7 @@ def matrix_sections(
     return tuple(sections)
 
 
-def _matrix_blocks(matrix: ConditionMatrix) -> tuple[Block, ...]:
+def _matrix_blocks(matrix: comparison.ConditionMatrix) -> tuple[Block, ...]:
     warnings = (Paragraph(finding.message, "warning") for finding in of_level(WARNING, matrix.findings))
     missing = "; ".join(
         ", ".join(axis.text(axis.levels[number]) for axis, number in zip(matrix.axes, place, strict=True))
@@ -215,9 +206,12 @@ def _matrix_blocks(matrix: ConditionMatrix) -> tuple[Block, ...]:
     )
 
 
-def _points_table(matrix: ConditionMatrix) -> Table:
+def _points_table(matrix: comparison.ConditionMatrix) -> Table:
     """Every point with its tests, what stands beside, and warnings of its tests."""
-    beside = [_title(entry.name, condition_unit(entry.name, entry.unit)) for entry in matrix.points[0].beside]
+    beside = [
+        _title(entry.name, comparison.condition_unit(entry.name, entry.unit))
+        for entry in matrix.points[0].beside
+    ]
     header = (*_axis_titles(matrix), "tests", *beside, "warnings")
     rows = tuple(
         (*_levels(matrix, point), str(len(point.tests)), *_beside(point), ", ".join(point.warnings) or "none")
@@ -227,26 +221,26 @@ def _points_table(matrix: ConditionMatrix) -> Table:
     return Table(header, rows, caption, tuple(range(len(header) - 1)))
 
 
-def _axis_titles(matrix: ConditionMatrix) -> tuple[str, ...]:
+def _axis_titles(matrix: comparison.ConditionMatrix) -> tuple[str, ...]:
     return tuple(_title(axis.name, axis.shown_unit) for axis in matrix.axes)
 
 
-def _levels(matrix: ConditionMatrix, point: MatrixPoint) -> tuple[str, ...]:
+def _levels(matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint) -> tuple[str, ...]:
     return tuple(
         f"{axis.shown(level):.4g}" for axis, level in zip(matrix.axes, matrix.levels_of(point), strict=True)
     )
 
 
-def _beside(point: MatrixPoint) -> tuple[str, ...]:
+def _beside(point: comparison.MatrixPoint) -> tuple[str, ...]:
     texts = []
     for entry in point.beside:
-        unit = condition_unit(entry.name, entry.unit)
+        unit = comparison.condition_unit(entry.name, entry.unit)
         value, scatter = to_display(entry.value, unit), _size(entry.scatter, unit)
         texts.append(with_error(value, scatter or None))
     return tuple(texts)
 
 
-def _coefficient_sections(matrix: ConditionMatrix) -> tuple[Section, ...]:
+def _coefficient_sections(matrix: comparison.ConditionMatrix) -> tuple[Section, ...]:
     return tuple(
         Section(
             f"{name} over {' and '.join(axis.name for axis in matrix.axes)}",
@@ -260,7 +254,7 @@ def _coefficient_sections(matrix: ConditionMatrix) -> tuple[Section, ...]:
     )
 
 
-def _coefficient_table(matrix: ConditionMatrix, name: str) -> Table:
+def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
     """The coefficient at every point with its uncertainty, the scatter of repeats and the theory."""
     having = _values(matrix.points, name)
     unit = matrix.unit_of(name)
@@ -281,21 +275,21 @@ def _size(value: float | None, unit: str) -> float | None:
     return None if value is None else abs(difference_in(value, unit))
 
 
-def _value_cells(value: Repeated, unit: str) -> tuple[str, ...]:
+def _value_cells(value: comparison.Repeated, unit: str) -> tuple[str, ...]:
     _, shown, error, interval, *_ = parameter_cells(value.parameter, unit)
     scatter = _size(value.scatter, unit)
     scattered = "" if scatter is None else two_digits(scatter, to_display(value.parameter.value, unit))
     return (shown, error or "none", interval or "none", str(value.repeats), scattered)
 
 
-def _theory(value: Repeated, unit: str) -> str:
+def _theory(value: comparison.Repeated, unit: str) -> str:
     if value.theory is None:
         return ""
     expected = rounded(to_display(value.theory, unit), _size(value.parameter.full_error, unit))
     return f"{expected} *" if value.holds_theory is False else expected
 
 
-def _path_table(path: EquilibriumPath) -> Table:
+def _path_table(path: comparison.EquilibriumPath) -> Table:
     scale = 1e6 if path.clearance is None else 1.0 / path.clearance
     rows = tuple(
         (

@@ -14,30 +14,13 @@ from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Geometry
-from labpipe.report.chart import (
-    GREY,
-    PALETTE_SIZE,
-    WIDTH,
-    Axis,
-    Chart,
-    Drawing,
-    Panel,
-    Series,
-    cells,
-    curve,
-    dots,
-    level,
-    look,
-    named_ticks,
-    span,
-    stack,
-)
+from labpipe.report import chart
 from labpipe.report.document import Figure
 from labpipe.report.wording import fit_title, unit_text
 
-FREQUENCY = Axis("frequency", "Hz")
-CENTRE = Axis("centre of the band", "Hz")
-PHASE = Axis("phase", "deg")
+FREQUENCY = chart.Axis("frequency", "Hz")
+CENTRE = chart.Axis("centre of the band", "Hz")
+PHASE = chart.Axis("phase", "deg")
 # Least signal-to-noise ratio that a logarithmic axis shows.
 LEAST_SNR = 1e-3
 LEAST_SIDE = 2.2
@@ -58,14 +41,16 @@ def scale_of(si_unit: str) -> float:
     return to_display(1.0, display_unit(si_unit))
 
 
-def over_frequency(y: Axis, series: Sequence[Series], share: float = 1.0, title: str = "") -> Panel:
+def over_frequency(
+    y: chart.Axis, series: Sequence[chart.Series], share: float = 1.0, title: str = ""
+) -> chart.Panel:
     """A panel over frequency."""
-    return Panel(FREQUENCY, y, tuple(series), title, share=share)
+    return chart.Panel(FREQUENCY, y, tuple(series), title, share=share)
 
 
-def form_axis(form: str) -> Axis:
+def form_axis(form: str) -> chart.Axis:
     """The amplitude of an FRF form on a logarithmic axis."""
-    return Axis(form, form_unit(form)[0], logarithmic=True)
+    return chart.Axis(form, form_unit(form)[0], logarithmic=True)
 
 
 def phase_degrees(values: ComplexArray) -> FloatArray:
@@ -79,12 +64,12 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     The residual with its 95 % band where the covariance is known.
     """
     pairs = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
-    amplitude: list[Series] = []
-    phase: list[Series] = []
-    residual: list[Series] = []
+    amplitude: list[chart.Series] = []
+    phase: list[chart.Series] = []
+    residual: list[chart.Series] = []
     factor, (lines, values) = form_unit(fitted.form)[1], fitted.drawn
     for number, (o, i) in enumerate(pairs):
-        colour, label = number % PALETTE_SIZE, f"{fitted.outputs[o]}/{fitted.inputs[i]}"
+        colour, label = number % chart.PALETTE_SIZE, f"{fitted.outputs[o]}/{fitted.inputs[i]}"
         # With several elements dots and line of one share an entry of the legend; the caption says which is
         # which.
         entry = label if len(pairs) > 1 else ""
@@ -94,21 +79,21 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         )
         for name, x, h, line, marker in pair:
             for series, y in ((amplitude, factor * np.abs(h)), (phase, phase_degrees(h))):
-                series.append(curve(name, x, y, colour, line, width=1.5, marker=marker, entry=entry))
+                series.append(chart.curve(name, x, y, colour, line, width=1.5, marker=marker, entry=entry))
         residual.append(_residual(fitted, o, i, f"{label} measured", colour, entry))
     panels = (
         over_frequency(form_axis(fitted.form), amplitude, 3.0),
         over_frequency(PHASE, phase, 2.0),
-        over_frequency(Axis("|residual| / |H|", "%"), residual, 2.0),
+        over_frequency(chart.Axis("|residual| / |H|", "%"), residual, 2.0),
     )
     caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {fitted.form}, and the residual"
     if fitted.variance is not None:
         caption += "; shaded: 95 % of residuals lie below when only the measured noise is left"
     alternative = f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
-    return Figure(stack(panels, 5.0), f"{caption}.", alternative)
+    return Figure(chart.stack(panels, 5.0), f"{caption}.", alternative)
 
 
-def _residual(fitted: FittedCurve, o: int, i: int, name: str, colour: int, entry: str) -> Series:
+def _residual(fitted: FittedCurve, o: int, i: int, name: str, colour: int, entry: str) -> chart.Series:
     """Residual relative to the fitted FRF [%].
 
     |e|^2 / var is exponential, so 95 % lie below sqrt(ln 20 var).
@@ -118,7 +103,7 @@ def _residual(fitted: FittedCurve, o: int, i: int, name: str, colour: int, entry
     band = None
     if fitted.variance is not None:
         band = np.zeros_like(size), 100 * np.sqrt(np.log(20.0) * fitted.variance[:, o, i]) / size
-    return dots(name, fitted.frequency, values, colour, band=band, entry=entry)
+    return chart.dots(name, fitted.frequency, values, colour, band=band, entry=entry)
 
 
 def correlation_figure(fit: Fit) -> Figure:
@@ -126,13 +111,15 @@ def correlation_figure(fit: Fit) -> Figure:
     names = [parameter.name for parameter in fit.parameters if not parameter.derived][: len(fit.correlation)]
     texts = [[f"{value:.2f}" for value in row] for row in fit.correlation.tolist()]
     side = max(LEAST_SIDE, 0.42 * len(names) + 1.2)
-    axis = Axis(ticks=named_ticks(names))
-    chart = Chart((Panel(axis, axis, (cells(fit.correlation, texts),)),), size=(side + 0.9, side))
+    axis = chart.Axis(ticks=chart.named_ticks(names))
+    graphic = chart.Chart(
+        (chart.Panel(axis, axis, (chart.cells(fit.correlation, texts),)),), size=(side + 0.9, side)
+    )
     caption = (
         f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 only one combination of "
         "two parameters is determined."
     )
-    return Figure(chart, caption, f"Correlation matrix of fit {fit_title(fit)}")
+    return Figure(graphic, caption, f"Correlation matrix of fit {fit_title(fit)}")
 
 
 def sliding_names(fits: Sequence[Fit]) -> list[str]:
@@ -146,42 +133,44 @@ def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
     return [*(_coefficient_figure(fits, group) for group in groups if group), _goodness_figure(fits)]
 
 
-def sliding_curve(fits: Sequence[Fit], parameter: str, label: str, number: int, opacity: float) -> Series:
+def sliding_curve(
+    fits: Sequence[Fit], parameter: str, label: str, number: int, opacity: float
+) -> chart.Series:
     """A coefficient over the centres of its bands [Hz] in the unit people read, shaded: 95 % intervals."""
     amounts = [fit.parameter(parameter) for fit in fits]
     factor = scale_of(amounts[0].unit)
     values = factor * np.array([amount.value for amount in amounts])
     ends = factor * np.array([amount.ci95 or (np.nan, np.nan) for amount in amounts], float)
-    centres, (colour, line) = [fit.centre_hz for fit in fits], look(number)
-    return curve(
+    centres, (colour, line) = [fit.centre_hz for fit in fits], chart.look(number)
+    return chart.curve(
         label, centres, values, colour, line, marker=".", band=(ends[:, 0], ends[:, 1]), opacity=opacity
     )
 
 
 def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
     series = [sliding_curve(fits, name, name, number, 0.2) for number, name in enumerate(names)]
-    y = Axis(names[0][0], unit_text(fits[0].parameter(names[0]).unit))
+    y = chart.Axis(names[0][0], unit_text(fits[0].parameter(names[0]).unit))
     what = "stiffness" if names[0].startswith("k") else "damping"
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
     alternative = f"{what} of {fit_title(fits[0])} over frequency with 95 % interval"
-    return Figure(stack([Panel(CENTRE, y, tuple(series))], 3.2), caption, alternative)
+    return Figure(chart.stack([chart.Panel(CENTRE, y, tuple(series))], 3.2), caption, alternative)
 
 
 def _goodness_figure(fits: Sequence[Fit]) -> Figure:
     centres = [fit.centre_hz for fit in fits]
-    goodness = curve("G.o.F (adj. R²)", centres, [fit.gof.r2_adjusted for fit in fits], marker=".")
+    goodness = chart.curve("G.o.F (adj. R²)", centres, [fit.gof.r2_adjusted for fit in fits], marker=".")
     reduced = [np.nan if fit.gof.chi2_reduced is None else fit.gof.chi2_reduced for fit in fits]
-    chi2 = curve("chi² per datum", centres, reduced, 1, marker=".")
+    chi2 = chart.curve("chi² per datum", centres, reduced, 1, marker=".")
     panels = (
-        Panel(CENTRE, Axis("G.o.F (adj. R²)"), (goodness,)),
-        Panel(CENTRE, Axis("chi² per datum"), (chi2, level(1.0))),
+        chart.Panel(CENTRE, chart.Axis("G.o.F (adj. R²)"), (goodness,)),
+        chart.Panel(CENTRE, chart.Axis("chi² per datum"), (chi2, chart.level(1.0))),
     )
     caption = (
         f"{fit_title(fits[0])}: goodness of fit per band. A high G.o.F does not prove the coefficients; "
         "chi² per datum near 1 says that the model leaves nothing but the measured noise."
     )
     alternative = f"Goodness of fit of {fit_title(fits[0])} over frequency"
-    return Figure(stack(panels, 3.6, "none"), caption, alternative)
+    return Figure(chart.stack(panels, 3.6, "none"), caption, alternative)
 
 
 def element_names(response: FrequencyResponse) -> list[tuple[int, int, str]]:
@@ -198,12 +187,12 @@ def response_figure(response: FrequencyResponse) -> Figure:
     amplitude = _elements(response, factor * np.abs(response.matrix))
     quality, what = _quality(response)
     shown = over_frequency(form_axis(response.form), amplitude, 3.0)
-    chart = stack([shown], 2.4) if quality is None else stack([shown, quality], 3.4)
+    graphic = chart.stack([shown], 2.4) if quality is None else chart.stack([shown, quality], 3.4)
     subject = f"Measured {response.form} of {name}"
-    return Figure(chart, f"{subject}, and {what}.", f"{subject} and {what}")
+    return Figure(graphic, f"{subject}, and {what}.", f"{subject} and {what}")
 
 
-def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
+def _elements(response: FrequencyResponse, values: FloatArray) -> list[chart.Series]:
     """One curve for every element of (n_frequency, n_output, n_input).
 
     Of very many the largest, the median and the least.
@@ -217,10 +206,13 @@ def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
         ]
     else:
         named = [(name, values[:, o, i]) for o, i, name in element_names(response)]
-    return [curve(name, response.frequency, y, *look(number)) for number, (name, y) in enumerate(named)]
+    return [
+        chart.curve(name, response.frequency, y, *chart.look(number))
+        for number, (name, y) in enumerate(named)
+    ]
 
 
-def _quality(response: FrequencyResponse) -> tuple[Panel | None, str]:
+def _quality(response: FrequencyResponse) -> tuple[chart.Panel | None, str]:
     """The panel on the quality of the FRF (coherence, standard deviation), None where nothing is known of it,
     and its description.
     """
@@ -229,19 +221,19 @@ def _quality(response: FrequencyResponse) -> tuple[Panel | None, str]:
         ("coherence", response.coherence, "its coherence"),
     ):
         if coherence is not None:
-            axis = Axis(title, low=0.0, high=HIGHEST_COHERENCE)
+            axis = chart.Axis(title, low=0.0, high=HIGHEST_COHERENCE)
             return over_frequency(axis, _elements(response, coherence), 2.0), what
     if response.snr is not None:
         ratio = np.maximum(response.snr, LEAST_SNR)
         series = [
-            curve(channel, response.frequency, ratio[:, n], *look(n))
+            chart.curve(channel, response.frequency, ratio[:, n], *chart.look(n))
             for n, channel in enumerate(response.snr_channels)
         ]
-        axis = Axis("signal / noise", logarithmic=True)
+        axis = chart.Axis("signal / noise", logarithmic=True)
         return over_frequency(axis, series, 2.0), "the signal-to-noise ratio of its channels"
     if response.variance is not None:
         relative = np.sqrt(response.variance) / np.abs(response.matrix)
-        axis = Axis("std / |H|", logarithmic=True)
+        axis = chart.Axis("std / |H|", logarithmic=True)
         return over_frequency(axis, _elements(response, relative), 2.0), "its relative standard deviation"
     return None, "its uncertainty is not known"
 
@@ -251,12 +243,12 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
     slopes = [fit.parameter("slope") for fit in fits]
     values = np.array([slope.value for slope in slopes])
     ends = np.array([slope.ci95 or (slope.value, slope.value) for slope in slopes]).T
-    series = dots("slope", np.arange(len(fits)), values, marker="o", size=6.0, bars=(ends[0], ends[1]))
-    x = Axis(ticks=named_ticks([fit.test or fit.name for fit in fits]))
-    y = Axis("slope", slopes[0].unit, low=0.0 if values.min() > 0 else None)
-    chart = stack([Panel(x, y, (series,))], 3.0, "none")
+    series = chart.dots("slope", np.arange(len(fits)), values, marker="o", size=6.0, bars=(ends[0], ends[1]))
+    x = chart.Axis(ticks=chart.named_ticks([fit.test or fit.name for fit in fits]))
+    y = chart.Axis("slope", slopes[0].unit, low=0.0 if values.min() > 0 else None)
+    graphic = chart.stack([chart.Panel(x, y, (series,))], 3.0, "none")
     caption = f"{fits[0].name}: slope of each line with its 95 % interval."
-    return Figure(chart, caption, f"Slopes of calibration {fits[0].name}")
+    return Figure(graphic, caption, f"Slopes of calibration {fits[0].name}")
 
 
 def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
@@ -268,21 +260,23 @@ def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         "panel per term."
     )
     alternative = f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}"
-    return Figure(stack(panels, 0.8 + 1.6 * len(terms)), caption, alternative)
+    return Figure(chart.stack(panels, 0.8 + 1.6 * len(terms)), caption, alternative)
 
 
-def _before_and_after(fitted: FittedCurve, o: int, i: int) -> Panel:
+def _before_and_after(fitted: FittedCurve, o: int, i: int) -> chart.Panel:
     """One term: dots measured, dashed before, full after."""
     assert fitted.before is not None
     unit, factor = form_unit(fitted.form)
     lines, after = fitted.drawn
     series = (
-        dots("measured", fitted.frequency, factor * np.abs(fitted.measured[:, o, i]), GREY),
-        curve("before tuning", fitted.frequency, factor * np.abs(fitted.before[:, o, i]), 1, "--", width=1.5),
-        curve("after tuning", lines, factor * np.abs(after[:, o, i]), width=1.5),
+        chart.dots("measured", fitted.frequency, factor * np.abs(fitted.measured[:, o, i]), chart.GREY),
+        chart.curve(
+            "before tuning", fitted.frequency, factor * np.abs(fitted.before[:, o, i]), 1, "--", width=1.5
+        ),
+        chart.curve("after tuning", lines, factor * np.abs(after[:, o, i]), width=1.5),
     )
-    axis = Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True)
-    return Panel(FREQUENCY, axis, series)
+    axis = chart.Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True)
+    return chart.Panel(FREQUENCY, axis, series)
 
 
 # A fitted FRF matrix of many elements: one small panel per element in matrix order, or of very many the sum
@@ -308,20 +302,22 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Root mean square over all elements: measured, fitted, residual, and the noise where it is known."""
     factor, lines = form_unit(fitted.form)[1], fitted.frequency
     series = [
-        dots("measured", lines, factor * _mean_size(fitted.measured), 0, size=1.5),
-        curve("fitted", fitted.drawn[0], factor * _mean_size(fitted.drawn[1]), 1),
-        dots("residual", lines, factor * _mean_size(fitted.measured - fitted.fitted), 2, size=1.5),
+        chart.dots("measured", lines, factor * _mean_size(fitted.measured), 0, size=1.5),
+        chart.curve("fitted", fitted.drawn[0], factor * _mean_size(fitted.drawn[1]), 1),
+        chart.dots("residual", lines, factor * _mean_size(fitted.measured - fitted.fitted), 2, size=1.5),
     ]
     if fitted.variance is not None:
-        series.append(curve("noise", lines, factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2))), 3, "--"))
+        series.append(
+            chart.curve("noise", lines, factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2))), 3, "--")
+        )
     number = len(fitted.outputs) * len(fitted.inputs)
     caption = (
         f"{fit_title(fit)}: {fitted.form}, root mean square over all {number} elements: measured, fitted, "
         "and what is left between them."
     )
-    chart = stack([over_frequency(form_axis(fitted.form), series)], 3.6)
+    graphic = chart.stack([over_frequency(form_axis(fitted.form), series)], 3.6)
     matrix = f"the FRF matrix of fit {fit_title(fit)}"
-    return Figure(chart, caption, f"Root mean square of {matrix} over frequency, with the residual")
+    return Figure(graphic, caption, f"Root mean square of {matrix} over frequency, with the residual")
 
 
 def _mean_size(values: ComplexArray) -> FloatArray:
@@ -335,14 +331,16 @@ def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     left = residual / np.sum(np.abs(fitted.measured) ** 2, axis=0)
     worst = np.argsort(-left, axis=None)[:WORST]
     panels = tuple(_element(fitted, *map(int, np.unravel_index(place, left.shape))) for place in worst)
-    chart = Chart(panels, WORST // COLUMNS, COLUMNS, (WIDTH, 0.6 + 1.7 * (WORST // COLUMNS)), "x", "above")
+    graphic = chart.Chart(
+        panels, WORST // COLUMNS, COLUMNS, (chart.WIDTH, 0.6 + 1.7 * (WORST // COLUMNS)), "x", "above"
+    )
     caption = (
         f"{fit_title(fit)}: the {WORST} of {left.size} elements that the fit meets worst in relation to "
         f"their size (residual {100 * np.sqrt(left.flat[worst[0]]):.2g} to "
         f"{100 * np.sqrt(left.flat[worst[-1]]):.2g} %), response/force; the rest meets better."
     )
     matrix = f"the FRF matrix of fit {fit_title(fit)}"
-    return Figure(chart, caption, f"Amplitude of the {WORST} worst elements of {matrix} over frequency")
+    return Figure(graphic, caption, f"Amplitude of the {WORST} worst elements of {matrix} over frequency")
 
 
 def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
@@ -353,16 +351,16 @@ def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         # One row or column of a matrix, as of a roving test.
         columns = min(COLUMNS, rows)
         rows = -(-len(panels) // columns)
-    chart = Chart(panels, rows, columns, (WIDTH, 0.6 + 1.4 * rows), "xy", "above")
+    graphic = chart.Chart(panels, rows, columns, (chart.WIDTH, 0.6 + 1.4 * rows), "xy", "above")
     caption = (
         f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) "
         f"{fitted.form}, response/force."
     )
     matrix = f"the FRF matrix of fit {fit_title(fit)}"
-    return Figure(chart, caption, f"Amplitude of every element of {matrix} over frequency")
+    return Figure(graphic, caption, f"Amplitude of every element of {matrix} over frequency")
 
 
-def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
+def _element(fitted: FittedCurve, o: int, i: int) -> chart.Panel:
     factor = form_unit(fitted.form)[1]
     size, band = factor * np.abs(fitted.measured[:, o, i]), None
     if fitted.variance is not None:
@@ -370,8 +368,8 @@ def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
         spread = 2 * factor * np.sqrt(fitted.variance[:, o, i] / 2)
         band = np.maximum(size - spread, LEAST_SHARE * size), size + spread
     lines, values = fitted.drawn
-    measured = dots("measured", fitted.frequency, size, 0, size=1.5, band=band)
-    model = curve("fitted", lines, factor * np.abs(values[:, o, i]), 1)
+    measured = chart.dots("measured", fitted.frequency, size, 0, size=1.5, band=band)
+    model = chart.curve("fitted", lines, factor * np.abs(values[:, o, i]), 1)
     title = f"{fitted.outputs[o]}/{fitted.inputs[i]}"
     return over_frequency(form_axis(fitted.form), (measured, model), title=title)
 
@@ -385,12 +383,16 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
         used, recorded, groups = repeats.used, repeats.n, repeats.groups
         values = factor * np.array(repeats.values)
         series = [
-            dots("repeats", np.arange(1, values.size + 1), values, marker="o"),
-            level(factor * parameter.value),
+            chart.dots("repeats", np.arange(1, values.size + 1), values, marker="o"),
+            chart.level(factor * parameter.value),
         ]
         if parameter.ci95 is not None:
-            series.append(span(factor * parameter.ci95[0], factor * parameter.ci95[1], GREY))
-        panels.append(Panel(Axis("repeat"), Axis(parameter.name, unit_text(parameter.unit)), tuple(series)))
+            series.append(chart.span(factor * parameter.ci95[0], factor * parameter.ci95[1], chart.GREY))
+        panels.append(
+            chart.Panel(
+                chart.Axis("repeat"), chart.Axis(parameter.name, unit_text(parameter.unit)), tuple(series)
+            )
+        )
     left_out = f", of {recorded} (the notes name the others)" if used < recorded else ""
     if groups:
         left_out += f", in {groups} groups"
@@ -400,8 +402,8 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
     )
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    chart = Chart(tuple(panels), rows, columns, (WIDTH, 2.2 * rows), "x", "none")
-    return Figure(chart, caption, f"Repeats of {fit_title(fit)}")
+    graphic = chart.Chart(tuple(panels), rows, columns, (chart.WIDTH, 2.2 * rows), "x", "none")
+    return Figure(graphic, caption, f"Repeats of {fit_title(fit)}")
 
 
 # Mode shapes on the structure: its points and lines, and how each mode moves them.
@@ -478,6 +480,6 @@ def _figure(title: str, sketch: ShapeSketch) -> Figure:
         f"{title}: mode shapes on the structure at their two turns, grey at rest; natural frequency and "
         "damping ratio above. Points without a measured dof stand still."
     )
-    drawing = Drawing(KIND, sketch, (WIDTH, ROW_HEIGHT * len(sketch.titles)))
+    drawing = chart.Drawing(KIND, sketch, (chart.WIDTH, ROW_HEIGHT * len(sketch.titles)))
     alternative = f"Mode shapes of fit {title} on the structure: {'; '.join(sketch.titles)}"
     return Figure(drawing, caption, alternative)

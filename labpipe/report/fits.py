@@ -13,20 +13,10 @@ from labpipe.quantities import readable_unit, to_display
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import Fit, Identification, of_points
-from labpipe.report import figures
+from labpipe.report import figures, wording
 from labpipe.report.budget import NOT_STATED, budget_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import MOST_TOGETHER, matrix_figures
-from labpipe.report.wording import (
-    STARS_EXPLAINED,
-    band_text,
-    entangled_text,
-    fit_title,
-    interval_text,
-    legible,
-    parameter_row,
-    significance,
-)
 
 EXPLAINED = (
     "AIC = chi² + 2 parameters: the least is the best supported; 10 above it a model has practically no "
@@ -86,7 +76,7 @@ NUMERIC = (1, 3, 4, 5, 7)
 # Estimates whose correlation a sentence says, and pairs that it names. That of more is a figure, and so is
 # that of more than the pairs tell where two of them are hardly told apart.
 FEW_ESTIMATES, MOST_PAIRS, ENTANGLED = 10, 6, 0.9
-_EXPLANATION = Paragraph(STARS_EXPLAINED)
+_EXPLANATION = Paragraph(wording.STARS_EXPLAINED)
 SAID_BEFORE = Paragraph("Notes and sources of error that stand with a fit before hold here as well.", "note")
 
 
@@ -154,18 +144,18 @@ def _result(fits: list[Fit]) -> tuple[str, tuple[Block, ...]]:
     """Heading and blocks of fits that belong together."""
     if of_points(fits[0].model):
         return fits[0].name, _calibration(fits)
-    return fit_title(fits[0]), _sliding(fits) if len(fits) > 1 else _single(fits[0])
+    return wording.fit_title(fits[0]), _sliding(fits) if len(fits) > 1 else _single(fits[0])
 
 
 def _single(fit: Fit) -> tuple[Block, ...]:
-    rows = tuple(parameter_row(parameter, fit.dof) for parameter in fit.parameters)
+    rows = tuple(wording.parameter_row(parameter, fit.dof) for parameter in fit.parameters)
     return (
         Paragraph(_description(fit)),
-        Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
+        Table(PARAMETER_HEADER, rows, f"Parameters of {wording.fit_title(fit)}", NUMERIC),
         _EXPLANATION,
         *budget_blocks(fit),
         *_correlation_of_few(fit),
-        *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
+        *(Paragraph(sentence, "note") for sentence in wording.entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
         *blocks_of_details(fit),
@@ -212,9 +202,10 @@ def _description(fit: Fit) -> str:
     if not fit.converged:
         end = "NOT converged"
     return (
-        f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} {lines}, "
+        f"Model {fit.model}, estimator {fit.estimator}, band {wording.band_text(fit)}: {fit.lines} {lines}, "
         f"{fit.equations} real equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) "
-        f"{fit.gof.r2_adjusted:.5f}.{chi2} Condition number {fit.condition_number:.3g}.{interval_text(fit)}"
+        f"{fit.gof.r2_adjusted:.5f}.{chi2} Condition number {fit.condition_number:.3g}."
+        f"{wording.interval_text(fit)}"
     )
 
 
@@ -225,7 +216,9 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
         name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits))
         for name in names
     }
-    titles = (f"{name} [{legible(unit)}]" if legible(unit) else name for name, unit in units.items())
+    titles = (
+        f"{name} [{wording.legible(unit)}]" if wording.legible(unit) else name for name, unit in units.items()
+    )
     header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
     rows = tuple(_band_row(fit, units) for fit in fits)
     meaning = (
@@ -233,13 +226,13 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
         f"{fits[0].model}, {fits[0].estimator}. Each value belongs to the centre of its band; ± is one "
         "standard error, n.s.: not significantly different from zero."
     )
-    table = Table(header, rows, f"Bands of {fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
+    table = Table(header, rows, f"Bands of {wording.fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
     return (Paragraph(meaning), *figures.sliding_figures(fits), table)
 
 
 def _band_row(fit: Fit, units: Mapping[str, str]) -> tuple[str, ...]:
     return (
-        band_text(fit),
+        wording.band_text(fit),
         f"{fit.centre_hz:g}",
         f"{fit.gof.r2_adjusted:.4f}",
         *(_with_error(fit, name, unit) for name, unit in units.items()),
@@ -250,14 +243,14 @@ def _band_row(fit: Fit, units: Mapping[str, str]) -> tuple[str, ...]:
 def _with_error(fit: Fit, name: str, unit: str) -> str:
     parameter = fit.parameter(name)
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
-    mark = " n.s." if significance(parameter, fit.dof) == "n.s." else ""
+    mark = " n.s." if wording.significance(parameter, fit.dof) == "n.s." else ""
     return f"{with_error(to_display(parameter.value, unit), error)}{mark}"
 
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
     """Straight lines: slope, intercept and linear range of each; without inflation factors."""
     rows = tuple(
-        (fit.test or fit.name, *parameter_row(parameter, fit.dof)[:-1])
+        (fit.test or fit.name, *wording.parameter_row(parameter, fit.dof)[:-1])
         for fit in fits
         for parameter in fit.parameters
     )
@@ -268,4 +261,4 @@ def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
     )
     quality = Table(("line", "R²", "points", "remarks"), goodness, "Goodness of the lines", (1, 2))
     slopes = [figures.line_figure(fits)] if len(fits) > 1 else []
-    return (table, Paragraph(STARS_EXPLAINED), quality, *slopes)
+    return (table, Paragraph(wording.STARS_EXPLAINED), quality, *slopes)

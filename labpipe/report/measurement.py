@@ -12,20 +12,7 @@ from labpipe.quantities import QUANTITIES
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.report import figures
-from labpipe.report.chart import (
-    INK,
-    PALETTE_SIZE,
-    WIDTH,
-    Axis,
-    Chart,
-    Panel,
-    Series,
-    arrow,
-    curve,
-    dots,
-    stack,
-)
+from labpipe.report import chart, figures
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import (
     PHASE,
@@ -89,29 +76,29 @@ def amplitude_figure(spectra: ChannelSpectra) -> Figure:
     for quantity in dict.fromkeys(channel.quantity for channel in spectra.channels):
         unit = QUANTITIES[quantity].si_unit
         series = [
-            curve
+            row
             for column, number in enumerate(spectra.columns(quantity))
-            for curve in _series(spectra, noise, number, column)
+            for row in _series(spectra, noise, number, column)
         ]
-        panels.append(over_frequency(Axis(quantity, unit_text(unit), logarithmic=True), series))
+        panels.append(over_frequency(chart.Axis(quantity, unit_text(unit), logarithmic=True), series))
     name = spectra.name or "the measurement"
     caption = (
         f"Amplitudes of all channels of {name} at the excited lines, every run as points, and their "
         "noise as lines."
     )
-    chart = stack(panels, PANEL_HEIGHT * len(panels) + 0.6)
-    return Figure(chart, caption, f"Amplitudes and noise of the channels of {name}")
+    graphic = chart.stack(panels, PANEL_HEIGHT * len(panels) + 0.6)
+    return Figure(graphic, caption, f"Amplitudes and noise of the channels of {name}")
 
 
-def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int) -> Iterator[Series]:
-    channel, colour = spectra.channels[number], column % PALETTE_SIZE
+def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int) -> Iterator[chart.Series]:
+    channel, colour = spectra.channels[number], column % chart.PALETTE_SIZE
     factor = scale_of(channel.unit)
     size = np.abs(spectra.vectors[:, :, number])
     above = factor * np.where(size > noise[:, :, number], size, np.nan)
     for amplitude in above.T:
-        yield dots(channel.name, spectra.frequency, amplitude, colour, size=2.0)
+        yield chart.dots(channel.name, spectra.frequency, amplitude, colour, size=2.0)
     typical = factor * _positive(np.sqrt(np.mean(noise[:, :, number] ** 2, axis=1)))
-    yield curve(f"{channel.name} noise", spectra.frequency, typical, colour, ":", width=0.8)
+    yield chart.curve(f"{channel.name} noise", spectra.frequency, typical, colour, ":", width=0.8)
 
 
 def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
@@ -128,17 +115,19 @@ def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
         factor, unit, x = scale_of("m"), unit_text("m"), spectra.frequency
         series = []
         for run, label in enumerate(spectra.runs):
-            colour = run % PALETTE_SIZE
-            series.append(dots(f"{label} major", x, factor * major[:, run], colour, size=2.5))
-            series.append(dots(f"{label} minor", x, factor * minor[:, run], colour, marker="v", size=2.0))
+            colour = run % chart.PALETTE_SIZE
+            series.append(chart.dots(f"{label} major", x, factor * major[:, run], colour, size=2.5))
+            series.append(
+                chart.dots(f"{label} minor", x, factor * minor[:, run], colour, marker="v", size=2.0)
+            )
         names = " and ".join(spectra.channels[number].name for number in pair)
         caption = (
             f"Half axes of the orbits of {names} in every run at each line; a negative minor axis "
             "turns backward, from y to x."
         )
-        chart = stack([over_frequency(Axis("half axis", unit), series)], 2.8)
+        graphic = chart.stack([over_frequency(chart.Axis("half axis", unit), series)], 2.8)
         alternative = f"Half axes of the orbits of {names} of {spectra.name or 'the measurement'}"
-        yield Figure(chart, caption, alternative)
+        yield Figure(graphic, caption, alternative)
 
 
 def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
@@ -153,7 +142,7 @@ def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
 
 
 TURNS = {"f": "forward", "b": "backward"}
-TWO_SIDED = Axis("frequency: backward < 0 < forward", "Hz")
+TWO_SIDED = chart.Axis("frequency: backward < 0 < forward", "Hz")
 # The arrow on an orbit lies between these of its points.
 ARROW = (8, 12)
 
@@ -196,12 +185,12 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
     sides = np.insert(both, response.n_frequency, np.nan, axis=0)
     amplitude, phase = [], []
     for column, name in enumerate(("f/f", "f/b")):
-        amplitude.append(curve(name, x, factor * np.abs(sides[:, column]), column))
-        phase.append(dots(name, x, phase_degrees(sides[:, column]), column, size=1.0))
+        amplitude.append(chart.curve(name, x, factor * np.abs(sides[:, column]), column))
+        phase.append(chart.dots(name, x, phase_degrees(sides[:, column]), column, size=1.0))
     marks = [_mark(peak, factor, 1 if label == "f" else -1) for label, peak in peaks.items()]
     panels = (
-        Panel(TWO_SIDED, form_axis(response.form), (*amplitude, *marks), share=3.0),
-        Panel(TWO_SIDED, PHASE, tuple(phase), share=2.0),
+        chart.Panel(TWO_SIDED, form_axis(response.form), (*amplitude, *marks), share=3.0),
+        chart.Panel(TWO_SIDED, PHASE, tuple(phase), share=2.0),
     )
     marked = "; circles: resonance and half-power points" if peaks else ""
     name = response.name or "the measurement"
@@ -210,14 +199,16 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
         f"force{marked}."
     )
     alternative = f"Directional {response.form} of {name} over negative and positive frequencies"
-    return Figure(stack(panels, 4.8), caption, alternative)
+    return Figure(chart.stack(panels, 4.8), caption, alternative)
 
 
-def _mark(peak: HalfPower, factor: float, sign: int) -> Series:
+def _mark(peak: HalfPower, factor: float, sign: int) -> chart.Series:
     """Rings at the resonance and its half-power points."""
     frequency = sign * np.array([peak.low, peak.frequency, peak.high])
     amplitude = factor * peak.amplitude * np.array([1, np.sqrt(2), 1]) / np.sqrt(2)
-    return dots("resonance and half power", frequency, amplitude, INK, marker="o", size=5.0, hollow=True)
+    return chart.dots(
+        "resonance and half power", frequency, amplitude, chart.INK, marker="o", size=5.0, hollow=True
+    )
 
 
 def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> tuple[Block, ...]:
@@ -250,11 +241,11 @@ def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Fi
         f"Orbits of {name} under a turning force of 1 N; the dot is where the force points along x, "
         "the arrow the sense of rotation."
     )
-    chart = Chart(panels, 1, 2, (WIDTH, 0.5 * WIDTH))
-    return Figure(chart, caption, f"Orbits of {name} at resonance and half-power points")
+    graphic = chart.Chart(panels, 1, 2, (chart.WIDTH, 0.5 * chart.WIDTH))
+    return Figure(graphic, caption, f"Orbits of {name} at resonance and half-power points")
 
 
-def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
+def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> chart.Panel:
     """The orbits under a force that turns one way."""
     unit, factor = form_unit(response.form)
     column, series = FORWARD_BACKWARD.index(label), []
@@ -262,7 +253,13 @@ def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
         line = int(np.argmin(np.abs(response.frequency - frequency)))
         path = factor * orbit(response.matrix[line, :, column])
         series += _orbit(path, f"{response.frequency[line]:.4g} Hz", number)
-    return Panel(Axis("x", unit), Axis("y", unit), tuple(series), f"force turning {TURNS[label]}", equal=True)
+    return chart.Panel(
+        chart.Axis("x", unit),
+        chart.Axis("y", unit),
+        tuple(series),
+        f"force turning {TURNS[label]}",
+        equal=True,
+    )
 
 
 def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
@@ -273,11 +270,11 @@ def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
     return np.asarray(((FROM_DIRECTIONAL @ amplitude)[:, None] * turn).real)
 
 
-def _orbit(path: FloatArray, name: str, colour: int) -> list[Series]:
+def _orbit(path: FloatArray, name: str, colour: int) -> list[chart.Series]:
     """An orbit (2, n) with a dot at its first point and an arrow along it."""
     tail, head = path[:, ARROW[0]], path[:, ARROW[1]]
-    first = dots(name, path[0, :1], path[1, :1], colour, marker="o", size=4.0)
-    return [curve(name, path[0], path[1], colour, width=1.2), first, arrow(tail, head, colour)]
+    first = chart.dots(name, path[0, :1], path[1, :1], colour, marker="o", size=4.0)
+    return [chart.curve(name, path[0], path[1], colour, width=1.2), first, chart.arrow(tail, head, colour)]
 
 
 def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Figure:
@@ -287,11 +284,11 @@ def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Fi
     factor = form_unit(response.form)[1]
     amplitude, phase = [], []
     for number, (o, i, name) in enumerate(element_names(response)):
-        x, colour = response.frequency, number % PALETTE_SIZE
+        x, colour = response.frequency, number % chart.PALETTE_SIZE
         for title, line, h in ((name, "-", response.matrix), (f"{name} H1, biased", ":", open_loop)):
-            amplitude.append(curve(title, x, factor * np.abs(h[:, o, i]), colour, line))
+            amplitude.append(chart.curve(title, x, factor * np.abs(h[:, o, i]), colour, line))
             # Lines would jump from -180 to 180 deg and hide each other.
-            points = dots(title, x, phase_degrees(h[:, o, i]), colour, size=1.5, hollow=line == ":")
+            points = chart.dots(title, x, phase_degrees(h[:, o, i]), colour, size=1.5, hollow=line == ":")
             phase.append(points)
     name = response.name or "the measurement"
     caption = (
@@ -300,7 +297,7 @@ def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Fi
     )
     panels = (over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0))
     alternative = f"FRF by the reference and H1 of {name} over frequency"
-    return Figure(stack(panels, 4.8), caption[0].upper() + caption[1:], alternative)
+    return Figure(chart.stack(panels, 4.8), caption[0].upper() + caption[1:], alternative)
 
 
 def distortion_figure(response: FrequencyResponse) -> Figure:
@@ -311,7 +308,9 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
     size, x = np.abs(response.matrix), response.frequency
     parts = ((size, "-", ""), (response.distortion, "--", " distortion"), (noise, ":", " noise"))
     series = [
-        curve(f"{name}{what}", x, factor * _positive(values[:, o, i]), number % PALETTE_SIZE, line)
+        chart.curve(
+            f"{name}{what}", x, factor * _positive(values[:, o, i]), number % chart.PALETTE_SIZE, line
+        )
         for number, (o, i, name) in enumerate(element_names(response))
         for values, line, what in parts
     ]
@@ -320,8 +319,8 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
         f"{response.form} of {name} averaged over realisations of the phases, and the two parts of its "
         "standard deviation: distortion above noise means that the rig left its linear range."
     )
-    chart = stack([over_frequency(form_axis(response.form), series)], 3.4)
-    return Figure(chart, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")
+    graphic = chart.stack([over_frequency(form_axis(response.form), series)], 3.4)
+    return Figure(graphic, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")
 
 
 def _positive(values: FloatArray) -> FloatArray:

@@ -23,15 +23,7 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.settings import Settings, require_positive, setting
-from labpipe.simulate.virtual_rigs import (
-    Simulation,
-    VirtualRigKind,
-    coefficients_by_name,
-    force_and_displacements,
-    kind_of_recordings,
-    one_mass_truth,
-    whole_numbers,
-)
+from labpipe.simulate import virtual_rigs
 
 # A free decay is followed until this share of it is left.
 DIED_OUT = 1e-12
@@ -171,7 +163,7 @@ class OneMass(Settings):
     @property
     def truth(self) -> dict[str, float]:
         """k, c, mass, f_n and zeta [SI, Hz]."""
-        return one_mass_truth(self.mass, self.stiffness, self.damping)
+        return virtual_rigs.one_mass_truth(self.mass, self.stiffness, self.damping)
 
     def receptance(self, frequency: FloatArray) -> ComplexArray:
         """H at *frequency* (n,) [Hz], (n,) [m/N]."""
@@ -366,7 +358,7 @@ class WhiteNoiseRig(Settings):
     @property
     def truth(self) -> dict[str, float]:
         """k_xx ... c_yy, mass, speed and unbalance [SI, Hz], by name."""
-        coefficients = coefficients_by_name("xy", k=self.stiffness, c=self.damping)
+        coefficients = virtual_rigs.coefficients_by_name("xy", k=self.stiffness, c=self.damping)
         return {"mass": self.mass, **coefficients, "speed_hz": self.speed, "unbalance": self.unbalance}
 
 
@@ -470,7 +462,9 @@ class VirtualMdofRig(Settings):
     def truth(self) -> dict[str, float]:
         """k_i_j [N/m], c_i_j [N.s/m] and m_i_j [kg] by name."""
         labels = [str(number + 1) for number in range(len(self.stiffness))]
-        return coefficients_by_name(labels, "_", k=self.stiffness, c=self.damping, m=self.mass_matrix)
+        return virtual_rigs.coefficients_by_name(
+            labels, "_", k=self.stiffness, c=self.damping, m=self.mass_matrix
+        )
 
 
 def noisy_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> FrequencyResponse:
@@ -488,32 +482,32 @@ def noisy_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> Freq
     return FrequencyResponse(rig.frequency, matrix, ports, ports, covariance=covariance, name=rig.name)
 
 
-BASE_RIG = kind_of_recordings(
+BASE_RIG = virtual_rigs.kind_of_recordings(
     BaseRig,
     runs=lambda _rig: BASE_RUNS,
     record=_base_run,
-    logged=lambda run: whole_numbers(run, steps={"base": 1, "mass": 10, "gap": 100}),
+    logged=lambda run: virtual_rigs.whole_numbers(run, steps={"base": 1, "mass": 10, "gap": 100}),
     truth=lambda rig: rig.truth,
 )
-SWEEP_RIG = kind_of_recordings(
+SWEEP_RIG = virtual_rigs.kind_of_recordings(
     SweepRig,
     runs=lambda _rig: tuple(SWEEP_RUNS),
     record=_sweep_run,
-    logged=lambda run: whole_numbers(run, steps={"f": 10, "y": 100}),
+    logged=lambda run: virtual_rigs.whole_numbers(run, steps={"f": 10, "y": 100}),
     truth=lambda rig: rig.truth,
     noisy=lambda rig, level: replace(rig, noise=level * rig.noise, force_noise=level * rig.force_noise),
 )
-WHITE_NOISE_RIG = kind_of_recordings(
+WHITE_NOISE_RIG = virtual_rigs.kind_of_recordings(
     WhiteNoiseRig,
     runs=lambda _rig: tuple(SHAKEN_RUNS),
     record=_shaken_run,
-    logged=force_and_displacements,
+    logged=virtual_rigs.force_and_displacements,
     truth=lambda rig: rig.truth,
 )
-MDOF_RIG = VirtualRigKind(
+MDOF_RIG = virtual_rigs.VirtualRigKind(
     settings=VirtualMdofRig,
     runs=lambda _rig: (),
-    simulate=lambda rig, seed, _runs: Simulation(
+    simulate=lambda rig, seed, _runs: virtual_rigs.Simulation(
         {"frf": noisy_response(rig, np.random.default_rng(seed))}, {"truth": rig.truth}
     ),
     parameters=lambda rig, _runs: rig.truth,

@@ -24,21 +24,13 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, Blocks, StoredCovariance
+from labpipe.spectra import quality
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random, pooled_residual
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product, without_rounding
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
-from labpipe.spectra.quality import (
-    check_forces,
-    check_power,
-    check_responses,
-    coherence_by_power,
-    multiple_coherence,
-    ordinary_coherence,
-    partial_coherence,
-)
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
@@ -316,9 +308,9 @@ def parts_of_spectra(
         matrix[:, n_input:, :n_input],
         matrix[:, n_input:, n_input:],
     )
-    check_forces(s_uu, layout)
+    quality.check_forces(s_uu, layout)
     if settings.estimator != "H1":
-        check_responses(s_yy, layout, settings.estimator)
+        quality.check_responses(s_yy, layout, settings.estimator)
     inverse_force, _ = definite_inverse(s_uu)
     first = product(s_yu, inverse_force)
     response = first if settings.estimator == "H1" else ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
@@ -330,10 +322,12 @@ def parts_of_spectra(
         instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
         covariance = covariance_of_random(matrix, response, instruments, averages, half_width)
     return replace(
-        _parts(spectra, response, covariance, multiple_coherence(first, s_yu, s_yy), s_yy, layout),
+        _parts(spectra, response, covariance, quality.multiple_coherence(first, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
-        coherence=ordinary_coherence(s_uu, s_yu, s_yy),
-        partial_coherence=partial_coherence(np.einsum("fii->fi", inverse_force).real, first, s_yu, s_yy)
+        coherence=quality.ordinary_coherence(s_uu, s_yu, s_yy),
+        partial_coherence=quality.partial_coherence(
+            np.einsum("fii->fi", inverse_force).real, first, s_yu, s_yy
+        )
         if n_input > 1
         else None,
     )
@@ -435,7 +429,7 @@ def parts_of_single_forces(
     around. DataError for a force without power.
     """
     power, s_yu, s_yy = _sum(spectra, chosen, layout)
-    check_power(power)
+    quality.check_power(power)
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
     covariance: StoredCovariance = None
@@ -445,10 +439,10 @@ def parts_of_single_forces(
             pooled_residual(residual, response, half_width), power * (averages - n_input)
         )
     return replace(
-        _parts(spectra, response, covariance, multiple_coherence(response, s_yu, s_yy), s_yy, layout),
+        _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
-        coherence=coherence_by_power(power, s_yu, s_yy),
-        partial_coherence=partial_coherence(1 / power, response, s_yu, s_yy),
+        coherence=quality.coherence_by_power(power, s_yu, s_yy),
+        partial_coherence=quality.partial_coherence(1 / power, response, s_yu, s_yy),
     )
 
 

@@ -15,15 +15,7 @@ from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.quantities import QUANTITIES
-from labpipe.records.comparison import (
-    Beside,
-    ConditionAxis,
-    ConditionMatrix,
-    EquilibriumPath,
-    MatrixPoint,
-    PathPoint,
-    Repeated,
-)
+from labpipe.records import comparison
 from labpipe.records.finding import WARNING, Finding, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
@@ -37,7 +29,7 @@ from labpipe.uncertainty.weighted import weighted_mean
 # not.
 
 
-def repeat(parameters: Sequence[Parameter]) -> Repeated:
+def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.
 
     Standard error: s^2 = s_mean^2 + u^2. s_mean is that of the weighted mean of the errors by noise, enlarged
@@ -48,14 +40,16 @@ def repeat(parameters: Sequence[Parameter]) -> Repeated:
     values = np.array([parameter.value for parameter in parameters])
     scatter = float(np.std(values, ddof=1)) if values.size > 1 else None
     if values.size == 1:
-        return Repeated(parameters[0], 1)
+        return comparison.Repeated(parameters[0], 1)
     errors = np.array(
         [np.nan if parameter.std_error is None else parameter.std_error for parameter in parameters]
     )
     if not np.all(errors > 0):
         plain, error = float(np.mean(values)), (scatter or 0.0) / float(np.sqrt(values.size))
         reach = float(student_quantile(0.975, values.size - 1) * error)
-        return Repeated(_parameter(parameters[0], plain, error, error, reach), values.size, scatter=scatter)
+        return comparison.Repeated(
+            _parameter(parameters[0], plain, error, error, reach), values.size, scatter=scatter
+        )
     mean = weighted_mean(values, errors)
     full = np.array([parameter.full_error or 0.0 for parameter in parameters])
     common = float(np.mean(np.sqrt(np.maximum(full**2 - errors**2, 0.0))))
@@ -64,7 +58,7 @@ def repeat(parameters: Sequence[Parameter]) -> Repeated:
     # Student's quantile belongs to the part that was estimated from the scatter.
     reach = float(np.hypot(mean.quantile * noise, normal_quantile(0.975) * common))
     parameter = _parameter(parameters[0], float(mean.values[0]), noise, whole, reach)
-    return Repeated(parameter, values.size, scatter=scatter, p_value=mean.p_value)
+    return comparison.Repeated(parameter, values.size, scatter=scatter, p_value=mean.p_value)
 
 
 def _parameter(like: Parameter, value: float, noise: float, whole: float, reach: float) -> Parameter:
@@ -91,7 +85,7 @@ def _parameter(like: Parameter, value: float, noise: float, whole: float, reach:
 AMPLITUDES = ("amplitude", "orbit")
 
 
-def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
+def amplitude_statement(matrix: comparison.ConditionMatrix, level: float) -> str:
     """The largest amplitude whose coefficients do not differ from those at the smallest, as a sentence; empty
     where none is tested.
 
@@ -125,15 +119,17 @@ def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
     return f"The coefficients of small motions hold up to {valid}; at {changed} {names} differ"
 
 
-def _along(matrix: ConditionMatrix, axis: int) -> dict[tuple[int, ...], list[MatrixPoint]]:
+def _along(
+    matrix: comparison.ConditionMatrix, axis: int
+) -> dict[tuple[int, ...], list[comparison.MatrixPoint]]:
     """The points along an axis, in its order, by their place on the other axes."""
-    groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
+    groups: dict[tuple[int, ...], list[comparison.MatrixPoint]] = {}
     for point in sorted(matrix.points, key=lambda point: point.place[axis]):
         groups.setdefault(point.place[:axis] + point.place[axis + 1 :], []).append(point)
     return groups
 
 
-def _chance(first: MatrixPoint, other: MatrixPoint, name: str) -> float | None:
+def _chance(first: comparison.MatrixPoint, other: comparison.MatrixPoint, name: str) -> float | None:
     """p-value of the difference of a coefficient of two points."""
     pair = [value.parameter for point in (first, other) if (value := point.value(name)) is not None]
     errors = [parameter.std_error for parameter in pair if parameter.std_error is not None]
@@ -149,8 +145,8 @@ STIFFNESS = ("k_xx", "k_xy", "k_yx", "k_yy")
 
 
 def equilibrium_paths(
-    settings: EquilibriumSettings, matrix: ConditionMatrix, fits: Sequence[Fit]
-) -> tuple[EquilibriumPath, ...]:
+    settings: EquilibriumSettings, matrix: comparison.ConditionMatrix, fits: Sequence[Fit]
+) -> tuple[comparison.EquilibriumPath, ...]:
     """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests
     of the matrix.
 
@@ -164,13 +160,18 @@ def equilibrium_paths(
         if len(points) > 1:
             loads = np.array([matrix.axes[number].levels[point.place[number]] for point in points])
             at = ", ".join(axis.text(axis.levels[n]) for axis, n in zip(axes, others, strict=True))
-            paths.append(EquilibriumPath(at, _path(settings, loads, points, fits), settings.clearance))
+            paths.append(
+                comparison.EquilibriumPath(at, _path(settings, loads, points, fits), settings.clearance)
+            )
     return tuple(paths)
 
 
 def _path(
-    settings: EquilibriumSettings, loads: FloatArray, points: Sequence[MatrixPoint], fits: Sequence[Fit]
-) -> tuple[PathPoint, ...]:
+    settings: EquilibriumSettings,
+    loads: FloatArray,
+    points: Sequence[comparison.MatrixPoint],
+    fits: Sequence[Fit],
+) -> tuple[comparison.PathPoint, ...]:
     """Rest positions with the slope of the parabola through each point and its neighbours.
 
     At the ends, of the outer three.
@@ -184,7 +185,7 @@ def _path(
         away = position[n] - np.array(settings.centre)
         shaking = _shaken(settings, [fit for fit in fits if fit.test in point.tests])
         path.append(
-            PathPoint(
+            comparison.PathPoint(
                 float(loads[n]),
                 _pair(away),
                 _pair(error[n]),
@@ -206,7 +207,7 @@ def _pair(values: FloatArray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _rest(settings: EquilibriumSettings, point: MatrixPoint) -> tuple[list[float], list[float]]:
+def _rest(settings: EquilibriumSettings, point: comparison.MatrixPoint) -> tuple[list[float], list[float]]:
     """Mean position (x, y) [m] and its standard errors from the scatter of the repeats."""
     beside = {entry.name: entry for entry in point.beside}
     for name in (settings.x, settings.y):
@@ -314,7 +315,7 @@ def condition_matrix(
     fits: Sequence[Fit],
     conditions: Mapping[str, Mapping[str, Any]],
     theory: PointTheory | None = None,
-) -> ConditionMatrix:
+) -> comparison.ConditionMatrix:
     """The matrix of the settings; *conditions* of every test by its name.
 
     ConfigError for an unknown fit, coefficient or condition, FitError where no test has a result.
@@ -334,7 +335,7 @@ def condition_matrix(
         _point(settings, place, of_place, members, names, amounts) for place, of_place, members in cells
     )
     every = itertools.product(*(range(len(axis.levels)) for axis in axes))
-    matrix = ConditionMatrix(
+    matrix = comparison.ConditionMatrix(
         name=settings.name,
         fit=settings.fit,
         axes=axes,
@@ -385,12 +386,12 @@ def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[st
 
 def _axes(
     settings: MatrixSettings, amounts: Mapping[str, Amounts]
-) -> tuple[tuple[ConditionAxis, ...], list[tuple[int, ...]]]:
+) -> tuple[tuple[comparison.ConditionAxis, ...], list[tuple[int, ...]]]:
     """The axes with their levels, and the place of every test on them."""
     axes, numbers = [], []
     for name in settings.over:
         levels, number = levels_of(amounts[name].values, settings.tolerance)
-        axes.append(ConditionAxis(name, amounts[name].unit, tuple(levels.tolist())))
+        axes.append(comparison.ConditionAxis(name, amounts[name].unit, tuple(levels.tolist())))
         numbers.append(number.tolist())
     return tuple(axes), list(zip(*numbers, strict=True))
 
@@ -413,25 +414,27 @@ def _point(
     members: Sequence[int],
     names: Sequence[str],
     amounts: Mapping[str, Amounts],
-) -> MatrixPoint:
+) -> comparison.MatrixPoint:
     of_name = {name: [p for fit in fits for p in fit.parameters if p.name == name] for name in names}
     beside = []
     for name in (*settings.beside, *_of_path(settings)):
         measured = amounts[name].values[list(members)]
         scatter = float(np.std(measured, ddof=1)) if measured.size > 1 else 0.0
-        beside.append(Beside(name, float(np.mean(measured)), scatter, amounts[name].unit))
+        beside.append(comparison.Beside(name, float(np.mean(measured)), scatter, amounts[name].unit))
     codes = dict.fromkeys(finding.code for fit in fits for finding in of_level(WARNING, fit.findings))
     values = tuple(repeat(parameters) for parameters in of_name.values() if parameters)
-    return MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
+    return comparison.MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
 
 
-def _beside_theory(matrix: ConditionMatrix, point: MatrixPoint, theory: PointTheory) -> MatrixPoint:
+def _beside_theory(
+    matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint, theory: PointTheory
+) -> comparison.MatrixPoint:
     expected = theory(matrix.levels_of(point), tuple(axis.unit for axis in matrix.axes))
     values = tuple(replace(value, theory=expected.get(value.parameter.name)) for value in point.values)
     return replace(point, values=values)
 
 
-def _judge(matrix: ConditionMatrix, settings: MatrixSettings) -> ConditionMatrix:
+def _judge(matrix: comparison.ConditionMatrix, settings: MatrixSettings) -> comparison.ConditionMatrix:
     """The matrix with its amounts, findings and statement."""
     values = [(point, value) for point in matrix.points for value in point.values]
     tested = [
@@ -458,7 +461,7 @@ def _judge(matrix: ConditionMatrix, settings: MatrixSettings) -> ConditionMatrix
     return replace(matrix, amounts=tuple(amounts), findings=_repeats_findings(matrix, apart), statement=whole)
 
 
-def _largest_error(matrix: ConditionMatrix, name: str) -> Parameter:
+def _largest_error(matrix: comparison.ConditionMatrix, name: str) -> Parameter:
     """The largest standard error of a coefficient relative to its value over all points."""
     values = [value.parameter for point in matrix.points if (value := point.value(name)) is not None]
     errors = [p.full_error / abs(p.value) for p in values if p.full_error is not None and p.value]
@@ -466,7 +469,7 @@ def _largest_error(matrix: ConditionMatrix, name: str) -> Parameter:
 
 
 def _repeats_findings(
-    matrix: ConditionMatrix, apart: Sequence[tuple[MatrixPoint, Repeated]]
+    matrix: comparison.ConditionMatrix, apart: Sequence[tuple[comparison.MatrixPoint, comparison.Repeated]]
 ) -> tuple[Finding, ...]:
     """One warning of all points whose repeats scatter more than their errors."""
     if not apart:

@@ -10,18 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from labpipe import distributions
 from labpipe.arrays import FloatArray
-from labpipe.distributions import (
-    chi2_quantile,
-    chi2_tail,
-    coverage_factor,
-    f_quantile,
-    f_tail,
-    normal_quantile,
-    normal_tail,
-    student_quantile,
-    student_tail,
-)
 from labpipe.errors import FitError
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter
@@ -54,7 +44,11 @@ class WeightedFit:
     @property
     def quantile(self) -> float:
         """Standard errors to either side of a 95 % interval. Equation (comp-quantile)."""
-        return student_quantile(0.975, self.dof) if self.inflated else normal_quantile(0.975)
+        return (
+            distributions.student_quantile(0.975, self.dof)
+            if self.inflated
+            else distributions.normal_quantile(0.975)
+        )
 
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
@@ -66,7 +60,9 @@ class WeightedFit:
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""
         ratio = abs(self.values[number] - value) / self.std_error(number)
-        return 2 * (student_tail(ratio, self.dof) if self.inflated else normal_tail(ratio))
+        return 2 * (
+            distributions.student_tail(ratio, self.dof) if self.inflated else distributions.normal_tail(ratio)
+        )
 
 
 def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
@@ -91,7 +87,7 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
     solved = covariance @ design.T @ whitened
     chi2 = float(np.sum((whitened - design @ solved) ** 2))
     dof = values.size - columns.shape[1]
-    p_value = chi2_tail(chi2, dof) if dof else None
+    p_value = distributions.chi2_tail(chi2, dof) if dof else None
     inflated = p_value is not None and p_value < SCATTER_LEVEL
     return WeightedFit(
         solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated
@@ -165,11 +161,14 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     f = between / within
     # SSB (1 - F_q / F), which has no F to divide by where the means are alike.
     ends = [
-        (between_sum - (a - 1) * within * f_quantile(q, a - 1, n - a)) / (n_0 * chi2_quantile(q, a - 1))
+        (between_sum - (a - 1) * within * distributions.f_quantile(q, a - 1, n - a))
+        / (n_0 * distributions.chi2_quantile(q, a - 1))
         for q in (1 - TAIL, TAIL)
     ]
     low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
-    least, most = (float(np.sqrt(within_sum / chi2_quantile(q, n - a))) for q in (1 - TAIL, TAIL))
+    least, most = (
+        float(np.sqrt(within_sum / distributions.chi2_quantile(q, n - a))) for q in (1 - TAIL, TAIL)
+    )
     return Components(
         mean=float(np.mean(values)),
         mean_error=float(np.sqrt(between / n)),
@@ -177,7 +176,7 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
         within_ci=(least, most),
         between=float(np.sqrt(max((between - within) / n_0, 0.0))),
         between_ci=(low, high),
-        p_value=f_tail(f, a - 1, n - a),
+        p_value=distributions.f_tail(f, a - 1, n - a),
         settings=a,
         repeats=n,
     )
@@ -194,7 +193,9 @@ def _mean(campaign: Campaign, scatter: Components) -> Parameter:
     error = float(np.hypot(scatter.mean_error, np.sqrt(common)))
     # Settings whose means are alike to the last digit leave nothing that was estimated from them.
     dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4 if scatter.mean_error > 0 else np.inf
-    return with_error("mean", campaign.unit, scatter.mean, error, coverage_factor(1 - 2 * TAIL, dof))
+    return with_error(
+        "mean", campaign.unit, scatter.mean, error, distributions.coverage_factor(1 - 2 * TAIL, dof)
+    )
 
 
 def repeatability(campaign: Campaign) -> Comparison:
@@ -210,7 +211,7 @@ def repeatability(campaign: Campaign) -> Comparison:
     noise = float(np.sqrt(np.mean(campaign.std_error**2)))
     ratio = (scatter.within / noise) ** 2
     dof = scatter.repeats - scatter.settings
-    noise_p = chi2_tail(ratio * dof, dof)
+    noise_p = distributions.chi2_tail(ratio * dof, dof)
     verdict = "settings differ" if scatter.p_value < settings.level else "settings alike"
     percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
     result = (
@@ -318,5 +319,5 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
             shared = float(weights @ errors[others, n] / weights.sum())
             variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * shared
         differences[n] = values[n] - rest.values[0]
-        chances[n] = 2 * normal_tail(abs(differences[n]) / np.sqrt(variance))
+        chances[n] = 2 * distributions.normal_tail(abs(differences[n]) / np.sqrt(variance))
     return differences, chances

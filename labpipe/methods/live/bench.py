@@ -24,35 +24,7 @@ from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate as FitEstimate
 from labpipe.estimation.transfer_mode import transfer_of
-from labpipe.methods.live.charts import (
-    MOST_DROPPED,
-    Charts,
-    Common,
-    Forecast,
-    OtherForces,
-    Standing,
-    Update,
-    Watch,
-    check_names,
-    forecast,
-    hit_variation,
-    lasting,
-    no_longer_falls,
-    sequence_factor,
-)
-from labpipe.methods.live.running_fit import (
-    CUTTERS,
-    HALF_WIDTH,
-    LEAST_AVERAGES,
-    Average,
-    Cutter,
-    Directions,
-    Equation,
-    Estimate,
-    RunningFit,
-    normal_equations,
-    scaled,
-)
+from labpipe.methods.live import charts, running_fit
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.recording import Channel, Recording
@@ -91,26 +63,26 @@ class FollowedFit:
         self._sensors = np.array([sensor_response(sensors[port], chosen) for port in ports]).T
         self._sensors[:, : len(rows)] *= (2j * np.pi * chosen[:, None]) ** layout.derivatives
         self._form = layout.form
-        equation = Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
-        self.fit = RunningFit(equation)
-        self.sums = Directions(hits)
-        self.charts = Charts(self.fit)
+        equation = running_fit.Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
+        self.fit = running_fit.RunningFit(equation)
+        self.sums = running_fit.Directions(hits)
+        self.charts = charts.Charts(self.fit)
         self.model = model
-        self.estimate: Estimate | None = None
+        self.estimate: running_fit.Estimate | None = None
         self.widths: dict[str, list[float]] = {}
         self.first: list[tuple[ComplexArray, int]] = []
-        self.common: Mapping[str, Common] = {}
+        self.common: Mapping[str, charts.Common] = {}
         self.by_run: Fit | None = None
         self._looked_at, self._next_look = 0, FIRST_LOOK
         self._by_turns: tuple[int, FloatArray] = 0, np.empty(0)
 
     @property
-    def now(self) -> Estimate:
+    def now(self) -> running_fit.Estimate:
         """The estimate, of a fit that has one."""
         assert self.estimate is not None
         return self.estimate
 
-    def picked(self, average: Average) -> ComplexArray:
+    def picked(self, average: running_fit.Average) -> ComplexArray:
         """The fit's lines and channels, sensors taken out, (n_line, 1, n_channel) [channels' units]."""
         z = average.amplitude[self._lines][:, self._channels] / self._sensors
         return z[:, None, :]
@@ -155,8 +127,8 @@ class FollowedFit:
         self.by_run = fits[0] if fits else None
         now = {parameter.name: parameter.value for parameter in self._of_noise()}
         self.common = {
-            parameter.name: Common(
-                lasting(parameter),
+            parameter.name: charts.Common(
+                charts.lasting(parameter),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
                 parameter.reason,
             )
@@ -184,7 +156,7 @@ class FollowedFit:
             form=self._form,
             covariance=covariance_of_periodic(matrix, inverse, noise),
             averages=float(least),
-            covariance_dof=float((least - 1) * (2 * HALF_WIDTH + 1)),
+            covariance_dof=float((least - 1) * (2 * running_fit.HALF_WIDTH + 1)),
         )
 
     @property
@@ -208,7 +180,7 @@ class FollowedFit:
     def _of_noise(self) -> tuple[Parameter, ...]:
         estimate = self.now
         dof = np.maximum(estimate.dof.astype(int), 1)
-        design = scaled(estimate.information)[0] if estimate.identifiable else np.eye(dof.size)
+        design = running_fit.scaled(estimate.information)[0] if estimate.identifiable else np.eye(dof.size)
         # The scale is selected low where the width ends the test; what an interval has beyond noise.
         widened = (1 + 2 / float(estimate.dof.min())) * self.by_chi_square**2
         fitted = FitEstimate(
@@ -224,7 +196,7 @@ class FollowedFit:
             for p in reported_parameters(fitted, self.model, self.setup)
         )
 
-    def by_other_forces(self, number: int, goal: float) -> OtherForces | None:
+    def by_other_forces(self, number: int, goal: float) -> charts.OtherForces | None:
         """What the forces that did not act yet would save of the averages until coefficient *number* has the
         half-width *goal* [parameter unit]; None where all did.
         """
@@ -235,9 +207,9 @@ class FollowedFit:
         if self._by_turns[0] != self.now.n:
             self._by_turns = self.now.n, self._round(forces)
         rounds = (NORMAL / goal) ** 2 * self._by_turns[1][number]
-        per_direction = max(math.ceil(rounds), LEAST_AVERAGES)
+        per_direction = max(math.ceil(rounds), running_fit.LEAST_AVERAGES)
         more = int(np.maximum(per_direction - self.sums.counts, 0).sum()) + per_direction * len(forces)
-        return OtherForces(tuple(self.setup.inputs[n].label for n in forces), more)
+        return charts.OtherForces(tuple(self.setup.inputs[n].label for n in forces), more)
 
     def _round(self, forces: Sequence[int]) -> FloatArray:
         """The variance (n_parameter,) [squared parameter units] by one average in each direction: those that
@@ -252,8 +224,8 @@ class FollowedFit:
         z[..., :n_output] = -np.linalg.solve(gain[..., :n_output], moved).swapaxes(1, 2)
         noise = np.mean(self.sums.covariance() * counts[:, None, None], axis=1, keepdims=True)
         _, _, multiplier, slopes, weighted = self.fit.parts(z, noise, self.now.values)
-        added, _ = normal_equations(slopes, weighted, multiplier)
-        unit, scale = scaled(self.now.information * counts.size / self.now.n + added)
+        added, _ = running_fit.normal_equations(slopes, weighted, multiplier)
+        unit, scale = running_fit.scaled(self.now.information * counts.size / self.now.n + added)
         return np.asarray(np.diag(np.linalg.pinv(unit, hermitian=True)) / scale**2)
 
 
@@ -264,7 +236,10 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     of_all = any((settings.eliminate, settings.bootstrap, settings.monte_carlo, settings.compare))
     several = settings.sliding is not None or settings.peaks or len(settings.bands) > 1
     reasons = (
-        (frf.excitation not in CUTTERS, f"{frf.excitation} data are known by all samples together"),
+        (
+            frf.excitation not in running_fit.CUTTERS,
+            f"{frf.excitation} data are known by all samples together",
+        ),
         (not frf.single_averages, "its FRF follows from all averages together"),
         (
             settings.kind.of == SPECTRA,
@@ -315,22 +290,24 @@ ACTS = 0.1
 
 
 @dataclass(eq=False, repr=False)
-class Bench(Watch):
+class Bench(charts.Watch):
     """All fits of a pipeline, followed over the samples of one stream."""
 
     def __post_init__(self) -> None:
-        self.cutter: Cutter = CUTTERS[self.frf.excitation](self.channels, self.sample_rate, self.frf)
+        self.cutter: running_fit.Cutter = running_fit.CUTTERS[self.frf.excitation](
+            self.channels, self.sample_rate, self.frf
+        )
         self.layout = layout_of(self.channels, self.sample_rate)
         self.fits: list[FollowedFit] = []
         self.dropped = 0
-        self._waiting: list[Average] = []
+        self._waiting: list[running_fit.Average] = []
         self._energies: list[float] = []
         self._last_start = 0
         self._starts: list[int] = []
         self._unjudged: list[int] = []
         self._again = False
         self.findings: dict[tuple[str, str], Finding] = {}
-        check_names(self.goals, {fit.name: names_of_fit(fit, self.layout) for fit in self.settings})
+        charts.check_names(self.goals, {fit.name: names_of_fit(fit, self.layout) for fit in self.settings})
 
     @property
     def hits(self) -> bool:
@@ -340,7 +317,7 @@ class Bench(Watch):
         """The samples that follow belong to another recording."""
         self.cutter.restart()
 
-    def add(self, block: FloatArray) -> list[Update]:
+    def add(self, block: FloatArray) -> list[charts.Update]:
         """What the next samples (n, n_channel) [SI] change, average by average."""
         made = []
         for average in self.cutter.add(block):
@@ -351,7 +328,7 @@ class Bench(Watch):
             made.append(update)
         return made
 
-    def _take(self, average: Average) -> Update:
+    def _take(self, average: running_fit.Average) -> charts.Update:
         event = f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s"
         fault = average.fault
         if not fault and not self.fits:
@@ -371,13 +348,13 @@ class Bench(Watch):
             event += f" is left out: {fault}"
         return self._update((event,))
 
-    def _shaken(self, average: Average) -> tuple[int, float]:
+    def _shaken(self, average: running_fit.Average) -> tuple[int, float]:
         """The number of an average's strongest force, and the size of all its forces [N]."""
         force = average.amplitude[:, list(self.layout.input_columns[0])]
         sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
         return int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
 
-    def _begin(self, alike: Sequence[Average]) -> None:
+    def _begin(self, alike: Sequence[running_fit.Average]) -> None:
         frequency = self.cutter.frequency
         amplitudes = np.array([average.amplitude for average in alike])
         excited = np.ones(frequency.size, bool)
@@ -397,7 +374,7 @@ class Bench(Watch):
         self.lines = np.flatnonzero(chosen)
         self.fits = [FollowedFit(fit, self.layout, frequency[chosen], self.hits) for fit in self.settings]
 
-    def _follow(self, average: Average) -> str:
+    def _follow(self, average: running_fit.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
         # Directions are shaken one after the other: an average belongs to that of its strongest force.
         direction, level = self._shaken(average)
@@ -436,10 +413,10 @@ class Bench(Watch):
             return self.cutter.n_sample / self.sample_rate
         return self._last_start / self.sample_rate / max(self.averages + self.dropped - 1, 1)
 
-    def _update(self, events: tuple[str, ...]) -> Update:
-        variation = hit_variation(self._energies) if self.hits else 0.0
+    def _update(self, events: tuple[str, ...]) -> charts.Update:
+        variation = charts.hit_variation(self._energies) if self.hits else 0.0
         standings = self._standings(variation)
-        if self.dropped > MOST_DROPPED * max(self.averages + self.dropped, 5):
+        if self.dropped > charts.MOST_DROPPED * max(self.averages + self.dropped, 5):
             share = 100 * self.dropped / (self.averages + self.dropped)
             message = f"{share:.0f} % of the averages are left out: a loose connection, or bad hits"
             self._note(Finding("bad-averages", message))
@@ -451,7 +428,7 @@ class Bench(Watch):
             for fit in self.fits if enough else ():
                 fit.look()
             standings = self._standings(variation, again=True)
-        return Update(
+        return charts.Update(
             self.averages,
             standings=standings,
             findings=(*self.findings.values(), *self._of_fits(standings)),
@@ -464,7 +441,7 @@ class Bench(Watch):
         """The first two averages of a direction, which had none before them, held against the others."""
         events = []
         for place, number in reversed(list(enumerate(self._unjudged))):
-            if self.fits[0].sums.of(self.fits[0].first[place][1]).n < LEAST_AVERAGES:
+            if self.fits[0].sums.of(self.fits[0].first[place][1]).n < running_fit.LEAST_AVERAGES:
                 continue
             # Every fit takes it out.
             disagree = [fit.first_disagrees(place) for fit in self.fits]
@@ -479,8 +456,8 @@ class Bench(Watch):
                 del fit.first[place]
         return events
 
-    def _standings(self, variation: float, again: bool = False) -> dict[str, Standing]:
-        standings: dict[str, Standing] = {}
+    def _standings(self, variation: float, again: bool = False) -> dict[str, charts.Standing]:
+        standings: dict[str, charts.Standing] = {}
         for fit in self.fits:
             if fit.estimate is None:
                 continue
@@ -493,22 +470,22 @@ class Bench(Watch):
                 standings[f"{fit.settings.name}.{parameter.name}"] = standing
         return standings
 
-    def _standing(self, fit: FollowedFit, parameter: Parameter, variation: float) -> Standing:
+    def _standing(self, fit: FollowedFit, parameter: Parameter, variation: float) -> charts.Standing:
         wanted = self.goal_of(fit.settings.name, parameter)
         if wanted is None:
-            return Standing(parameter)
+            return charts.Standing(parameter)
         remaining = None
         floor = fit.common[parameter.name].half if parameter.name in fit.common else 0.0
         if floor >= wanted:
-            remaining = Forecast(None)
+            remaining = charts.Forecast(None)
         elif parameter.name in fit.model.names and fit.now.identifiable:
             number = fit.model.names.index(parameter.name)
             of_noise = math.sqrt(wanted**2 - floor**2) / fit.by_chi_square
-            remaining = forecast(fit.now, number, of_noise, fit.settings.coverage, variation)
+            remaining = charts.forecast(fit.now, number, of_noise, fit.settings.coverage, variation)
             remaining = replace(remaining, others=fit.by_other_forces(number, of_noise))
-        return Standing(parameter, wanted, remaining, floor)
+        return charts.Standing(parameter, wanted, remaining, floor)
 
-    def _of_fits(self, standings: Mapping[str, Standing]) -> list[Finding]:
+    def _of_fits(self, standings: Mapping[str, charts.Standing]) -> list[Finding]:
         findings = []
         for fit in self.fits:
             estimate, name = fit.estimate, fit.settings.name
@@ -528,11 +505,11 @@ class Bench(Watch):
                     continue
                 if standing.held_up:
                     findings.append(standing.no_help(label))
-                elif not fit.common and estimate.misfit and no_longer_falls(fit.widths[parameter]):
+                elif not fit.common and estimate.misfit and charts.no_longer_falls(fit.widths[parameter]):
                     findings.append(standing.no_help(label, "model error"))
         return [*findings, *self._not_told(standings)]
 
-    def _not_told(self, standings: Mapping[str, Standing]) -> list[Finding]:
+    def _not_told(self, standings: Mapping[str, charts.Standing]) -> list[Finding]:
         missing = {
             label: (left, math.inf if left.expected is None else left.expected)
             for label, standing in standings.items()
@@ -551,7 +528,7 @@ class Bench(Watch):
                 findings.append(Finding("not-told", message))
         return findings
 
-    def _enough(self, standings: Mapping[str, Standing]) -> bool:
+    def _enough(self, standings: Mapping[str, charts.Standing]) -> bool:
         wanted = [standing for standing in standings.values() if standing.goal is not None]
         judged = all(fit.estimate is not None and fit.estimate.judged for fit in self.fits)
         if not wanted or not judged or any(not standing.reached for standing in wanted):
@@ -568,7 +545,7 @@ class Bench(Watch):
                 fit.model.names, estimate.values, estimate.std_error, estimate.dof, strict=True
             ):
                 common = fit.common.get(name)
-                half = fit.by_chi_square * error * sequence_factor(estimate.n, estimate.n, float(dof))
+                half = fit.by_chi_square * error * charts.sequence_factor(estimate.n, estimate.n, float(dof))
                 if common is not None:
                     value, half = value + common.shift, math.hypot(half, common.half)
                 intervals[f"{fit.settings.name}.{name}"] = (float(value - half), float(value + half))

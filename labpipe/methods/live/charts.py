@@ -19,15 +19,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.live.running_fit import (
-    HALF_WIDTH,
-    Estimate,
-    HitSums,
-    RunningFit,
-    Sums,
-    normal_equations,
-    scaled,
-)
+from labpipe.methods.live import running_fit
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.recording import Channel
@@ -105,20 +97,22 @@ class Verdict:
 
 
 class Charts:
-    def __init__(self, fit: RunningFit) -> None:
+    def __init__(self, fit: running_fit.RunningFit) -> None:
         self._fit = fit
         # Of the energy, and of every coefficient.
         self._series = [Series() for _ in range(1 + len(fit.equation.model.names))]
         self._pairs: list[tuple[float, FloatArray]] = []
         self._change_limit = cusum_limit(CHANGE * ALPHA / len(self._series))
 
-    def monitors(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[FloatArray, float]:
+    def monitors(
+        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.Estimate
+    ) -> tuple[FloatArray, float]:
         """Whitened shift r (n_parameter,) of the coefficients by the average *z* (n_line, n_experiment,
         n_channel) against the fit *before*, and its energy T [1].
         """
         mean, covariance = sums.mean, sums.covariance()
         _, inverse, _, slopes, weighted = self._fit.parts(mean, covariance, before.values)
-        if isinstance(sums, HitSums):
+        if isinstance(sums, running_fit.HitSums):
             share = np.abs(z[..., -1]) ** 2 / sums.force_power
             z = z / z[..., -1:]
         else:
@@ -130,10 +124,10 @@ class Charts:
             z, of_energy = z - mean, share / (1 + share)
         residual = (gain @ z[..., None])[..., 0]
         scaled_residual = (inverse @ residual[..., None])[..., 0]
-        information, gradient = normal_equations(
+        information, gradient = running_fit.normal_equations(
             slopes, share[..., None, None] * weighted, share[..., None] * scaled_residual
         )
-        scale = scaled(before.information)[1]
+        scale = running_fit.scaled(before.information)[1]
         both = np.outer(scale, scale)
         covariance_here, others = (
             np.linalg.pinv(matrix / both, hermitian=True) for matrix in (information, before.information)
@@ -143,12 +137,14 @@ class Charts:
         energy = np.sum(of_energy * np.sum((residual.conj() * scaled_residual).real, axis=2))
         return whitened, float(energy / residual.size)
 
-    def _score(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[list[float], list[float], bool]:
+    def _score(
+        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.Estimate
+    ) -> tuple[list[float], list[float], bool]:
         """Values and normal scores of the energy and coefficients of *z*, and whether it is a jump."""
         number, n_parameter = sums.n + 1, len(self._series) - 1
         whitened, energy = self.monitors(z, sums, before)
         size = z.shape[0] * z.shape[1] * self._fit.equation.n_output
-        smoothed = (number - 2) * (2 * HALF_WIDTH + 1)
+        smoothed = (number - 2) * (2 * running_fit.HALF_WIDTH + 1)
         expected = smoothed / max(smoothed - self._fit.equation.n_output, 1)
         expected *= 1 + (0 if before.misfit else n_parameter / (2 * size * (number - 1)))
         variance = (1 + 1 / (number - 2)) / size
@@ -161,11 +157,13 @@ class Charts:
         jump = min(of_energy / ENERGY_JUMP, of_scores / SCORE_JUMP) < ALPHA / HORIZON
         return values, scores, bool(jump)
 
-    def jumps(self, z: ComplexArray, sums: Sums, others: Estimate) -> bool:
+    def jumps(self, z: ComplexArray, sums: running_fit.Sums, others: running_fit.Estimate) -> bool:
         """Whether *z* (n_line, n_experiment, n_channel) [units of channels] disagrees with the *others*."""
         return self._score(z, sums, others)[2]
 
-    def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
+    def judge(
+        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.Estimate, level: float
+    ) -> Verdict:
         """The verdict on the next average *z* (n_line, n_experiment, n_channel), its force of *level* [N]."""
         number = sums.n + 1
         if number < 3:
@@ -179,7 +177,7 @@ class Charts:
         self._pairs.append((float(np.log(level)) if level > 0 else 0.0, np.array(scores[1:])))
         return Verdict(
             change=next((change for change in changes if change is not None), None),
-            with_level=isinstance(sums, HitSums) and self._follows_level(),
+            with_level=isinstance(sums, running_fit.HitSums) and self._follows_level(),
         )
 
     def _follows_level(self) -> bool:
@@ -234,7 +232,9 @@ def half_of_noise(std_error: FloatArray, dof: FloatArray, coverage: float) -> Fl
     return np.asarray(scipy.special.stdtrit(dof, (1 + coverage) / 2) * np.sqrt(1 + 2 / dof) * std_error)
 
 
-def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale: float = 1.0) -> int | None:
+def needed(
+    estimate: running_fit.Estimate, number: int, goal: float, coverage: float, scale: float = 1.0
+) -> int | None:
     """Averages that give coefficient *number* the half-width *goal*, its variance times *scale* [1]."""
     n, dof = estimate.n, estimate.dof[number]
     error = estimate.std_error[number] * np.sqrt(scale)
@@ -251,7 +251,7 @@ def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale:
 
 
 def forecast(
-    estimate: Estimate, number: int, goal: float, coverage: float, variation: float = 0.0
+    estimate: running_fit.Estimate, number: int, goal: float, coverage: float, variation: float = 0.0
 ) -> Forecast:
     """When coefficient *number* reaches the half-width *goal* [parameter unit].
 

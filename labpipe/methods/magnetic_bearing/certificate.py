@@ -13,6 +13,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile
 from labpipe.errors import ConfigError
 from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.methods.magnetic_bearing import sensitivity, stability
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.limits import (
     CertificateSettings,
@@ -39,22 +40,6 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
-from labpipe.methods.magnetic_bearing.sensitivity import (
-    MeasuredSensitivity,
-    Peak,
-    SensitivityMatrix,
-    peak_of,
-    sensitivity_matrix,
-)
-from labpipe.methods.magnetic_bearing.stability import (
-    ZONES,
-    closed_loop_poles,
-    open_loop,
-    sample,
-    sampled_poles,
-    unstable_poles,
-    zone_of,
-)
 from labpipe.records.comparison import Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.response import FrequencyResponse
@@ -134,7 +119,9 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
     """
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
-    unstable = unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
+    unstable = (
+        stability.unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
+    )
     poles = modes_of(loop_poles(plant, rate), highest_mode)
 
     def at(changed: Mapping[str, float]) -> dict[str, float]:
@@ -203,7 +190,11 @@ def bent_findings(loop: ClosedLoop) -> list[Finding]:
 
 def loop_poles(plant: Suspended, rate: float | None) -> ComplexArray:
     """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
-    return closed_loop_poles(plant) if rate is None else sampled_poles(sample(plant, rate), rate)
+    return (
+        stability.closed_loop_poles(plant)
+        if rate is None
+        else stability.sampled_poles(stability.sample(plant, rate), rate)
+    )
 
 
 def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
@@ -217,7 +208,7 @@ def _amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: 
     amounts: dict[str, float] = {}
     if stable:
         highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)
-        of = margins(lambda omega: open_loop(plant, omega, rate).loop, highest)
+        of = margins(lambda omega: stability.open_loop(plant, omega, rate).loop, highest)
         named = {
             "sensitivity_peak": of.peak,
             "sensitivity_frequency": of.peak_frequency,
@@ -246,9 +237,9 @@ def certificate(
     together, FitError without a covariance.
     """
     certificate_settings = resolve(settings)
-    matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
+    matrix = sensitivity.sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
     loops = [matrix.loop(number) for number in range(len(matrix.loops))]
-    peaks = [peak_of(loop) for loop in loops]
+    peaks = [sensitivity.peak_of(loop) for loop in loops]
     worst = max(peaks, key=lambda peak: peak.value)
     measured_amounts, budget = _measured_amounts(matrix, loops, peaks)
     model = None if file is None else _fit(settings, certificate_settings, response, matrix, file)
@@ -331,7 +322,9 @@ def resolve(settings: CompareSettings) -> CertificateSettings:
 
 
 def _measured_amounts(
-    matrix: SensitivityMatrix, loops: Sequence[MeasuredSensitivity], peaks: Sequence[Peak]
+    matrix: sensitivity.SensitivityMatrix,
+    loops: Sequence[sensitivity.MeasuredSensitivity],
+    peaks: Sequence[sensitivity.Peak],
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
     amounts: list[Parameter] = []
     changes: list[FloatArray] = []
@@ -360,7 +353,7 @@ def _fit(
     settings: CompareSettings,
     own: CertificateSettings,
     response: FrequencyResponse,
-    matrix: SensitivityMatrix,
+    matrix: sensitivity.SensitivityMatrix,
     file: MagneticFile,
 ) -> FittedModel:
     if len(matrix.loops) != 1:
@@ -393,15 +386,15 @@ def _why_rejected(fit: LoopFit) -> str:
     return "the fit did not converge" if fit.determined else f"{' and '.join(fit.alike)} cannot be told apart"
 
 
-def _zone_limit(own: CertificateSettings, worst: Peak, loop: ClosedLoop | None) -> Limit:
+def _zone_limit(own: CertificateSettings, worst: sensitivity.Peak, loop: ClosedLoop | None) -> Limit:
     """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
     by_model = loop is not None and "sensitivity_peak" in loop.amounts
     peak, error, whose = worst.value, worst.combined, "measured"
     if loop is not None and by_model:
         peak, error = loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak")
         whose = "of the fitted loop"
-    probability = below(np.log(peak), error / peak, np.log(dict(ZONES)[own.zone]))
-    zone = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
+    probability = below(np.log(peak), error / peak, np.log(dict(stability.ZONES)[own.zone]))
+    zone = f"zone {stability.zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
     if worst.at_edge and not by_model and probability > 1 - own.confidence:
         why = f"the largest |S| lies at the edge of the band, {worst.frequency:.4g} Hz: widen the band"
         return Limit("zone", None, f"{zone}; zone {own.zone} or better not judged, since {why}", why)
@@ -431,14 +424,16 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
 
 
 def _curves(
-    matrix: SensitivityMatrix, loops: Sequence[MeasuredSensitivity], model: FittedModel | None
+    matrix: sensitivity.SensitivityMatrix,
+    loops: Sequence[sensitivity.MeasuredSensitivity],
+    model: FittedModel | None,
 ) -> tuple[Curve, ...]:
     curves = []
     frequency = matrix.response.frequency
     fitted = np.empty(0)
     if model is not None and model.loop is not None:
         plant = with_unknowns(model.file, model.fit.values()).levitated()
-        fitted = np.abs(open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
+        fitted = np.abs(stability.open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
     several = len(loops) > 1
     sizes = [
         (f"sensitivity {name}" if several else "sensitivity", loop.size, loop.combined)
@@ -471,7 +466,7 @@ def _curve(
     return Curve("", quantity, "1", **{name: tuple(part.tolist()) for name, part in parts.items()})
 
 
-def _findings(worst: Peak, model: FittedModel | None) -> tuple[Finding, ...]:
+def _findings(worst: sensitivity.Peak, model: FittedModel | None) -> tuple[Finding, ...]:
     findings = worst.findings()
     if model is None:
         return tuple(findings)

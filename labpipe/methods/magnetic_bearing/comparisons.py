@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ConfigError
+from labpipe.methods.magnetic_bearing import loop_problem
 from labpipe.methods.magnetic_bearing.bearing import MAGNETIC, MagneticFile, stability_findings, verdict
 from labpipe.methods.magnetic_bearing.certificate import certificate, resolve
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings, decrement_certificate
@@ -21,13 +22,6 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     goodness,
     identifiability_findings,
     loop_fit,
-)
-from labpipe.methods.magnetic_bearing.loop_problem import (
-    View,
-    checked_view,
-    directions_left_out,
-    predicted_fits,
-    with_unknowns,
 )
 from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, per_injection
 from labpipe.project.bearing_file import open_bearing
@@ -49,7 +43,7 @@ LETTERS = ("k", "c")
 MagneticTheory = Callable[[float | None, str], MagneticFile]
 
 
-def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
+def prediction(settings: CompareSettings, views: Sequence[loop_problem.View]) -> Comparison:
     """k and c of every band with the same fit of the predicted response, the share of bands that hold it, and
     fitted unknowns.
 
@@ -58,7 +52,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     names = _names(settings, views[0].fits[0])
     bands = [band for view in views for band in _bands(view, view.file, names)]
     fitted = loop_fit([view.observation for view in views], settings.estimate)
-    changed = [with_unknowns(view.file, fitted.values()) for view in views if fitted.usable]
+    changed = [loop_problem.with_unknowns(view.file, fitted.values()) for view in views if fitted.usable]
     after = [band for view, file in zip(views, changed, strict=False) for band in _bands(view, file, names)]
     findings = (
         *_unstable(views),
@@ -116,8 +110,8 @@ def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
     return pair
 
 
-def _bands(view: View, file: MagneticFile, names: tuple[str, str]) -> list[ComparedBand]:
-    predicted = predicted_fits(view, file)
+def _bands(view: loop_problem.View, file: MagneticFile, names: tuple[str, str]) -> list[ComparedBand]:
+    predicted = loop_problem.predicted_fits(view, file)
     return [
         _band(view.test, fit, theory, name)
         for fit, theory in zip(view.fits, predicted, strict=True)
@@ -147,7 +141,7 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
     return float(np.mean([band.holds for band in bands if band.parameter == name]))
 
 
-def _stability(views: Sequence[View]) -> list[Parameter]:
+def _stability(views: Sequence[loop_problem.View]) -> list[Parameter]:
     verdicts = [verdict(view.file.levitated()) for view in views]
     peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
     unstable = Parameter(
@@ -156,7 +150,7 @@ def _stability(views: Sequence[View]) -> list[Parameter]:
     return [unstable, *([Parameter("sensitivity_peak", max(peaks), "1", derived=True)] if peaks else [])]
 
 
-def _unstable(views: Sequence[View]) -> list[Finding]:
+def _unstable(views: Sequence[loop_problem.View]) -> list[Finding]:
     findings = []
     for view in views:
         plant = view.file.levitated()
@@ -177,7 +171,7 @@ def _statement(
     names: tuple[str, str],
     fitted: LoopFit,
     word: str,
-    views: Sequence[View],
+    views: Sequence[loop_problem.View],
 ) -> str:
     held = {name: [band.holds for band in bands if band.parameter == name] for name in names}
     shares = " and ".join(f"{name} in {sum(holds)} of {len(holds)}" for name, holds in held.items())
@@ -197,7 +191,7 @@ def _statement(
     return " ".join(sentences)
 
 
-def _curve(view: View, letter: str, changed: MagneticFile | None) -> Curve:
+def _curve(view: loop_problem.View, letter: str, changed: MagneticFile | None) -> Curve:
     frequency = view.measured.omega / (2 * np.pi)
     unit = "N/m" if letter == "k" else "N.s/m"
     theory, matched = (
@@ -248,16 +242,18 @@ def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Compar
     theory = _theory(settings, evidence)
     if theory is None:
         raise ConfigError("a prediction needs a theory", hint="theory: {bearing: FILE}")
-    return prediction(settings, [checked_view(view) for view in _views(settings, evidence, theory)])
+    return prediction(
+        settings, [loop_problem.checked_view(view) for view in _views(settings, evidence, theory)]
+    )
 
 
-def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
+def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[loop_problem.View]:
     named, views = evidence.fits_of(settings), []
     for test in dict.fromkeys(fit.test for fit in named):
         response = evidence.response(test)
         at = condition_of(settings.condition, test, response.conditions) if settings.over else (None, "")
         fits = tuple(fit for fit in named if fit.test == test)
-        views.append(View(test, response, evidence.settings_of(settings.fit), fits, theory(*at)))
+        views.append(loop_problem.View(test, response, evidence.settings_of(settings.fit), fits, theory(*at)))
     return views
 
 
@@ -300,7 +296,7 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:
     """With a finding on *ports* of uncertain direction: nothing tells what they read across."""
-    names = directions_left_out(ports)
+    names = loop_problem.directions_left_out(ports)
     if not names:
         return comparison
     message = (

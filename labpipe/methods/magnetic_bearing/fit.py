@@ -23,22 +23,7 @@ from labpipe.estimation.statistics import Estimate, determination, estimated, in
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.floating_bearing.findings import BalanceError, BalanceMisfit, balance_error, few_averages
 from labpipe.methods.floating_bearing.values import as_estimate, budgeted, plain_values, unconverged
-from labpipe.methods.magnetic_bearing.balance import (
-    Between,
-    Levitation,
-    MagnetModel,
-    levitation_of,
-    magnet_model,
-    mass_matrix,
-)
-from labpipe.methods.magnetic_bearing.likelihood import (
-    MagnetEstimate,
-    MagnetLikelihood,
-    late_findings,
-    magnet_estimate,
-    noise_of,
-    unweighted,
-)
+from labpipe.methods.magnetic_bearing import balance, likelihood
 from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSettings, MagnetSettings
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import RobustPlant, systematic
@@ -53,7 +38,9 @@ from labpipe.spectra.bands import lines_in
 PER_DECADE, BEYOND = 12, 1.5
 
 
-def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidence: float) -> RobustPlant:
+def robust_plant(
+    best: likelihood.MagnetEstimate, curve: FittedCurve, dof: float, confidence: float
+) -> RobustPlant:
     """The band of radius |G^ - G_nominal| + r, r of the measured scatter, which holds the true plant at all
     lines with *confidence*. *dof* nu: complex ones behind the variance.
     """
@@ -97,7 +84,7 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 
 
 def state_space(
-    model: MagnetModel, values: FloatArray
+    model: balance.MagnetModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the
     currents.
@@ -136,10 +123,10 @@ def remedy(_group: Sequence[str]) -> str:
     )
 
 
-def magnet_error(rotor: Levitation, best: MagnetEstimate) -> BalanceError:
+def magnet_error(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> BalanceError:
     """The covariance of noise and, where the rotor is no rigid mass on its magnets, of what that leaves."""
     model, omega, n = best.model, rotor.omega, rotor.n_axis
-    rows, state = model.rows(best.values, omega), MagnetLikelihood(rotor, model).at(best.values)
+    rows, state = model.rows(best.values, omega), likelihood.MagnetLikelihood(rotor, model).at(best.values)
     axes = state.smoothed @ rotor.to_axes.T
     inertia = omega[:, None, None] ** 2 * (axes[..., n:] @ rotor.mass.T)
     misfit = BalanceMisfit(
@@ -153,7 +140,7 @@ def magnet_error(rotor: Levitation, best: MagnetEstimate) -> BalanceError:
         motion=axes[..., n:],
         size=np.sqrt(np.mean(np.abs(inertia) ** 2, axis=(0, 1))),
         gains=np.einsum("lac,lrc->clra", rows, axes),
-        larger=noise_of(rotor).inflation,
+        larger=likelihood.noise_of(rotor).inflation,
     )
     cause = (
         "the rotor is no rigid mass in the band (bending, a moving housing), another force acts, the mass is "
@@ -163,7 +150,7 @@ def magnet_error(rotor: Levitation, best: MagnetEstimate) -> BalanceError:
     return balance_error(best.covariance, best.reduced, best.p_value, misfit, cause, cure)
 
 
-def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
+def sign_findings(model: balance.MagnetModel, parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
     """A warning where a magnet's force per current along its own axis is negative beyond its uncertainty."""
     pairs = zip(model.places, parameters, strict=False)
     direct = [parameter for (kind, row, column), parameter in pairs if kind == "k_i" and row == column]
@@ -174,7 +161,9 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
     return (Finding("unphysical", f"{what}; `invert: true` for one of the two in the rig file"),)
 
 
-def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
+def fit_notes(
+    rotor: balance.Levitation, best: likelihood.MagnetEstimate, uncertainties: Uncertainties
+) -> tuple[str, ...]:
     """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
     would give.
     """
@@ -197,7 +186,7 @@ def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertaint
             f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, "
             "quantity: force}."
         )
-    plain = zip(best.model.names, unweighted(rotor, best.model), best.model.units, strict=True)
+    plain = zip(best.model.names, likelihood.unweighted(rotor, best.model), best.model.units, strict=True)
     listed = ", ".join(
         f"{name} {number(float(value))} {unit}" for name, value, unit in plain if not name.startswith("c")
     )
@@ -213,7 +202,7 @@ def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertaint
     return tuple(notes)
 
 
-def draw(rotor: Levitation, best: MagnetEstimate) -> FittedCurve | None:
+def draw(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> FittedCurve | None:
     """Displacement per current, X I^-1 of the runs, against the model; none where a line has too few runs."""
     axes, n = rotor.axes, rotor.n_axis
     currents, motions = (part.swapaxes(-1, -2) for part in (axes[..., :n], axes[..., n:]))
@@ -235,7 +224,7 @@ def draw(rotor: Levitation, best: MagnetEstimate) -> FittedCurve | None:
     )
 
 
-def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) -> FloatArray:
+def _variance(rotor: balance.Levitation, measured: ComplexArray, inverse: ComplexArray) -> FloatArray:
     """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of each run by its part in I^-1."""
     n = rotor.n_axis
     covariance = rotor.to_axes @ rotor.covariance @ rotor.to_axes.T
@@ -263,13 +252,13 @@ def _check(settings: FitSettings) -> None:
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
     magnet_settings: MagnetSettings = settings.model_settings
     mass = settings.mass if isinstance(settings.mass, float) else _matrix(settings.mass)
-    rotor = levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
+    rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
     between = (
         None
         if magnet_settings.hold is None
-        else Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
+        else balance.Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
     )
-    model = magnet_model(
+    model = balance.magnet_model(
         rotor.labels,
         rotor.bearing,
         rotor.mass,
@@ -277,7 +266,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         magnet_settings.passive_damping,
         between,
     )
-    best = magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))
+    best = likelihood.magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))
     error = magnet_error(rotor, best)
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
     vifs, covariances = inflation_factors(best.design), (best.covariance, whole)
@@ -291,9 +280,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *estimate_findings(stated, model.names, n_line, model.units, remedy),
         *goodness_findings(gof),
         *error.finding,
-        *late_findings(rotor, best),
+        *likelihood.late_findings(rotor, best),
         *sign_findings(model, parameters),
-        *few_averages(noise_of(rotor)),
+        *few_averages(likelihood.noise_of(rotor)),
         *spectra.findings,
     )
     curve = draw(rotor, best)
@@ -320,11 +309,11 @@ def _matrix(mass: object) -> FloatArray:
 
 
 def _uncertainties_of_mass(
-    rotor: Levitation, settings: FitSettings, mass: FloatArray | float
+    rotor: balance.Levitation, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
     magnet_settings: MagnetSettings = settings.model_settings
-    mass_of = functools.partial(mass_matrix, rotor.currents, rotor.planes)
+    mass_of = functools.partial(balance.mass_matrix, rotor.currents, rotor.planes)
     given: list[tuple[Uncertainty, FloatArray]] = []
     of_mass = dict(settings.uncertainties).get("mass")
     if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
@@ -344,7 +333,9 @@ def _uncertainties_of_mass(
     return given
 
 
-def _goodness(rotor: Levitation, model: MagnetModel, best: MagnetEstimate) -> Goodness:
+def _goodness(
+    rotor: balance.Levitation, model: balance.MagnetModel, best: likelihood.MagnetEstimate
+) -> Goodness:
     axes, n = rotor.axes, rotor.n_axis
     inertia = rotor.omega[:, None, None] ** 2 * (axes[..., n:] @ rotor.mass.T)
     residual = (model.rows(best.values, rotor.omega)[:, None] @ axes[..., None])[..., 0]

@@ -14,13 +14,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
-from labpipe.methods.magnetic_bearing.sampled_loop import (
-    ROUNDING,
-    integrals,
-    linear_states,
-    step_matrices,
-    tustin,
-)
+from labpipe.methods.magnetic_bearing import sampled_loop
 from labpipe.records.settings import Settings, quantity, require_positive, setting
 
 KIND = "virtual-levitated-rig"
@@ -348,7 +342,7 @@ class LevitatedLoop:
         out. Equation (sim-poles).
         """
         values = np.linalg.eigvals(self.a)
-        values = values[np.abs(values) > ROUNDING]
+        values = values[np.abs(values) > sampled_loop.ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))
 
     def run(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -357,12 +351,12 @@ class LevitatedLoop:
         ConfigError where unstable.
         """
         growth = float(np.max(self.poles.real))
-        if growth > ROUNDING * self.rate:
+        if growth > sampled_loop.ROUNDING * self.rate:
             message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
             raise SettingError(
                 "control", message, "raise proportional and derivative gain, or shorten the delay"
             )
-        outputs = linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
+        outputs = sampled_loop.linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
         return outputs[:, : self.n_axis], fine[:, 0], fine[:, 1]
 
@@ -374,7 +368,7 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
     n_plant = plant[0][0].shape[0]
     interval = 1 / control.rate
     terms = [
-        tustin(control.derivative, 0.0, control.derivative_time, interval),
+        sampled_loop.tustin(control.derivative, 0.0, control.derivative_time, interval),
         (control.integral * interval / 2, control.integral * interval / 2, -1.0),
     ]
     mixing = np.eye(n_axis) if control.mixing is None else np.array(control.mixing, float)
@@ -396,7 +390,9 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
         return np.concatenate([moved[-1], *memories, line[n_axis:]]), np.concatenate([output, *fine])
 
     n_state = n_plant + 2 * n_axis + control.delay * n_axis
-    return LevitatedLoop(*step_matrices(advance, n_state, 2 * n_q + 3 * n_axis), control.rate, n_axis)
+    return LevitatedLoop(
+        *sampled_loop.step_matrices(advance, n_state, 2 * n_q + 3 * n_axis), control.rate, n_axis
+    )
 
 
 def _sampled_plant(
@@ -417,6 +413,6 @@ def _sampled_plant(
     outputs[2 * n_q :] = corner * np.eye(n_axis)
     forces[n_q : 2 * n_q] = inverse
     interval = 1 / rig.control.rate
-    step, hold, _ = integrals(slope, outputs, share * interval)
-    _, constant, rising = integrals(slope, forces, share * interval)
+    step, hold, _ = sampled_loop.integrals(slope, outputs, share * interval)
+    _, constant, rising = sampled_loop.integrals(slope, forces, share * interval)
     return step, hold, np.hstack([constant - rising / interval, rising / interval])

@@ -19,13 +19,7 @@ from labpipe.estimation.causes import BY_DELAY, LIKELIEST, delay_finding, delays
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
-from labpipe.methods.floating_bearing.likelihood import (
-    BalanceEstimate,
-    Noise,
-    inverse_information,
-    real_rows,
-    stated_pulls,
-)
+from labpipe.methods.floating_bearing import likelihood
 from labpipe.methods.floating_bearing.settings import given_uncertainties, join, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.finding import Finding
@@ -88,13 +82,13 @@ class MagnetLikelihood:
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """L^-1 e as real numbers (n_equation,) [1] at *parameters* (n_parameter,) [parameter units]."""
-        return real_rows(self.at(parameters).white.reshape(1, -1))[0]
+        return likelihood.real_rows(self.at(parameters).white.reshape(1, -1))[0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """L^-1 dB/dp z^ as real columns (n_equation, n_parameter) [1/parameter unit]."""
         state = self.at(parameters)
         slopes = self.slopes(parameters)
-        return real_rows(
+        return likelihood.real_rows(
             state.whiten(np.einsum("plac,lrc->plra", slopes, state.smoothed)).reshape(len(slopes), -1)
         ).T
 
@@ -154,11 +148,11 @@ def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
 
 
 def _least_squares(columns: ComplexArray, side: ComplexArray) -> FloatArray:
-    design = real_rows(columns.reshape(len(columns), -1)).T
+    design = likelihood.real_rows(columns.reshape(len(columns), -1)).T
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     return np.asarray(
-        -np.linalg.lstsq(design / scale, real_rows(side.reshape(1, -1))[0], rcond=None)[0] / scale
+        -np.linalg.lstsq(design / scale, likelihood.real_rows(side.reshape(1, -1))[0], rcond=None)[0] / scale
     )
 
 
@@ -168,7 +162,7 @@ NOISE_FREE = 1e-20
 
 
 @dataclass(frozen=True)
-class MagnetEstimate(BalanceEstimate[MagnetModel]):
+class MagnetEstimate(likelihood.BalanceEstimate[MagnetModel]):
     """The minimum of V of magnets; uncertainties: what given numbers do, amplification (n_parameter,) [units
     of the parameters]: of errors of the channels.
     """
@@ -177,9 +171,9 @@ class MagnetEstimate(BalanceEstimate[MagnetModel]):
     amplification: FloatArray
 
 
-def noise_of(rotor: Levitation) -> Noise:
+def noise_of(rotor: Levitation) -> likelihood.Noise:
     """How far the covariance of the channels is known, for as many equations as there are axes."""
-    return Noise(rotor.spectra.covariance_dof, rotor.shared, rotor.shared_power, rotor.n_axis)
+    return likelihood.Noise(rotor.spectra.covariance_dof, rotor.shared, rotor.shared_power, rotor.n_axis)
 
 
 def magnet_estimate(
@@ -213,10 +207,10 @@ def magnet_estimate(
         [(uncertainty, error[None]) for uncertainty, error in errors], response_of(state.whiten, jacobian)
     )
     if errors:
-        changes = real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
-        squares -= stated_pulls(changes, problem.residual(best.values), jacobian, noise).explained
+        changes = likelihood.real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
+        squares -= likelihood.stated_pulls(changes, problem.residual(best.values), jacobian, noise).explained
     squares /= noise.excess
-    information = inverse_information(jacobian)
+    information = likelihood.inverse_information(jacobian)
     return MagnetEstimate(
         model=model,
         values=best.values,
@@ -232,7 +226,7 @@ def magnet_estimate(
     )
 
 
-def _check_noise(rotor: Levitation, noise: Noise) -> None:
+def _check_noise(rotor: Levitation, noise: likelihood.Noise) -> None:
     variance = np.einsum("lrcc->lrc", rotor.covariance).real
     if np.sum(variance) <= NOISE_FREE * np.sum(np.abs(rotor.channels) ** 2):
         raise FitError(
@@ -348,7 +342,7 @@ def _late(
     model, noise = problem.model, noise_of(problem.rotor)
     try:
         minimum = minimise(problem, start_at, NEAR, MOST_STEPS)
-        covariance = noise.inflation * inverse_information(problem.jacobian(minimum.values))
+        covariance = noise.inflation * likelihood.inverse_information(problem.jacobian(minimum.values))
     except (FitError, np.linalg.LinAlgError):
         return None
     before, after = (

@@ -30,19 +30,8 @@ from labpipe.raw_files.excitation import Multisine, design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
-from labpipe.simulate import linear
+from labpipe.simulate import linear, virtual_rigs
 from labpipe.simulate.linear import TACHO, line_frequencies, pulses
-from labpipe.simulate.virtual_rigs import (
-    LoggedTable,
-    SimulatedRun,
-    Truth,
-    chosen_runs,
-    coefficients_by_name,
-    generator,
-    kind_of_tests,
-    one_mass_truth,
-    whole_numbers,
-)
 
 READING, BEFORE, AFTER, OUTPUT, CURRENT = range(len(OUTPUTS))
 HOVER_CORNER = 5.0
@@ -85,7 +74,7 @@ def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
     )
 
 
-def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods."""
     loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
     plant = suspension(rig, loop)
@@ -132,7 +121,7 @@ def _per_bearing(omega: FloatArray, bearing: ComplexArray) -> dict[str, list[flo
     }
 
 
-def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """The rotor alone. A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides
     recorded.
     """
@@ -154,7 +143,7 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> S
     return _run(name, {"mass": plant.mass, "injection_rms": INJECTION}, channels, samples, rate)
 
 
-def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z,
     tacho.
     """
@@ -235,7 +224,7 @@ def _log(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
     return scipy.signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
 
 
-LOOP_RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]] = {
+LOOP_RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], virtual_rigs.SimulatedRun]] = {
     "loop-0rpm": radial_in_loop,
     **dict.fromkeys(GAINS, radial_in_loop),
     "loop-injection": injection,
@@ -260,7 +249,7 @@ class OneDofRun:
 
     @property
     def truth(self) -> dict[str, float]:
-        return one_mass_truth(self.mass, self.stiffness, self.damping)
+        return virtual_rigs.one_mass_truth(self.mass, self.stiffness, self.damping)
 
 
 def pedestal(rig: VirtualMagneticRig) -> OneDofRun:
@@ -319,12 +308,15 @@ STATIC_BEND = 300e-6
 
 def simulate(
     rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None
-) -> tuple[SimulatedRun, ...]:
+) -> tuple[virtual_rigs.SimulatedRun, ...]:
     """The named runs, all of `run_names` unless named. The same rig and seed give the same samples, whatever
     other runs are made.
     """
     by_name = {**RUNS, **_loop_runs(rig)}
-    return tuple(by_name[name](rig, name, generator(seed, name)) for name in chosen_runs(rig, runs))
+    return tuple(
+        by_name[name](rig, name, virtual_rigs.generator(seed, name))
+        for name in virtual_rigs.chosen_runs(rig, runs)
+    )
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
@@ -340,7 +332,7 @@ def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
 
 def _loop_runs(
     rig: VirtualMagneticRig,
-) -> dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]]:
+) -> dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], virtual_rigs.SimulatedRun]]:
     return LOOP_RUNS if rig.levitation.law == "control-loop" else {}
 
 
@@ -350,8 +342,10 @@ def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArra
 
 def _run(
     name: str, truth: dict[str, Any], channels: Sequence[Channel], samples: Sequence[FloatArray], rate: float
-) -> SimulatedRun:
-    return SimulatedRun(name, truth, Recording(tuple(channels), np.column_stack(samples), rate, name))
+) -> virtual_rigs.SimulatedRun:
+    return virtual_rigs.SimulatedRun(
+        name, truth, Recording(tuple(channels), np.column_stack(samples), rate, name)
+    )
 
 
 def _channels(force: str, moved: str) -> list[Channel]:
@@ -361,7 +355,7 @@ def _channels(force: str, moved: str) -> list[Channel]:
     return [Channel("f", "force", "input", force, angle), *of_motion]
 
 
-def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """One force and one displacement that starts at rest: the runs of ONE_DOF."""
     run = ONE_DOF[name](rig)
     timing = run.timing
@@ -377,7 +371,7 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     return _run(name, run.truth, _channels(run.dof, run.dof), samples, timing.sample_rate)
 
 
-def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric."""
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
@@ -412,7 +406,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     return _run(name, truth, _channels(DIAGONAL, "xy"), samples, timing.sample_rate)
 
 
-def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs
     together.
     """
@@ -426,12 +420,14 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     for row in range(2):
         clean = linear.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
         samples.append(_noisy(clean, rig.noise.displacement, rng))
-    support = coefficients_by_name("xy", k=mechanics.COUPLED_STIFFNESS, c=mechanics.COUPLED_DAMPING)
+    support = virtual_rigs.coefficients_by_name(
+        "xy", k=mechanics.COUPLED_STIFFNESS, c=mechanics.COUPLED_DAMPING
+    )
     truth = {"mass": rig.rotor_mass, **support}
     return _run(name, truth, _channels(dof, "xy"), samples, timing.sample_rate)
 
 
-def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """Force over control voltage at seven levels and seven eccentricities. The gain falls as 1 / (1 + (e /
     0.4)^4).
     """
@@ -443,22 +439,22 @@ def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) 
     table = {"eccentricity [%]": 100 * eccentricity, "voltage [V]": voltage, "force [N]": force}
     within = [e for e, gain in zip(ECCENTRICITIES, gains, strict=True) if abs(gain / gains[0] - 1) <= 0.2]
     truth = {"eccentricity": list(ECCENTRICITIES), "gain": gains, "linear_range_20_percent": max(within)}
-    return SimulatedRun(name, truth, table=table)
+    return virtual_rigs.SimulatedRun(name, truth, table=table)
 
 
-def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45
     um.
     """
     displacement = np.arange(0, 91, 3) * 1e-6
     k_0 = rig.levitation.static
     force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
-    return SimulatedRun(
+    return virtual_rigs.SimulatedRun(
         name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force}
     )
 
 
-RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]] = {
+RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], virtual_rigs.SimulatedRun]] = {
     "pedestal": single,
     "radial-0rpm": radial,
     "radial-8000rpm": radial,
@@ -470,14 +466,18 @@ RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], Simulat
 }
 
 
-def log_table(recording: Recording) -> LoggedTable:
+def log_table(recording: Recording) -> virtual_rigs.LoggedTable:
     """A run as the logger stores it: short runs as text, runs under the control loop as whole numbers."""
     if recording.name in LOOP_RUNS:
-        return whole_numbers(recording)
+        return virtual_rigs.whole_numbers(recording)
     columns = _recorded_columns(recording)
     if recording.name not in TEXT_RUNS:
-        return LoggedTable({title: column.astype(np.float32) for title, column in columns.items()})
-    return LoggedTable({"t [s]": np.arange(recording.n_sample) / recording.sample_rate, **columns}, text=True)
+        return virtual_rigs.LoggedTable(
+            {title: column.astype(np.float32) for title, column in columns.items()}
+        )
+    return virtual_rigs.LoggedTable(
+        {"t [s]": np.arange(recording.n_sample) / recording.sample_rate, **columns}, text=True
+    )
 
 
 def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
@@ -489,12 +489,12 @@ def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
     return columns
 
 
-def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
+def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> virtual_rigs.Truth:
     (first,) = simulate(rig, 0, runs[:1])
     return {name: float(number) for name, number in first.truth.items() if isinstance(number, (int, float))}
 
 
-MAGNETIC_RIG = kind_of_tests(
+MAGNETIC_RIG = virtual_rigs.kind_of_tests(
     VirtualMagneticRig,
     runs=run_names,
     usual=usual_runs,

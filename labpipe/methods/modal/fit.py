@@ -21,19 +21,8 @@ from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, equal_weights, has_noise, whitener
+from labpipe.methods.modal import model_error
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
-from labpipe.methods.modal.model_error import (
-    LEAST_LINES,
-    DrivingPoint,
-    frequency_correlation,
-    modal_parameters,
-    model_errors,
-    narrow_modes,
-    shape_record,
-    strongest_points,
-    with_model_errors,
-    with_window,
-)
 from labpipe.methods.modal.moved import MovedMode, aligned_measured, alignment, with_moved_modes
 from labpipe.methods.modal.poles import (
     Completed,
@@ -161,10 +150,10 @@ def _with_width_findings(fit: Fit, narrow: Mapping[int, float]) -> Fit:
     frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
     places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
     message = (
-        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
-        "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
-        "The interval of the damping holds what a Hann window may add to it. Measure with finer lines (a "
-        "longer `block`), or say `window:` in the entry of an FRF file under frfs:"
+        f"half-power widths of {model_error.LEAST_LINES:g} lines or less: {places}. The window of the "
+        "analyser, and how much leaked, decide such a peak: its damping, and whether a second mode seems to "
+        "stand beside it. The interval of the damping holds what a Hann window may add to it. Measure with "
+        "finer lines (a longer `block`), or say `window:` in the entry of an FRF file under frfs:"
     )
     return replace(fit, findings=(*fit.findings, Finding("leakage", message)))
 
@@ -241,10 +230,10 @@ class _Sides:
         return self.measured.inputs
 
     @property
-    def driving_points(self) -> tuple[DrivingPoint, ...]:
+    def driving_points(self) -> tuple[model_error.DrivingPoint, ...]:
         dofs = [port.dof for port in self.references] if self.by_force else []
         return tuple(
-            DrivingPoint(row, dofs.index(port.dof), port.dof)
+            model_error.DrivingPoint(row, dofs.index(port.dof), port.dof)
             for row, port in enumerate(self.points)
             if port.dof in dofs
         )
@@ -295,11 +284,11 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     if not (has_noise(sides.measured) or response.line_correlation):
-        narrow = narrow_modes(estimate.refined, sides.lines)
-        fit = _with_width_findings(with_window(fit, narrow), narrow)
+        narrow = model_error.narrow_modes(estimate.refined, sides.lines)
+        fit = _with_width_findings(model_error.with_window(fit, narrow), narrow)
     beside = (*loaded, *quality_findings(response, rows, columns, chosen))
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *beside))
-    modes = shape_record(
+    modes = model_error.shape_record(
         estimate.refined,
         terms,
         sides.points,
@@ -308,7 +297,9 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         _diagram_record(sides.lines, diagram),
         diagram.returns(estimate.refined.poles, estimate.refined.participation),
     )
-    driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
+    driving = tuple(
+        place.dof for place in model_error.strongest_points(estimate.refined, sides.driving_points)
+    )
     modes = replace(modes, driving_points=driving, geometry=modal.structure)
     return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
 
@@ -426,7 +417,7 @@ def _parameters(
     settings: FitSettings, sides: _Sides, estimate: ModalEstimate, refined: Refined
 ) -> tuple[Parameter, ...]:
     mass = settings.mass if isinstance(settings.mass, float) else None
-    return modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
+    return model_error.modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
 
 
 def _report(
@@ -439,7 +430,7 @@ def _report(
     moved: Sequence[MovedMode],
 ) -> Fit:
     refined, measured = estimate.refined, sides.measured
-    matrix = frequency_correlation(refined)
+    matrix = model_error.frequency_correlation(refined)
     parameters = _parameters(settings, sides, estimate, refined)
     # What rounding leaves looks like no noise.
     left = float(np.linalg.norm(measured.matrix - estimate.fitted))
@@ -452,11 +443,15 @@ def _report(
     moving = settings.model_settings.moving_mass is not None
     shown = misfit or bool(moved) or moving
     if refined.converged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
-        errors = model_errors(measured, beyond, estimate, parameters, misfit, moved, moving=moving)
+        errors = model_error.model_errors(
+            measured, beyond, estimate, parameters, misfit, moved, moving=moving
+        )
     # Points that differ are no fault of the modes.
     named = errors if misfit or not shown else {}
     if misfit or errors:
-        parameters = with_model_errors(parameters, errors, estimate, measured.omega / (2 * np.pi), instead)
+        parameters = model_error.with_model_errors(
+            parameters, errors, estimate, measured.omega / (2 * np.pi), instead
+        )
     n_parameter = measured.n_equation - estimate.dof
     r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, n_parameter)
     return Fit(

@@ -8,22 +8,7 @@ import numpy as np
 
 from labpipe.records.fit_details import FitDetailKind, Modes, StabilisationDiagram
 from labpipe.records.identification import Fit
-from labpipe.report.chart import (
-    GREY,
-    WIDTH,
-    Axis,
-    Chart,
-    Panel,
-    Series,
-    cells,
-    curve,
-    dots,
-    level,
-    look,
-    named_ticks,
-    stack,
-    upright,
-)
+from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.figures import FREQUENCY, shape_figures
 from labpipe.report.wording import fit_title
@@ -71,16 +56,18 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
     indicators = [
-        curve(f"singular value {n + 1}", diagram.indicator_frequency, values, *look(n))
+        chart.curve(f"singular value {n + 1}", diagram.indicator_frequency, values, *chart.look(n))
         for n, values in enumerate(diagram.indicator.T)
     ]
     chosen = diagram.mode >= 0
-    poles: list[Series] = [upright(float(frequency), line=":") for frequency in modes.frequency]
-    poles.append(dots("pole of noise", diagram.frequency[~chosen], diagram.order[~chosen], GREY, size=3.0))
-    poles.append(dots("pole of a mode", diagram.frequency[chosen], diagram.order[chosen], 0, size=4.0))
+    poles: list[chart.Series] = [chart.upright(float(frequency), line=":") for frequency in modes.frequency]
+    poles.append(
+        chart.dots("pole of noise", diagram.frequency[~chosen], diagram.order[~chosen], chart.GREY, size=3.0)
+    )
+    poles.append(chart.dots("pole of a mode", diagram.frequency[chosen], diagram.order[chosen], 0, size=4.0))
     panels = [
-        Panel(FREQUENCY, Axis("CMIF", "", logarithmic=True), tuple(indicators)),
-        Panel(FREQUENCY, Axis("order"), tuple(poles), share=1.4, pick="poles"),
+        chart.Panel(FREQUENCY, chart.Axis("CMIF", "", logarithmic=True), tuple(indicators)),
+        chart.Panel(FREQUENCY, chart.Axis("order"), tuple(poles), share=1.4, pick="poles"),
     ]
     # The singular value of one FRF is its amplitude.
     alone = diagram.indicator.shape[1] == 1 and len(modes.points) == 1
@@ -90,7 +77,7 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         "of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; the line "
         "`poles:` for the section `modal:` then stands below."
     )
-    chart = stack(panels[1:], 2.0) if alone else stack(panels, 3.6)
+    graphic = chart.stack(panels[1:], 2.0) if alone else chart.stack(panels, 3.6)
     if modes.returns is not None:
         least = int(np.argmin(modes.returns))
         caption += (
@@ -99,23 +86,25 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
             if modes.returns[least] < 1
             else " The poles of all modes return in every order."
         )
-    return Figure(chart, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
+    return Figure(graphic, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 
 
 def shapes_figure(fit: Fit, modes: Modes) -> Figure:
     few = len(modes.points) <= MOST_NAMES
-    axis = Axis("point", ticks=named_ticks(modes.points) if few else ())
+    axis = chart.Axis("point", ticks=chart.named_ticks(modes.points) if few else ())
     panels = tuple(_shape(modes, n, axis, few) for n in range(modes.frequency.size))
     rows = -(-len(panels) // COLUMNS)
-    chart = Chart(panels, rows, min(COLUMNS, len(panels)), (WIDTH, 0.6 + 1.4 * rows), "x", "above")
+    graphic = chart.Chart(
+        panels, rows, min(COLUMNS, len(panels)), (chart.WIDTH, 0.6 + 1.4 * rows), "x", "above"
+    )
     caption = (
         f"{fit_title(fit)}: real part of the mode shapes with 95 % intervals, the largest point 1, "
         f"over {len(modes.points)} points."
     )
-    return Figure(chart, caption, f"Mode shapes of fit {fit_title(fit)}")
+    return Figure(graphic, caption, f"Mode shapes of fit {fit_title(fit)}")
 
 
-def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
+def _shape(modes: Modes, n: int, axis: chart.Axis, few: bool) -> chart.Panel:
     shape = modes.shapes[:, n]
     # The phase that makes the sum of squares of the imaginary part least.
     turned = (shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))).real
@@ -123,8 +112,10 @@ def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
     spread = TWO_SIGMA * modes.shape_std_errors[:, n] / np.sqrt(2)
     places = np.arange(turned.size, dtype=float)
     ends = turned - spread, turned + spread
-    line = curve("shape", places, turned, 0, "" if few else "-", marker="o" if few else "", bars=ends)
-    return Panel(axis, Axis("shape"), (level(0.0), line), f"{n + 1}: {modes.frequency[n]:.4g} Hz")
+    line = chart.curve("shape", places, turned, 0, "" if few else "-", marker="o" if few else "", bars=ends)
+    return chart.Panel(
+        axis, chart.Axis("shape"), (chart.level(0.0), line), f"{n + 1}: {modes.frequency[n]:.4g} Hz"
+    )
 
 
 def _alike(fit: Fit, modes: Modes) -> list[Block]:
@@ -139,14 +130,16 @@ def _alike(fit: Fit, modes: Modes) -> list[Block]:
 def mac_figure(fit: Fit, modes: Modes) -> Figure:
     names = [f"{frequency:.4g}" for frequency in modes.frequency]
     texts = [[f"{value:.2f}" for value in row] for row in modes.mac.tolist()]
-    axis = Axis("mode [Hz]", ticks=named_ticks(names))
+    axis = chart.Axis("mode [Hz]", ticks=chart.named_ticks(names))
     side = max(2.4, 0.5 * len(names))
-    chart = Chart((Panel(axis, axis, (cells(modes.mac, texts, "MAC"),)),), size=(side + 0.9, side))
+    graphic = chart.Chart(
+        (chart.Panel(axis, axis, (chart.cells(modes.mac, texts, "MAC"),)),), size=(side + 0.9, side)
+    )
     caption = (
         f"{fit_title(fit)}: modal assurance criterion between the shapes. Two shapes near 1 cannot be "
         "told apart at these points."
     )
-    return Figure(chart, caption, f"Modal assurance criterion of fit {fit_title(fit)}")
+    return Figure(graphic, caption, f"Modal assurance criterion of fit {fit_title(fit)}")
 
 
 MODES_DETAIL = FitDetailKind(Modes, modal_blocks)

@@ -10,21 +10,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import SettingError
-from labpipe.methods.planning.campaigns import (
-    ONE_BY_ONE,
-    Campaign,
-    Limits,
-    Multisines,
-    Rig,
-    Settling,
-    crest_factors,
-    from_rest,
-    largest_motion,
-    running_shakers,
-    score,
-    settling,
-    with_shares,
-)
+from labpipe.methods.planning import campaigns
 from labpipe.methods.planning.model import AXES, Noise, PlannedModel
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
 from labpipe.methods.planning.runs import LONGEST, least_factor
@@ -92,8 +78,8 @@ class Planned:
     """A plan with the rig it is for and the forces of its tests, phases included."""
 
     plan: Plan
-    rig: Rig
-    tests: tuple[Multisines, ...]
+    rig: campaigns.Rig
+    tests: tuple[campaigns.Multisines, ...]
 
     def signals(self, test: int) -> dict[str, FloatArray]:
         """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones
@@ -105,10 +91,10 @@ class Planned:
         return dict(zip(planned.files, whole.T, strict=True))
 
 
-def period_signals(test: Multisines, sample_rate: float, period: float) -> FloatArray:
+def period_signals(test: campaigns.Multisines, sample_rate: float, period: float) -> FloatArray:
     """Forces (n_sample, n_running) [N] of the running shakers in one period [s] at *sample_rate* [Hz]."""
     n_sample = round(period * sample_rate)
-    running = test.forces[:, running_shakers(test)]
+    running = test.forces[:, campaigns.running_shakers(test)]
     spectrum = np.zeros((n_sample // 2 + 1, running.shape[1]), complex)
     spectrum[test.lines] = running * (n_sample / 2)
     return np.asarray(np.fft.irfft(spectrum, n_sample, axis=0))
@@ -120,11 +106,11 @@ class _Question:
 
     settings: PlanSettings
     title: str
-    rig: Rig
+    rig: campaigns.Rig
     lines: IntArray
     goals: Goals
     wanted: Wanted
-    flats: Mapping[str, Campaign]
+    flats: Mapping[str, campaigns.Campaign]
 
 
 def make_plan(
@@ -143,8 +129,8 @@ def make_plan(
     skip = _skip(settings, rig, design.campaign, periods)
     lengths = [(skip + number) * settings.period for number in periods]
     pairs = zip(design.campaign.tests, lengths, strict=True)
-    tests = [from_rest(rig, test, seconds) for test, seconds in pairs]
-    timed = with_shares(rig, tests, np.array(periods) / sum(periods))
+    tests = [campaigns.from_rest(rig, test, seconds) for test, seconds in pairs]
+    timed = campaigns.with_shares(rig, tests, np.array(periods) / sum(periods))
     budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
     plan = _plan(question, design, timed, periods, skip)
     if settings.skip is None and skip > 1:
@@ -164,7 +150,7 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     rig, lines, goals = bench(settings, model), planned_lines(settings), goals_of(settings, model)
     if not (settings.combine_earlier and expected.earlier is not None):
         _check_identifiable(rig, lines)
-    flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
+    flats = {phases: flat(rig, lines, campaigns.ONE_BY_ONE, phases) for phases in FLAT_PHASES}
     first = None
     if rehearse is not None and (settings.combine_earlier or np.any(np.isfinite(goals.expanded))):
         # Systematic parts hardly depend on the spectrum: a flat one tells what goals leave to noise.
@@ -191,14 +177,14 @@ def _scheme(settings: PlanSettings) -> str:
     forces = [channel for channel in channels if channel.channel.role == "input"]
     if len(forces) != 1 or len(settings.shakers) == 1 or len(settings.kind.axes) == 1:
         return settings.scheme
-    if settings.scheme not in (BEST, ONE_BY_ONE):
-        hint = f"scheme: {ONE_BY_ONE}, or a force for every shaker"
+    if settings.scheme not in (BEST, campaigns.ONE_BY_ONE):
+        hint = f"scheme: {campaigns.ONE_BY_ONE}, or a force for every shaker"
         raise SettingError("scheme", "the rig has one force", hint)
-    return ONE_BY_ONE
+    return campaigns.ONE_BY_ONE
 
 
 def _with_budget(
-    plan: Plan, question: _Question, timed: Campaign, budget: Budget, earlier: Earlier | None
+    plan: Plan, question: _Question, timed: campaigns.Campaign, budget: Budget, earlier: Earlier | None
 ) -> Plan:
     model, goals = question.rig.model, question.goals
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
@@ -217,14 +203,16 @@ def _with_budget(
     return replace(plan, coefficients=coefficients, needed=needed, unreachable=never, notes=notes)
 
 
-def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
+def _needed(
+    question: _Question, timed: campaigns.Campaign, allowed: FloatArray, duration: float
+) -> float | None:
     least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
     needed = max(time_needed(timed, allowed, duration), least)
     return needed if np.isfinite(needed) else None
 
 
 def _over_draws(
-    plan: Plan, question: _Question, timed: Campaign, earlier: Earlier, common: Sequence[str]
+    plan: Plan, question: _Question, timed: campaigns.Campaign, earlier: Earlier, common: Sequence[str]
 ) -> Plan:
     rig, wanted = question.rig, question.wanted
     covariance = earlier.covariance_of(rig.model, common)
@@ -276,7 +264,7 @@ def weighting_factor(periods: int, of_spectra: bool) -> float:
     return float(np.interp(periods, list(OF_SPECTRA), list(OF_SPECTRA.values()))) if of_spectra else 1.0
 
 
-def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
+def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.Rig:
     """The rig of the settings: noise, limits and directions of the shakers.
 
     ConfigError for shakers that the model does not have.
@@ -295,8 +283,8 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
         assert settings.noise is not None
         sampled, rate = settings.noise, settings.sample_rate
         noise = Noise.of_samples(sampled.force, sampled.displacement, sampled.acceleration, rate)
-    limits = Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
-    return Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
+    limits = campaigns.Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
+    return campaigns.Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 
 
 def _direction(name: str) -> tuple[float, float]:
@@ -310,7 +298,7 @@ def _direction(name: str) -> tuple[float, float]:
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 
-def _check_identifiable(rig: Rig, lines: IntArray) -> None:
+def _check_identifiable(rig: campaigns.Rig, lines: IntArray) -> None:
     excitation = Excitation.of_directions(rig.spacing * lines, rig.directions)
     identified = identifiability(rig.model, rig.noise, excitation)
     if not identified.full:
@@ -318,7 +306,7 @@ def _check_identifiable(rig: Rig, lines: IntArray) -> None:
         raise SettingError("shakers", what, identified.remedy)
 
 
-def _periods(settings: PlanSettings, design: Campaign) -> tuple[int, ...]:
+def _periods(settings: PlanSettings, design: campaigns.Campaign) -> tuple[int, ...]:
     whole = settings.duration / settings.period
     periods = tuple(int(share * whole + 0.5) for share in design.shares)
     if min(periods) < FEWEST_PERIODS:
@@ -329,24 +317,30 @@ def _periods(settings: PlanSettings, design: Campaign) -> tuple[int, ...]:
     return periods
 
 
-def _skip(settings: PlanSettings, rig: Rig, design: Campaign, periods: tuple[int, ...]) -> int:
+def _skip(
+    settings: PlanSettings, rig: campaigns.Rig, design: campaigns.Campaign, periods: tuple[int, ...]
+) -> int:
     """Transient periods of every test: those asked for, or as many as free motion needs to no longer count,
     one at least.
     """
     if settings.skip is not None:
         return settings.skip
-    motion = settling(rig, with_shares(rig, design.tests, np.array(periods) / sum(periods)), periods)
+    motion = campaigns.settling(
+        rig, campaigns.with_shares(rig, design.tests, np.array(periods) / sum(periods)), periods
+    )
     return 1 if motion is None else _settled_after(motion, design.errors(sum(periods) * settings.period))
 
 
-def _settled_after(motion: Settling, errors: FloatArray) -> int:
+def _settled_after(motion: campaigns.Settling, errors: FloatArray) -> int:
     settled = (n for n in range(1, MOST_SKIPPED) if np.all(np.abs(motion.shifts(n)) <= SETTLED * errors))
     return next(settled, MOST_SKIPPED)
 
 
-def settling_notes(rig: Rig, timed: Campaign, periods: tuple[int, ...], skip: int) -> Iterator[str]:
+def settling_notes(
+    rig: campaigns.Rig, timed: campaigns.Campaign, periods: tuple[int, ...], skip: int
+) -> Iterator[str]:
     """What it costs where motion that starts with a test is not waited for to die away."""
-    motion = settling(rig, timed, periods)
+    motion = campaigns.settling(rig, timed, periods)
     if motion is None:
         return
     errors = timed.errors(sum(periods) / rig.spacing)
@@ -362,11 +356,11 @@ def settling_notes(rig: Rig, timed: Campaign, periods: tuple[int, ...], skip: in
 
 
 def _plan(
-    question: _Question, design: Candidate, timed: Campaign, periods: tuple[int, ...], skip: int
+    question: _Question, design: Candidate, timed: campaigns.Campaign, periods: tuple[int, ...], skip: int
 ) -> Plan:
     settings, rig, wanted = question.settings, question.rig, question.wanted
     duration = sum(periods) * settings.period
-    at_once = any(np.count_nonzero(running_shakers(test)) > 1 for test in design.campaign.tests)
+    at_once = any(np.count_nonzero(campaigns.running_shakers(test)) > 1 for test in design.campaign.tests)
     factor = weighting_factor(min(periods), rig.model.stator_mass > 0 or at_once)
     planned = _poor(timed, wanted)
     gains = tuple((phases, _poor(flat, wanted) / planned) for phases, flat in question.flats.items())
@@ -393,13 +387,13 @@ def _plan(
     )
 
 
-def _poor(tests: Campaign, wanted: Wanted) -> float:
+def _poor(tests: campaigns.Campaign, wanted: Wanted) -> float:
     """How poor the tests are, by what is wanted."""
-    return score(tests.information, wanted.criterion, wanted.goals)
+    return campaigns.score(tests.information, wanted.criterion, wanted.goals)
 
 
 def _coefficients(
-    question: _Question, timed: Campaign, factor: float, duration: float
+    question: _Question, timed: campaigns.Campaign, factor: float, duration: float
 ) -> Iterator[PlannedCoefficient]:
     model, goals = question.rig.model, question.goals
     errors, others = timed.errors(duration), question.flats[LEAST_CREST].errors(duration)
@@ -419,7 +413,7 @@ def _coefficients(
         )
 
 
-def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> float:
+def time_needed(campaign: campaigns.Campaign, limits: FloatArray, duration: float) -> float:
     """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1],
     of a *duration* [s] or not.
 
@@ -431,9 +425,9 @@ def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> floa
     return duration * least_factor(low, lambda factor: np.all(campaign.errors(duration * factor) <= limits))
 
 
-def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> PlannedTest:
+def planned_test(rig: campaigns.Rig, test: campaigns.Multisines, periods: int, skip: int) -> PlannedTest:
     """A test of *periods* periods, after *skip* that are dropped, as it is written down."""
-    running = running_shakers(test)
+    running = campaigns.running_shakers(test)
     forces = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
     stem = "-".join(name.replace(" ", "") for name in names)
@@ -448,21 +442,21 @@ def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> Planned
         frequency=tuple((rig.spacing * test.lines).tolist()),
         amplitude=tuple(tuple(column) for column in np.abs(forces).T.tolist()),
         phase=tuple(tuple(column) for column in np.angle(forces).T.tolist()),
-        crest_factor=tuple(crest_factors(test).tolist()),
+        crest_factor=tuple(campaigns.crest_factors(test).tolist()),
         peak_force=tuple(peaks(test.lines, forces).tolist()),
-        peak_displacement=tuple(largest_motion(rig, test, (skip + periods) / rig.spacing).tolist()),
+        peak_displacement=tuple(campaigns.largest_motion(rig, test, (skip + periods) / rig.spacing).tolist()),
     )
 
 
-def _notes(rig: Rig, lines: IntArray, design: Candidate, wanted: Wanted) -> tuple[str, ...]:
+def _notes(rig: campaigns.Rig, lines: IntArray, design: Candidate, wanted: Wanted) -> tuple[str, ...]:
     notes = []
     if design.criterion == "flat":
         notes.append(FLAT_IS_BEST)
     elif design.floor == 0:
         notes.append(NO_FLOOR)
     if len(rig.shakers) < rig.model.n_dof:
-        both = Rig(rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing)
-        ratio = _poor(design.campaign, wanted) / _poor(flat(both, lines, ONE_BY_ONE), wanted)
+        both = campaigns.Rig(rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing)
+        ratio = _poor(design.campaign, wanted) / _poor(flat(both, lines, campaigns.ONE_BY_ONE), wanted)
         if ratio > MUCH_WORSE:
             alone = f"Forces along {rig.shakers[0]} alone leave errors {ratio:.2g} times those"
             notes.append(f"{alone} of a flat multisine in x, then in y.")

@@ -8,14 +8,7 @@ from collections.abc import Iterator
 from math import floor
 
 from labpipe.display import NOT_DETERMINED, amount_text, shown_unit
-from labpipe.methods.planning.records import (
-    Plan,
-    PlannedCoefficient,
-    PlannedNumber,
-    PlannedRun,
-    PlannedTest,
-    RunPlan,
-)
+from labpipe.methods.planning import records
 from labpipe.quantities import to_display
 from labpipe.report.chart import Axis, Panel, dots, look, stack
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
@@ -55,7 +48,7 @@ CRITERIA = {
 }
 
 
-def plan_document(plan: Plan, version: str) -> Document:
+def plan_document(plan: records.Plan, version: str) -> Document:
     sections = (
         Section("Plan", tuple(_verdict(plan))),
         Section("Predicted errors", (_coefficients(plan), Paragraph(_explanation(plan)))),
@@ -65,7 +58,7 @@ def plan_document(plan: Plan, version: str) -> Document:
     return Document(plan.title, f"Test plan, labpipe {version}", sections, to_sign=False)
 
 
-def sentence(plan: Plan) -> str:
+def sentence(plan: records.Plan) -> str:
     worst = max(plan.coefficients, key=_over_goal if plan.with_goals else lambda c: c.error)
     tests = ", ".join(f"{test.name} {test.periods} periods" for test in plan.tests)
     gain = dict(plan.gains)["least crest"]
@@ -80,7 +73,7 @@ def sentence(plan: Plan) -> str:
     )
 
 
-def goal_sentence(plan: Plan) -> str:
+def goal_sentence(plan: records.Plan) -> str:
     if not plan.with_goals:
         return ""
     if plan.needed is None:
@@ -96,7 +89,7 @@ def per_cent(share: float) -> str:
     return f"{100 * share:.2g} %"
 
 
-def _verdict(plan: Plan) -> Iterator[Block]:
+def _verdict(plan: records.Plan) -> Iterator[Block]:
     yield Paragraph(sentence(plan))
     if plan.with_goals:
         met = plan.needed is not None and plan.needed <= plan.duration
@@ -124,7 +117,7 @@ COMBINED = (
 )
 
 
-def _coefficients(plan: Plan) -> Table:
+def _coefficients(plan: records.Plan) -> Table:
     open_end = NOT_DETERMINED if any(c.error_range is not None for c in plan.coefficients) else ""
     rows = tuple(
         (
@@ -143,7 +136,7 @@ def _coefficients(plan: Plan) -> Table:
     return Table(HEADER, rows, "Relative standard errors, at the expected values", numeric)
 
 
-def _uncertainty(plan: Plan) -> Iterator[Section]:
+def _uncertainty(plan: records.Plan) -> Iterator[Section]:
     stated = [c for c in plan.coefficients if c.expanded is not None]
     if not stated:
         return
@@ -162,12 +155,12 @@ def _uncertainty(plan: Plan) -> Iterator[Section]:
     yield Section("Predicted uncertainty", (table, Paragraph(BUDGETED)))
 
 
-def _expected(coefficient: PlannedCoefficient) -> str:
+def _expected(coefficient: records.PlannedCoefficient) -> str:
     shown = shown_unit(coefficient.unit, coefficient.scale)
     return f"{to_display(coefficient.expected, shown):.5g} {shown}"
 
 
-def _explanation(plan: Plan) -> str:
+def _explanation(plan: records.Plan) -> str:
     return (
         "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. "
         "The noise is not known before the test: weights from the scatter of "
@@ -178,12 +171,12 @@ def _explanation(plan: Plan) -> str:
     )
 
 
-def _tests(plan: Plan) -> Table:
+def _tests(plan: records.Plan) -> Table:
     rows = tuple(row for test in plan.tests for row in _rows(test))
     return Table(TEST_HEADER, rows, "Signals", tuple(range(3, 9)))
 
 
-def _rows(test: PlannedTest) -> Iterator[tuple[str, ...]]:
+def _rows(test: records.PlannedTest) -> Iterator[tuple[str, ...]]:
     moved = " / ".join(f"{1e6 * peak:.3g}" for peak in test.peak_displacement)
     counts = [str(count) for count in (len(test.frequency), test.periods, test.skip)]
     of_shakers = zip(test.shakers, test.files, test.crest_factor, test.peak_force, strict=True)
@@ -191,7 +184,7 @@ def _rows(test: PlannedTest) -> Iterator[tuple[str, ...]]:
         yield (test.name, shaker, file, *counts, f"{crest:.3f}", f"{peak:.4g}", moved)
 
 
-def _spectrum(plan: Plan) -> Figure:
+def _spectrum(plan: records.Plan) -> Figure:
     panels = []
     for test in plan.tests:
         series = []
@@ -205,7 +198,7 @@ def _spectrum(plan: Plan) -> Figure:
     return Figure(stack(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
 
 
-def _over_goal(coefficient: PlannedCoefficient) -> float:
+def _over_goal(coefficient: records.PlannedCoefficient) -> float:
     parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
     parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
     return max(parts, default=0.0)
@@ -223,7 +216,7 @@ MODELS = {
 }
 
 
-def run_plan_document(plan: RunPlan, version: str) -> Document:
+def run_plan_document(plan: records.RunPlan, version: str) -> Document:
     sections = (
         Section("Plan", tuple(_runs_verdict(plan))),
         Section("Runs", (runs_table(plan),)),
@@ -239,7 +232,7 @@ EXPLAINED = (
 )
 
 
-def runs_table(plan: RunPlan) -> Table:
+def runs_table(plan: records.RunPlan) -> Table:
     titles = tuple(dict.fromkeys(title for run in plan.runs for title, _ in run.conditions))
     rows = tuple(
         (
@@ -254,7 +247,7 @@ def runs_table(plan: RunPlan) -> Table:
     return Table(("run", "times", "each [s]", *titles, "share at the optimum"), rows, "Runs to make", (1, 2))
 
 
-def run_sentences(plan: RunPlan) -> Iterator[str]:
+def run_sentences(plan: records.RunPlan) -> Iterator[str]:
     total = sum(run.count for run in plan.runs)
     aimed = [number for number in plan.numbers if number.goal is not None and number.error is not None]
     worst = max(aimed, key=lambda number: (number.error or 0.0) / (number.goal or 1.0)) if aimed else None
@@ -282,7 +275,7 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     yield from plan.notes
 
 
-def runs_csv(plan: RunPlan) -> str:
+def runs_csv(plan: records.RunPlan) -> str:
     table = runs_table(plan)
     text = io.StringIO()
     writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\n")
@@ -290,7 +283,7 @@ def runs_csv(plan: RunPlan) -> str:
     return text.getvalue()
 
 
-def error_text(number: PlannedNumber, error: float | None) -> str:
+def error_text(number: records.PlannedNumber, error: float | None) -> str:
     if error is None:
         return NOT_DETERMINED
     if number.scale is not None:
@@ -299,7 +292,7 @@ def error_text(number: PlannedNumber, error: float | None) -> str:
     return f"{to_display(error, unit) - to_display(0.0, unit):.2g} {unit}"
 
 
-def _runs_verdict(plan: RunPlan) -> Iterator[Block]:
+def _runs_verdict(plan: records.RunPlan) -> Iterator[Block]:
     kinds = {"The goals are met": "passed", "The goals are NOT": "failed", "": ""}
     for text in run_sentences(plan):
         yield Paragraph(text, next(kind for begin, kind in kinds.items() if text.startswith(begin)))
@@ -311,7 +304,7 @@ def _runs_verdict(plan: RunPlan) -> Iterator[Block]:
     )
 
 
-def _numbers(plan: RunPlan) -> Table:
+def _numbers(plan: records.RunPlan) -> Table:
     rows = tuple(
         (
             number.name,
@@ -324,6 +317,6 @@ def _numbers(plan: RunPlan) -> Table:
     return Table(NUMBERS, rows, "Predicted standard errors", (1, 2, 3, 4, 5, 6))
 
 
-def run_names(run: PlannedRun) -> tuple[str, ...]:
+def run_names(run: records.PlannedRun) -> tuple[str, ...]:
     numbered = tuple(f"{run.name}-{number}" for number in range(1, run.count + 1))
     return (run.name,) if run.count == 1 else numbered

@@ -14,18 +14,10 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, FitError, SettingError
+from labpipe.methods.planning import run_up_information
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.report import run_names, run_sentences
-from labpipe.methods.planning.run_up_information import (
-    ExpectedRig,
-    Limits,
-    Reading,
-    RunCandidate,
-    at_allowed_speeds,
-    expected_run,
-    information,
-)
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_relative
 from labpipe.methods.run_ups.misfit import scales
@@ -214,9 +206,9 @@ class RunUpChoice:
     """The run-ups to choose from, by the settings of a plan, of a rig that is *expected*."""
 
     settings: RunUpPlanSettings
-    expected: ExpectedRig
+    expected: run_up_information.ExpectedRig
 
-    def _all(self) -> Iterator[RunCandidate]:
+    def _all(self) -> Iterator[run_up_information.RunCandidate]:
         settings = self.settings
         stretches = np.array_split(settings.omega, settings.stretches)
         for place, load in enumerate(settings.loads, 1):
@@ -225,19 +217,21 @@ class RunUpChoice:
                 for number, speed in enumerate(stretches, 1):
                     stem = f"load-{place}-{name.replace(' ', '-')}"
                     stem += f"-{number}" if settings.stretches > 1 else ""
-                    candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), shaker)
+                    candidate = run_up_information.RunCandidate(
+                        stem, load, speed, dict(trial.unbalance), shaker
+                    )
                     yield candidate
                     may_go_on = settings.to_threshold and number == settings.stretches and not shaker
                     if may_go_on and self.expected.threshold(load) is not None:
                         yield replace(candidate, name=f"{stem}-threshold", to_threshold=True)
 
     @cached_property
-    def _allowed(self) -> tuple[list[RunCandidate], list[str]]:
+    def _allowed(self) -> tuple[list[run_up_information.RunCandidate], list[str]]:
         """The runs at the speeds that the limits allow, and what to note of it."""
-        limits = Limits(self.settings.displacement_limit, self.settings.journal_limit)
+        limits = run_up_information.Limits(self.settings.displacement_limit, self.settings.journal_limit)
         kept, cut, whole = [], 0, 0
         for candidate in self._all():
-            allowed = at_allowed_speeds(self.expected, candidate, limits)
+            allowed = run_up_information.at_allowed_speeds(self.expected, candidate, limits)
             kept += [] if allowed is None else [allowed]
             full = allowed is not None and allowed.speed.size == candidate.speed.size
             cut, whole = cut + (not full), whole + full
@@ -250,7 +244,7 @@ class RunUpChoice:
     def run(self, name: str) -> RunUp:
         """The run of that name as it is expected, without noise."""
         candidate = next(candidate for candidate in self._allowed[0] if candidate.name == name)
-        return expected_run(self.expected, candidate)
+        return run_up_information.expected_run(self.expected, candidate)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
@@ -266,7 +260,7 @@ class RunUpChoice:
                 ("rate", f"{(high - low) / (dwell * max(candidate.speed.size - 1, 1)):.3g} rpm/s"),
             )
             seconds = dwell * candidate.speed.size + self.settings.changeover
-            of_run = information(self.expected, candidate)
+            of_run = run_up_information.information(self.expected, candidate)
             conditions.append(Condition(candidate.name, seconds, words, of_run))
         return tuple(conditions)
 
@@ -345,7 +339,9 @@ class RunUpChoice:
                 yield Quantity(name, unit, value, row, goal, size)
 
 
-def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
+def _speed_row(
+    expected: run_up_information.ExpectedRig, load: float, name: str
+) -> tuple[float, FloatArray] | None:
 
     def speed(values: FloatArray) -> float | None:
         at = expected.family.at_load(values, load)
@@ -362,7 +358,7 @@ def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, Fl
     return value, np.array([(high - low) / (2 * STEP) for high, low in np.array(ends, float)])
 
 
-def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> ExpectedRig:
+def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> run_up_information.ExpectedRig:
     """The rig of the settings; *earlier*: factors and exponents [1] of an earlier fit."""
     assert settings.rig is not None
     rig: RunUpRotor = settings.rig
@@ -371,8 +367,8 @@ def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> E
     usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
     family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
     noise = settings.noise
-    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
-    return ExpectedRig(rig, family, settings.values(earlier), reading)
+    reading = run_up_information.Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
+    return run_up_information.ExpectedRig(rig, family, settings.values(earlier), reading)
 
 
 def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:

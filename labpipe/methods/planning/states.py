@@ -16,19 +16,11 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import SettingError
+from labpipe.methods.planning import plan
 from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, Rig
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
 from labpipe.methods.planning.model import AXES, MODELS, UNITS, PlannedModel
-from labpipe.methods.planning.plan import (
-    FEWEST_PERIODS,
-    bench,
-    period_signals,
-    planned_lines,
-    planned_test,
-    settling_notes,
-    weighting_factor,
-)
 from labpipe.methods.planning.plan_file import PlanFile, write_runs
 from labpipe.methods.planning.records import PlannedRun, PlannedTest
 from labpipe.methods.planning.report import run_names, run_sentences
@@ -112,9 +104,9 @@ class StatePlanSettings(Settings):
             raise SettingError("loads", "loads and speeds are positive")
         if self.changeover < 0 or self.duration <= 0:
             raise SettingError("duration", "times are positive")
-        if self.periods < FEWEST_PERIODS:
-            what = f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}"
-            raise SettingError("run", what, f"a run of {FEWEST_PERIODS * self.period:g} s or more")
+        if self.periods < plan.FEWEST_PERIODS:
+            what = f"{self.periods} periods in a run, the noise is known from {plan.FEWEST_PERIODS}"
+            raise SettingError("run", what, f"a run of {plan.FEWEST_PERIODS * self.period:g} s or more")
         for name, _ in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
                 allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
@@ -189,13 +181,13 @@ class StateTest:
 def state_test(settings: StatePlanSettings, state: BearingState) -> StateTest:
     """The flat multisine of a state, as large as its limits allow; ConfigError where no line is left."""
     state_settings = settings.at(state.speed)
-    rig = bench(state_settings, state.model)
-    campaign = flat(rig, planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
-    factor = weighting_factor(settings.periods, of_spectra=True)
+    rig = plan.bench(state_settings, state.model)
+    campaign = flat(rig, plan.planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
+    factor = plan.weighting_factor(settings.periods, of_spectra=True)
     scales = np.outer(state.model.scales, state.model.scales)
     information = campaign.rate * settings.periods * settings.period / factor**2 / scales
-    planned = planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
-    notes = settling_notes(rig, campaign, (settings.periods,), settings.skip)
+    planned = plan.planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
+    notes = plan.settling_notes(rig, campaign, (settings.periods,), settings.skip)
     named = tuple(f"{state.name}: {note}" for note in notes)
     return StateTest(state, rig, campaign.tests[0], planned, information, named)
 
@@ -265,7 +257,7 @@ def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[s
     names = []
     for run in answered.plan.runs:
         test = tests[run.name]
-        period = period_signals(test.multisine, settings.sample_rate, settings.period)
+        period = plan.period_signals(test.multisine, settings.sample_rate, settings.period)
         for axis, samples in zip(AXES, period.T, strict=True):
             names.append(f"signals/{run.name}-{axis}.csv")
             whole = np.tile(samples, settings.periods + settings.skip)

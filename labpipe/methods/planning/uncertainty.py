@@ -26,14 +26,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import difference_in, shown_unit
 from labpipe.distributions import coverage_factor
 from labpipe.errors import SettingError
-from labpipe.methods.planning.campaigns import (
-    Campaign,
-    EarlierInformation,
-    Multisines,
-    Rig,
-    score,
-    with_shares,
-)
+from labpipe.methods.planning import campaigns
 from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, sensitivities
 from labpipe.methods.planning.records import PlannedCoefficient
 from labpipe.methods.planning.settings import EXPANDED, PlanSettings
@@ -182,7 +175,9 @@ class Earlier:
         whole[np.ix_(there, there)] = self.covariance(without)[np.ix_(here, here)]
         return whole
 
-    def known(self, model: PlannedModel, duration: float, common: Sequence[str] = ()) -> EarlierInformation:
+    def known(
+        self, model: PlannedModel, duration: float, common: Sequence[str] = ()
+    ) -> campaigns.EarlierInformation:
         """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as
         well, which add no uncertainty here.
 
@@ -198,7 +193,7 @@ class Earlier:
         information = np.zeros_like(covariance)
         size = np.outer(root, root)
         information[np.ix_(there, there)] = np.linalg.pinv(part / size, hermitian=True) / size
-        return EarlierInformation(information * np.outer(model.scales, model.scales), duration)
+        return campaigns.EarlierInformation(information * np.outer(model.scales, model.scales), duration)
 
 
 @dataclass(frozen=True)
@@ -225,9 +220,9 @@ class Spread:
 
 
 def spread(
-    rig: Rig,
-    planned: Campaign,
-    flat: Campaign,
+    rig: campaigns.Rig,
+    planned: campaigns.Campaign,
+    flat: campaigns.Campaign,
     covariance: FloatArray,
     limits: FloatArray,
     criterion: str,
@@ -247,8 +242,8 @@ def spread(
         truth = replace(rig, model=rig.model.with_expected(drawn))
         planned_rate, other = (_rate(rig, truth, campaign) + rig.known_rate for campaign in (planned, flat))
         errors.append(relative_errors(planned_rate * duration))
-        poor = score(planned_rate, criterion, limits)
-        gains.append(score(other, criterion, limits) / poor if np.isfinite(poor) else 0.0)
+        poor = campaigns.score(planned_rate, criterion, limits)
+        gains.append(campaigns.score(other, criterion, limits) / poor if np.isfinite(poor) else 0.0)
         signals = ((test.lines, truth.over_limits(test).sum(axis=1)) for test in planned.tests)
         over.append(max(float(peaks(*signal).max()) for signal in signals))
     ends = [(1 - MIDDLE) / 2, (1 + MIDDLE) / 2]
@@ -258,10 +253,12 @@ def spread(
     return Spread(middle[0], middle[1], met, float(np.quantile(over, ends[1], method="nearest")))
 
 
-def _rate(rig: Rig, truth: Rig, campaign: Campaign) -> FloatArray:
+def _rate(rig: campaigns.Rig, truth: campaigns.Rig, campaign: campaigns.Campaign) -> FloatArray:
     """What a campaign tells per second on the rig as it is, (n, n) [1/s], relative to the expected scales."""
     ratio = rig.model.scales / truth.model.scales
-    return np.asarray(with_shares(truth, campaign.tests, campaign.shares).rate * np.outer(ratio, ratio))
+    return np.asarray(
+        campaigns.with_shares(truth, campaign.tests, campaign.shares).rate * np.outer(ratio, ratio)
+    )
 
 
 def spread_notes(drawn: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
@@ -293,7 +290,12 @@ SAMPLES = 2.6
 
 
 def rehearse(
-    rig: Rig, test: Multisines, channels: Sequence[Channel], seconds: float, skip: int, highest: int
+    rig: campaigns.Rig,
+    test: campaigns.Multisines,
+    channels: Sequence[Channel],
+    seconds: float,
+    skip: int,
+    highest: int,
 ) -> Recording:
     """The recording of *test* by *channels*, its noise that of an average over *seconds* [s], after *skip*
     periods that are dropped.
@@ -317,7 +319,7 @@ def rehearse(
     return Recording(tuple(channels), samples, n_sample * rig.spacing, test.name)
 
 
-def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
+def _amplitudes(rig: campaigns.Rig, test: campaigns.Multisines, channel: Channel) -> ComplexArray:
     if channel.quantity == "force":
         shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
         return np.asarray(test.forces[:, shaker])
@@ -345,7 +347,7 @@ LASTING = 0.81
 FOR_NOISE = 0.1
 
 # From tests with their whole periods to the budget of their evaluation; None where nothing is uncertain.
-Rehearse = Callable[[Rig, Sequence[Multisines], Sequence[int]], Budget | None]
+Rehearse = Callable[[campaigns.Rig, Sequence[campaigns.Multisines], Sequence[int]], Budget | None]
 
 
 @dataclass(frozen=True)
@@ -414,7 +416,7 @@ def predict(budget: Budget, random: FloatArray) -> Budget:
 
 
 def beside_earlier(
-    budget: Budget, earlier: Earlier, campaign: Campaign, model: PlannedModel, duration: float
+    budget: Budget, earlier: Earlier, campaign: campaigns.Campaign, model: PlannedModel, duration: float
 ) -> Budget:
     """The budget of a test of *duration* [s] and the earlier result together. Equation (plan-beside)."""
     assert campaign.known is not None

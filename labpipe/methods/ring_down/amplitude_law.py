@@ -14,15 +14,7 @@ from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import linearised, minimise, sum_of_squares
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.methods.ring_down.likelihood import (
-    Decayed,
-    Judged,
-    Piece,
-    judge,
-    maximum_likelihood,
-    pieces_of,
-    portmanteau,
-)
+from labpipe.methods.ring_down import likelihood
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import AmplitudeLaw, OverAmplitude
 from labpipe.records.spectra import FreeDecay, FreeDecays
@@ -80,7 +72,9 @@ class _Problem:
     and phase of every piece.
     """
 
-    def __init__(self, pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> None:
+    def __init__(
+        self, pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
+    ) -> None:
         self.pole = fitted.poles[mode]
         self.omega = abs(self.pole)
         self.zeta = -self.pole.real / self.omega
@@ -150,7 +144,9 @@ class _Problem:
         return sum_of_squares(self.residual, parameters)
 
 
-def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> FittedLaw:
+def fitted_law(
+    pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
+) -> FittedLaw:
     """The law of a mode from all pieces of one output, from the exponential fit on.
 
     Standard errors from the residual it leaves.
@@ -166,7 +162,7 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     ends = np.cumsum([target.size for target in problem.targets])[:-1]
     parts = np.split(problem.residual(minimum.values), ends)
     series = [piece.series(part[:, None]) for piece, part in zip(pieces, parts, strict=True)]
-    p_value = portmanteau(series, all(piece.lines is None for piece in pieces))
+    p_value = likelihood.portmanteau(series, all(piece.lines is None for piece in pieces))
     law = AmplitudeLaw(omega, rest, slope, turn, p_value)
     return FittedLaw(law, covariance, minimum.converged, float(linear.chi2))
 
@@ -187,7 +183,9 @@ class Stretches:
     std_error: FloatArray
 
 
-def stretches(piece: Piece, fitted: Decayed, number: int, mode: int, output: int) -> Stretches:
+def stretches(
+    piece: likelihood.Piece, fitted: likelihood.Decayed, number: int, mode: int, output: int
+) -> Stretches:
     """Amplitudes of a mode of the piece of this *number* on stretches of its rows in time, everything else
     subtracted as fitted.
     """
@@ -215,7 +213,7 @@ def stretches(piece: Piece, fitted: Decayed, number: int, mode: int, output: int
     return Stretches(np.array(middles), np.array(values), np.array(errors))
 
 
-def _in_time(piece: Piece, residual: FloatArray) -> FloatArray:
+def _in_time(piece: likelihood.Piece, residual: FloatArray) -> FloatArray:
     """Rows (n_row,) of a residual as samples (n_sample,) [unit of the output]."""
     if piece.lines is None:
         return residual
@@ -225,7 +223,9 @@ def _in_time(piece: Piece, residual: FloatArray) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum, piece.time.size))
 
 
-def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> OverAmplitude:
+def over_amplitude(
+    pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
+) -> OverAmplitude:
     """Damping ratio and frequency between neighbouring stretches of all pieces, in ascending amplitude.
 
     ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation
@@ -308,9 +308,9 @@ class MissingMode:
 
 
 def missing_mode(
-    pieces: Sequence[Piece],
-    fitted: Decayed,
-    richer: Decayed,
+    pieces: Sequence[likelihood.Piece],
+    fitted: likelihood.Decayed,
+    richer: likelihood.Decayed,
     laws: dict[int, FittedLaw],
     strongest: dict[int, tuple[int, int]],
     *,
@@ -352,13 +352,13 @@ class Jump:
     """A decay as two, *pieces* of the same poles, with the finding that says why."""
 
     decays: FreeDecays
-    pieces: tuple[Piece, ...]
-    fitted: Decayed
+    pieces: tuple[likelihood.Piece, ...]
+    fitted: likelihood.Decayed
     finding: Finding
 
 
 def jump_of(
-    decays: FreeDecays, columns: Sequence[int], fitted: Decayed, band: tuple[float, float] | None
+    decays: FreeDecays, columns: Sequence[int], fitted: likelihood.Decayed, band: tuple[float, float] | None
 ) -> Jump | None:
     """The jump with which nothing but noise is left of a decay; None where there is none, or several
     decays.
@@ -382,17 +382,21 @@ def jump_of(
     parts, pieces, parted = best
     free = (2 * fitted.poles.size + 1) * len(columns) + 1
     gain = fitted.misfit - parted.misfit - free * np.log(count * len(columns))
-    left = judge(pieces, parted, decays.sample_rate)
+    left = likelihood.judge(pieces, parted, decays.sample_rate)
     if gain < BETTER or min(left.white, left.amplitude) < MISMATCH_P:
         return None
     return Jump(replace(decays, decays=parts), pieces, parted, _finding(parted, parts, decays.sample_rate))
 
 
-Parted = tuple[tuple[FreeDecay, ...], tuple[Piece, ...], Decayed]
+Parted = tuple[tuple[FreeDecay, ...], tuple[likelihood.Piece, ...], likelihood.Decayed]
 
 
 def _part(
-    decays: FreeDecays, columns: Sequence[int], fitted: Decayed, band: tuple[float, float] | None, place: int
+    decays: FreeDecays,
+    columns: Sequence[int],
+    fitted: likelihood.Decayed,
+    band: tuple[float, float] | None,
+    place: int,
 ) -> Parted | None:
     (whole,) = decays.decays
     parts = (
@@ -400,8 +404,8 @@ def _part(
         replace(whole, start=whole.start + place / decays.sample_rate, samples=whole.samples[place:]),
     )
     try:
-        pieces = pieces_of(parts, columns, decays.sample_rate, band)
-        return parts, pieces, maximum_likelihood(pieces, fitted.poles)
+        pieces = likelihood.pieces_of(parts, columns, decays.sample_rate, band)
+        return parts, pieces, likelihood.maximum_likelihood(pieces, fitted.poles)
     except (FitError, np.linalg.LinAlgError):
         return None
 
@@ -410,7 +414,7 @@ def _best(tried: dict[int, Parted | None]) -> int:
     return min(tried, key=lambda place: np.inf if (part := tried[place]) is None else part[2].misfit)
 
 
-def _finding(parted: Decayed, parts: tuple[FreeDecay, ...], rate: float) -> Finding:
+def _finding(parted: likelihood.Decayed, parts: tuple[FreeDecay, ...], rate: float) -> Finding:
     """Missing samples where the motion goes on with another phase, else a second hit."""
     before, after = parted.pieces
     time, when = len(parts[0].samples) / rate, parts[1].start
@@ -447,8 +451,8 @@ def depends_on_amplitude(law: FittedLaw) -> bool:
 
 
 def decay_findings(
-    fitted: Decayed,
-    tested: Judged,
+    fitted: likelihood.Decayed,
+    tested: likelihood.Judged,
     laws: dict[int, FittedLaw],
     amplitudes: dict[int, float],
     missing: MissingMode | None,
@@ -487,7 +491,7 @@ def decay_findings(
     return (*warnings, *mismatch, *of_amplitude) if tested.goes_on else (*warnings, *of_amplitude, *mismatch)
 
 
-def _mismatch(tested: Judged) -> tuple[Finding, ...]:
+def _mismatch(tested: likelihood.Judged) -> tuple[Finding, ...]:
     p_value = min(tested.white, tested.amplitude)
     if p_value >= MISMATCH_P:
         return ()
@@ -506,7 +510,7 @@ def _mismatch(tested: Judged) -> tuple[Finding, ...]:
     return (Finding("model-mismatch", message),)
 
 
-def _places(fitted: Decayed, chosen: BoolArray) -> str:
+def _places(fitted: likelihood.Decayed, chosen: BoolArray) -> str:
     """The frequencies of the chosen modes, in words."""
     return ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[chosen])
 

@@ -15,27 +15,7 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.estimation.statistics import correlation, derive, estimated, student_limit
-from labpipe.methods.ring_down.amplitude_law import (
-    FittedLaw,
-    MissingMode,
-    course_spread,
-    decay_findings,
-    depends_on_amplitude,
-    fitted_law,
-    jump_of,
-    missing_mode,
-    over_amplitude,
-)
-from labpipe.methods.ring_down.likelihood import (
-    Decayed,
-    Judged,
-    Piece,
-    energies,
-    judge,
-    long_enough,
-    most_likely,
-    pieces_of,
-)
+from labpipe.methods.ring_down import amplitude_law, likelihood
 from labpipe.methods.ring_down.repeats import (
     RepeatedDecays,
     drift_findings,
@@ -125,7 +105,7 @@ def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
     return (middle, *shown)
 
 
-def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...]:
+def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Parameter, ...]:
     """f_n, zeta and logarithmic decrement of every mode in ascending frequency; with a *mass* [kg] k = m
     w_n^2 and c = 2 zeta w_n m.
 
@@ -185,7 +165,7 @@ POWERS = {"f_n": (1, 0), "zeta": (0, 1), "log_decrement": (0, 1), "k": (2, 0), "
 
 
 def with_course(
-    parameters: Sequence[Parameter], curves: Sequence[OverAmplitude], fitted: Decayed
+    parameters: Sequence[Parameter], curves: Sequence[OverAmplitude], fitted: likelihood.Decayed
 ) -> tuple[Parameter, ...]:
     """The parameters of the modes with intervals that hold what the stretches of the decays scatter by beyond
     noise, by Student's t of their number; none where the stretches are too few.
@@ -199,7 +179,7 @@ def with_course(
             widened.append(parameter)
             continue
         mode = int(number) - 1
-        spread = course_spread(curves[mode], complex(fitted.poles[mode]))
+        spread = amplitude_law.course_spread(curves[mode], complex(fitted.poles[mode]))
         if spread is None or parameter.ci95 is None or parameter.value <= 0:
             widened.append(without_interval(parameter))
             continue
@@ -222,7 +202,7 @@ def with_course(
 
 
 def law_parameters(
-    fitted: FittedLaw, mode: int, unit: str, dof: int
+    fitted: amplitude_law.FittedLaw, mode: int, unit: str, dof: int
 ) -> tuple[Parameter, Parameter, Parameter]:
     """Damping ratio at rest, its slope and that of the frequency over the amplitude [unit] of the mode of
     this number from 0.
@@ -276,8 +256,8 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     """
     decay_settings: DecaySettings = settings.model_settings
     columns = chosen_ports(decays.outputs, settings.output, "response")
-    decays, short = long_enough(decays, settings.band)
-    pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
+    decays, short = likelihood.long_enough(decays, settings.band)
+    pieces = likelihood.pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
     repeated = None
     alone = len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats)
     _check(settings, alone)
@@ -285,18 +265,18 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
     n_mode, rate = decay_settings.modes, decays.sample_rate
     if repeated is None:
-        fitted = most_likely(decays.decays, columns, pieces, rate, settings.band, n_mode)
+        fitted = likelihood.most_likely(decays.decays, columns, pieces, rate, settings.band, n_mode)
     else:
         fitted, places = repeated.joined, repeated.places
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
         pieces = tuple(pieces[place] for place in places)
     _check_fitted(pieces, fitted)
-    tested, jump = judge(pieces, fitted, rate), None
+    tested, jump = likelihood.judge(pieces, fitted, rate), None
     if repeated is None and min(tested.amplitude, tested.white) < MISMATCH_P:
-        jump = jump_of(decays, columns, fitted, settings.band)
+        jump = amplitude_law.jump_of(decays, columns, fitted, settings.band)
     if jump is not None:
         decays, pieces, fitted = jump.decays, jump.pieces, jump.fitted
-        tested = judge(pieces, fitted, rate)
+        tested = likelihood.judge(pieces, fitted, rate)
     strongest = {mode: _strongest(fitted, mode) for mode in range(n_mode)}
     laws = _laws(pieces, fitted, tested, strongest)
     missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
@@ -306,12 +286,15 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         for mode, (piece, output) in strongest.items()
     }
     curves = tuple(
-        replace(over_amplitude(pieces, fitted, mode, output), law=laws[mode].law if mode in laws else None)
+        replace(
+            amplitude_law.over_amplitude(pieces, fitted, mode, output),
+            law=laws[mode].law if mode in laws else None,
+        )
         for mode, (_, output) in strongest.items()
     )
     units = [decays.units[columns[o]] for _, o in strongest.values()]
     parameters = _parameters(fitted, settings, laws, units, repeated)
-    findings = decay_findings(fitted, tested, laws, amplitudes, missing)
+    findings = amplitude_law.decay_findings(fitted, tested, laws, amplitudes, missing)
     if fitted.converged and (laws or any(finding.code == "model-mismatch" for finding in findings)):
         parameters = with_course(parameters, curves, fitted)
     fit = _report(decays, settings, pieces, fitted, parameters)
@@ -334,7 +317,7 @@ def _check(settings: FitSettings, each: bool) -> None:
         raise SettingError("repeat_groups", what, "leave it out")
 
 
-def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
+def _check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed) -> None:
     """FitError for few degrees of freedom, and for a mode that noise explains.
 
     The largest of n lines of noise has chi-square 2 ln(n / p) with the chance p; a free damping finds more,
@@ -344,14 +327,14 @@ def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
         hint = "a longer decay, fewer `modes`, or a wider `band`"
         raise FitError(f"the decays leave {fitted.dof} degrees of freedom", hint=hint)
     rows = sum(piece.rows.size for piece in pieces)
-    weak = energies(pieces, fitted) < 2 * np.log(MORE_LINES * rows / MISMATCH_P)
+    weak = likelihood.energies(pieces, fitted) < 2 * np.log(MORE_LINES * rows / MISMATCH_P)
     if np.any(weak):
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[weak])
         hint = "fewer `modes`, another `band`, or stronger hits"
         raise FitError(f"what would be a mode at {where} is noise", hint=hint)
 
 
-def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
+def _strongest(fitted: likelihood.Decayed, mode: int) -> tuple[int, int]:
     ratios = [
         np.abs(solved.amplitudes[mode]) / np.sqrt(fitted.variance[number])
         for number, solved in enumerate(fitted.pieces)
@@ -361,15 +344,23 @@ def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
 
 
 def _laws(
-    pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]
-) -> dict[int, FittedLaw]:
+    pieces: Sequence[likelihood.Piece],
+    fitted: likelihood.Decayed,
+    tested: likelihood.Judged,
+    strongest: dict[int, tuple[int, int]],
+) -> dict[int, amplitude_law.FittedLaw]:
     if tested.amplitude >= MISMATCH_P or not fitted.converged:
         return {}
-    laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
-    return {mode: law for mode, law in laws.items() if depends_on_amplitude(law)}
+    laws = {
+        mode: amplitude_law.fitted_law(pieces, fitted, mode, output)
+        for mode, (_, output) in strongest.items()
+    }
+    return {mode: law for mode, law in laws.items() if amplitude_law.depends_on_amplitude(law)}
 
 
-def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int, FittedLaw]:
+def _explaining(
+    pieces: Sequence[likelihood.Piece], laws: dict[int, amplitude_law.FittedLaw]
+) -> dict[int, amplitude_law.FittedLaw]:
     most = EXPLAINED * sum(piece.rows.shape[0] for piece in pieces)
     return {mode: law for mode, law in laws.items() if law.law.p_value >= MISMATCH_P or law.squares < most}
 
@@ -377,27 +368,29 @@ def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int
 def _missing(
     decays: FreeDecays,
     columns: Sequence[int],
-    pieces: Sequence[Piece],
-    fitted: Decayed,
-    laws: dict[int, FittedLaw],
+    pieces: Sequence[likelihood.Piece],
+    fitted: likelihood.Decayed,
+    laws: dict[int, amplitude_law.FittedLaw],
     strongest: dict[int, tuple[int, int]],
     settings: FitSettings,
-) -> MissingMode | None:
+) -> amplitude_law.MissingMode | None:
     if not laws or fitted.poles.size == MOST_MODES:
         return None
     rate = decays.sample_rate
     try:
-        richer = most_likely(decays.decays, columns, pieces, rate, settings.band, fitted.poles.size + 1)
+        richer = likelihood.most_likely(
+            decays.decays, columns, pieces, rate, settings.band, fitted.poles.size + 1
+        )
     except FitError:
         return None
-    white = judge(pieces, richer, rate).white >= MISMATCH_P
-    return missing_mode(pieces, fitted, richer, laws, strongest, white=white)
+    white = likelihood.judge(pieces, richer, rate).white >= MISMATCH_P
+    return amplitude_law.missing_mode(pieces, fitted, richer, laws, strongest, white=white)
 
 
 def _parameters(
-    fitted: Decayed,
+    fitted: likelihood.Decayed,
     settings: FitSettings,
-    laws: dict[int, FittedLaw],
+    laws: dict[int, amplitude_law.FittedLaw],
     units: Sequence[str],
     repeated: RepeatedDecays | None,
 ) -> tuple[Parameter, ...]:
@@ -414,8 +407,8 @@ def _parameters(
 def _report(
     decays: FreeDecays,
     settings: FitSettings,
-    pieces: Sequence[Piece],
-    fitted: Decayed,
+    pieces: Sequence[likelihood.Piece],
+    fitted: likelihood.Decayed,
     parameters: tuple[Parameter, ...],
 ) -> Fit:
     equations = sum(piece.rows.size for piece in pieces)
@@ -449,13 +442,17 @@ def _square_sum(parts: Iterable[FloatArray]) -> float:
     return sum(float(np.sum(part**2)) for part in parts)
 
 
-def _free_of_nuisance(piece: Piece) -> FloatArray:
+def _free_of_nuisance(piece: likelihood.Piece) -> FloatArray:
     range_ = np.linalg.qr(piece.nuisance)[0]
     return np.asarray(piece.rows - range_ @ (range_.T @ piece.rows))
 
 
 def _notes(
-    decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], fitted: Decayed, tested: Judged
+    decays: FreeDecays,
+    columns: Sequence[int],
+    pieces: Sequence[likelihood.Piece],
+    fitted: likelihood.Decayed,
+    tested: likelihood.Judged,
 ) -> tuple[str, ...]:
     deviations = np.sqrt(np.mean(fitted.variance, axis=0))
     noise = ", ".join(
@@ -479,13 +476,13 @@ def _notes(
     return tuple(notes)
 
 
-def _offset(piece: Piece, fitted: Decayed, number: int, output: int) -> float:
+def _offset(piece: likelihood.Piece, fitted: likelihood.Decayed, number: int, output: int) -> float:
     """The fitted offset of an output: the mean of what neither the modes nor the residual are."""
     left = fitted.pieces[number].residual[:, output]
     return float(np.mean(piece.rows[:, output] - left - _course(piece, fitted, number, output)))
 
 
-def _course(piece: Piece, fitted: Decayed, number: int, output: int) -> FloatArray:
+def _course(piece: likelihood.Piece, fitted: likelihood.Decayed, number: int, output: int) -> FloatArray:
     """All modes together (n_sample,) [unit of the output]."""
     course = np.exp(piece.time[:, None] * fitted.poles_of(number))
     return np.asarray((course @ fitted.pieces[number].amplitudes[:, output]).real)
@@ -494,8 +491,8 @@ def _course(piece: Piece, fitted: Decayed, number: int, output: int) -> FloatArr
 def _ring_down(
     decays: FreeDecays,
     columns: Sequence[int],
-    pieces: Sequence[Piece],
-    fitted: Decayed,
+    pieces: Sequence[likelihood.Piece],
+    fitted: likelihood.Decayed,
     strongest: dict[int, tuple[int, int]],
     curves: tuple[OverAmplitude, ...],
 ) -> RingDown:

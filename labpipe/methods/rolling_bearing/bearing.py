@@ -12,14 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labpipe.arrays import FloatArray
-from labpipe.bearings.kinds import (
-    Amount,
-    Bearing,
-    BearingCoefficients,
-    BearingKind,
-    OperatingPoint,
-    not_on_rotor,
-)
+from labpipe.bearings import kinds
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
 from labpipe.methods.rolling_bearing.loads import (
     DOFS,
@@ -96,17 +89,17 @@ UNITS = ("m", "m", "m", "rad", "rad")
 LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
-def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
+def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[kinds.BearingCoefficients]:
     groups: dict[object, list[int]] = {}
     for number, entry in enumerate(settings):
         groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)
-    coefficients: dict[int, BearingCoefficients] = {}
+    coefficients: dict[int, kinds.BearingCoefficients] = {}
     for numbers in groups.values():
         coefficients.update(zip(numbers, _group([settings[n] for n in numbers]), strict=True))
     return [coefficients[number] for number in range(len(settings))]
 
 
-def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
+def _group(settings: Sequence[RollingSettings]) -> list[kinds.BearingCoefficients]:
     first = settings[0]
     bearing, fixed_dofs = first.bearing(), first.fixed_dofs
     loads = np.array(
@@ -118,11 +111,15 @@ def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
     return [_case(entry, state, passage, case) for case, entry in enumerate(settings)]
 
 
-def _amounts(names: Sequence[str], values: FloatArray, units: Sequence[str]) -> list[Amount]:
-    return [Amount(name, float(value), unit) for name, value, unit in zip(names, values, units, strict=True)]
+def _amounts(names: Sequence[str], values: FloatArray, units: Sequence[str]) -> list[kinds.Amount]:
+    return [
+        kinds.Amount(name, float(value), unit) for name, value, unit in zip(names, values, units, strict=True)
+    ]
 
 
-def _case(settings: RollingSettings, state: Equilibrium, passage: Passage, case: int) -> BearingCoefficients:
+def _case(
+    settings: RollingSettings, state: Equilibrium, passage: Passage, case: int
+) -> kinds.BearingCoefficients:
     k, at = state.stiffness[case], state.contacts
     rest = _amounts(DOFS, state.displacement[case], UNITS)
     rest += _amounts([f"load_{name}" for name in LOAD_OF_DOF.values()], state.load[case], LOAD_UNITS)
@@ -140,11 +137,11 @@ def _case(settings: RollingSettings, state: Equilibrium, passage: Passage, case:
             "unique, the stiffness is singular"
         )
         warnings.append(Finding("indeterminate", message))
-    return BearingCoefficients(
+    return kinds.BearingCoefficients(
         dofs=DOFS,
         stiffness=k,
         damping=settings.damping_factor * k,
-        rest=(*rest, Amount("loaded_elements", float(loaded), "1")),
+        rest=(*rest, kinds.Amount("loaded_elements", float(loaded), "1")),
         element_state={
             "element_angle": state.angles[case],
             "element_load": at.load[case],
@@ -159,14 +156,14 @@ def _case(settings: RollingSettings, state: Equilibrium, passage: Passage, case:
     )
 
 
-def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
+def _notes(settings: RollingSettings) -> tuple[kinds.Amount, ...]:
     bearing, hertz = settings.bearing(), settings.hertz_constant()
     unit = "N/m^1.5" if bearing.is_ball else "N/m^(10/9)"
-    constant = Amount("stiffness_constant", bearing.stiffness_constant, unit)
-    return (constant,) if hertz is None else (constant, Amount("stiffness_constant_hertz", hertz, unit))
+    constant = kinds.Amount("stiffness_constant", bearing.stiffness_constant, unit)
+    return (constant,) if hertz is None else (constant, kinds.Amount("stiffness_constant_hertz", hertz, unit))
 
 
-def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ...]:
+def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[kinds.Amount, ...]:
     if settings.shaft is None:
         return ()
     shaft_modes = modes(settings.shaft.body, stiffness)
@@ -181,7 +178,7 @@ def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ..
 
 
 def rolling_response(
-    settings: RollingSettings, coefficients: BearingCoefficients
+    settings: RollingSettings, coefficients: kinds.BearingCoefficients
 ) -> FrequencyResponse | None:
     """The theoretical transfer matrix of the file's shaft on the bearing; None where there is no shaft."""
     if settings.shaft is None:
@@ -202,7 +199,7 @@ class RollingOnRotor:
 
     settings: RollingSettings
 
-    def at(self, point: OperatingPoint) -> BearingCoefficients:
+    def at(self, point: kinds.OperatingPoint) -> kinds.BearingCoefficients:
         """Coefficients (2, 2) in y and z [N/m, N.s/m] under a radial load; they depend neither on speed nor
         on frequency.
 
@@ -212,7 +209,7 @@ class RollingOnRotor:
 
 
 @lru_cache(maxsize=128)
-def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> BearingCoefficients:
+def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> kinds.BearingCoefficients:
     (whole,) = rolling_coefficients([replace(settings, loads=replace(settings.loads, x=load_y, y=load_z))])
     free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.fixed_dofs)]
     k, a = whole.stiffness, [DOFS.index("x"), DOFS.index("y")]
@@ -222,30 +219,30 @@ def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> Bearin
         else np.zeros((0, 2))
     )
     stiffness = k[np.ix_(a, a)] - k[np.ix_(a, free)] @ coupling
-    return BearingCoefficients(
+    return kinds.BearingCoefficients(
         ("y", "z"), stiffness, settings.damping_factor * stiffness, findings=whole.findings
     )
 
 
-def _mount(settings: RollingSettings) -> Bearing:
+def _mount(settings: RollingSettings) -> kinds.Bearing:
     for load in ("x", "y"):
         if getattr(settings.loads, load) is not None:
-            raise not_on_rotor(f"loads.{load}")
+            raise kinds.not_on_rotor(f"loads.{load}")
         if getattr(settings.displacements, load) is not None:
-            raise not_on_rotor(f"displacements.{load}")
+            raise kinds.not_on_rotor(f"displacements.{load}")
     if settings.shaft is not None:
-        raise not_on_rotor("shaft")
+        raise kinds.not_on_rotor("shaft")
     return RollingOnRotor(settings)
 
 
-BALL = BearingKind(
+BALL = kinds.BearingKind(
     BallBearingSettings,
     rolling_coefficients,
     bare_units={"stiffness_constant": "N/m^1.5"},
     response=rolling_response,
     mount=_mount,
 )
-ROLLER = BearingKind(
+ROLLER = kinds.BearingKind(
     RollerBearingSettings,
     rolling_coefficients,
     bare_units={"stiffness_constant": "N/m^(10/9)"},

@@ -22,15 +22,8 @@ from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
-from labpipe.simulate.virtual_rigs import (
-    SimulatedRun,
-    Truth,
-    chosen_runs,
-    force_and_accelerations,
-    generator,
-    kind_of_tests,
-)
 
 KIND = "virtual-ball-bearing-rig"
 FORCES = ("x", "z", "by")
@@ -149,10 +142,10 @@ def run_names(rig: VirtualBallBearingRig) -> tuple[str, ...]:
 
 def simulate_ball_bearing(
     rig: VirtualBallBearingRig, seed: int, runs: Sequence[str] | None = None
-) -> tuple[SimulatedRun, ...]:
+) -> tuple[virtual_rigs.SimulatedRun, ...]:
     """The named runs (all unless named); a run's samples depend on rig, seed and its name only."""
     tests = shaker_tests(rig)
-    names = chosen_runs(rig, runs)
+    names = virtual_rigs.chosen_runs(rig, runs)
     return tuple(
         _shaken(rig, tests[name], name, seed) if name in tests else _calibration(rig, name, seed)
         for name in names
@@ -161,7 +154,9 @@ def simulate_ball_bearing(
 
 def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> float:
     """True preload [N]: one draw for all runs of a setting."""
-    return test.preload * (1 + rig.noise.preload * float(generator(seed, test.setting).standard_normal()))
+    return test.preload * (
+        1 + rig.noise.preload * float(virtual_rigs.generator(seed, test.setting).standard_normal())
+    )
 
 
 def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> FloatArray:
@@ -181,9 +176,9 @@ def lever(rig: VirtualBallBearingRig) -> FloatArray:
     return np.array([1.0, 1.0, 1.0, rig.arm, rig.arm])
 
 
-def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) -> SimulatedRun:
+def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) -> virtual_rigs.SimulatedRun:
     """Accelerations x, z and by (at the arm) under the multisine of one shaker, in the steady state."""
-    rng, sampling, shaft = generator(seed, name), rig.sampling, test.tested.bearing.shaft
+    rng, sampling, shaft = virtual_rigs.generator(seed, name), rig.sampling, test.tested.bearing.shaft
     assert shaft is not None
     preload = true_preload(rig, test, seed)
     stiffness = true_stiffness(rig, test, preload)
@@ -209,7 +204,7 @@ def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) 
         "ratio": rig.stiffness_ratio,
         "stiffness": stiffness.tolist(),
     }
-    return SimulatedRun(name, {**truth, "beta": rig.damping_factor}, recording)
+    return virtual_rigs.SimulatedRun(name, {**truth, "beta": rig.damping_factor}, recording)
 
 
 def _channels(force: str) -> tuple[Channel, ...]:
@@ -217,9 +212,9 @@ def _channels(force: str) -> tuple[Channel, ...]:
     return (Channel("f", "force", "input", force, AXIS_ANGLES.get(force)), *outputs)
 
 
-def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedRun:
+def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> virtual_rigs.SimulatedRun:
     """Force against the string's frequency (P = a f^2), or the strip's voltage (F = b S + c)."""
-    rng = generator(seed, name)
+    rng = virtual_rigs.generator(seed, name)
     force = np.linspace(150.0, 1800.0, CALIBRATION_POINTS)
     if name == "string":
         frequency = np.sqrt(force / rig.string_factor)
@@ -227,13 +222,13 @@ def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedR
             "frequency [Hz]": frequency,
             "force [N]": force + rng.normal(0.0, rig.noise.string, force.size),
         }
-        return SimulatedRun(name, {"a": rig.string_factor}, table=table)
+        return virtual_rigs.SimulatedRun(name, {"a": rig.string_factor}, table=table)
     voltage = (force - rig.strip_offset) / rig.strip_factor
     table = {"strip [V]": voltage, "force [N]": force + rng.normal(0.0, rig.noise.strip, force.size)}
-    return SimulatedRun(name, {"b": rig.strip_factor, "c": rig.strip_offset}, table=table)
+    return virtual_rigs.SimulatedRun(name, {"b": rig.strip_factor, "c": rig.strip_offset}, table=table)
 
 
-def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> Truth:
+def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> virtual_rigs.Truth:
     """k and k_row_column of the dofs that are shaken [N/m], as measured at the arm, at the preload that was
     to be set; k of a single run. ConfigError for runs of several bearings or preloads, and for calibrations.
     """
@@ -259,11 +254,11 @@ def _at_level(rig: VirtualBallBearingRig, level: float) -> VirtualBallBearingRig
     )
 
 
-BALL_BEARING_RIG = kind_of_tests(
+BALL_BEARING_RIG = virtual_rigs.kind_of_tests(
     VirtualBallBearingRig,
     runs=run_names,
     tests=simulate_ball_bearing,
-    logged=force_and_accelerations,
+    logged=virtual_rigs.force_and_accelerations,
     parameters=_parameters,
     noisy=_at_level,
 )

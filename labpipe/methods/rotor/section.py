@@ -24,22 +24,7 @@ from labpipe.records.identification import Identification, ListedParameter, Rule
 from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.registry import nearest
-from labpipe.report.chart import (
-    GREY,
-    INK,
-    Axis,
-    Chart,
-    Panel,
-    Series,
-    arrow,
-    curve,
-    dots,
-    labels,
-    level,
-    look,
-    outline,
-    stack,
-)
+from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 
 
@@ -209,7 +194,7 @@ def orbit(rig: RotorRig) -> ComplexArray:
 
 MM = 1e3
 HEIGHT = 2.9
-LOOKS = {"shaft": (GREY, 0.3), "sleeve": (5, 0.8), "disc": (4, 0.8), "bearing": (0, 0.55)}
+LOOKS = {"shaft": (chart.GREY, 0.3), "sleeve": (5, 0.8), "disc": (4, 0.8), "bearing": (0, 0.55)}
 # Where words stand, as parts of the largest radius: names of bearings, numbers of nodes, arrows of force and
 # response.
 NAMES, ODD_NUMBERS, EVEN_NUMBERS, TAIL, TIP = 1.25, 1.75, 2.05, 1.55, 1.02
@@ -280,19 +265,19 @@ def rotor_figure(rig: Mapping[str, Any]) -> Figure:
     )
 
 
-def rotor_chart(sketch: RotorSketch) -> Chart:
+def rotor_chart(sketch: RotorSketch) -> chart.Chart:
     """The sketch over the length of the shaft [mm]; parts that lie within others are drawn on them."""
     reach, length = sketch.reach, sketch.stations[-1]
-    series = [curve for ring in sketch.rings for curve in _draw(ring)]
+    series = [line for ring in sketch.rings for line in _draw(ring)]
     numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
     lower = [
         -ODD_NUMBERS * reach if number % 2 == 0 else -EVEN_NUMBERS * reach for number in range(len(numbers))
     ]
     series += [
-        level(0.0, INK, "-.", width=0.6),
-        dots("node", sketch.stations, np.zeros(len(numbers)), INK, size=2.0),
-        labels(sketch.stations, lower, numbers, size=6.0),
-        labels(
+        chart.level(0.0, chart.INK, "-.", width=0.6),
+        chart.dots("node", sketch.stations, np.zeros(len(numbers)), chart.INK, size=2.0),
+        chart.labels(sketch.stations, lower, numbers, size=6.0),
+        chart.labels(
             [centre for _, centre in sketch.bearings],
             [-NAMES * reach] * len(sketch.bearings),
             [name for name, _ in sketch.bearings],
@@ -300,22 +285,24 @@ def rotor_chart(sketch: RotorSketch) -> Chart:
     ]
     for name, x in sketch.places:
         series += [
-            arrow((x, TAIL * reach), (x, TIP * reach), PLACES),
-            labels([x], [(TAIL + 0.15) * reach], [name], PLACES),
+            chart.arrow((x, TAIL * reach), (x, TIP * reach), PLACES),
+            chart.labels([x], [(TAIL + 0.15) * reach], [name], PLACES),
         ]
-    along = Axis("along the shaft", "mm", -0.03 * length, 1.03 * length)
-    return stack(
-        [Panel(along, Axis("radius", "mm", -2.3 * reach, 2.1 * reach), tuple(series))], HEIGHT, "above"
+    along = chart.Axis("along the shaft", "mm", -0.03 * length, 1.03 * length)
+    return chart.stack(
+        [chart.Panel(along, chart.Axis("radius", "mm", -2.3 * reach, 2.1 * reach), tuple(series))],
+        HEIGHT,
+        "above",
     )
 
 
-def _draw(ring: Ring) -> list[Series]:
+def _draw(ring: Ring) -> list[chart.Series]:
     colour, opacity = LOOKS[ring.part]
     right = ring.left + ring.length
     series = []
     for bottom, height in ring.boxes:
         x, y = [ring.left, right, right, ring.left], [bottom, bottom, bottom + height, bottom + height]
-        series.append(outline(ring.part, x, y, colour, opacity, width=0.7))
+        series.append(chart.outline(ring.part, x, y, colour, opacity, width=0.7))
     return series
 
 
@@ -426,16 +413,22 @@ def unbalance_figure(runs: UnbalanceRuns) -> Figure:
     panels = []
     for name in ("forward", "backward"):
         series = [
-            curve(case.name, runs.speed, UM * np.array(getattr(case, name)), *look(number), width=1.5)
+            chart.curve(
+                case.name, runs.speed, UM * np.array(getattr(case, name)), *chart.look(number), width=1.5
+            )
             for number, case in enumerate(runs.cases)
         ]
-        panels.append(Panel(Axis("speed", "Hz"), Axis(name, "um", logarithmic=True), tuple(series)))
+        panels.append(
+            chart.Panel(chart.Axis("speed", "Hz"), chart.Axis(name, "um", logarithmic=True), tuple(series))
+        )
     caption = (
         f"{runs.rotor}: response to unbalance at node {runs.node}, wear of {runs.bearing}; forward "
         "circle above, backward below."
     )
     return Figure(
-        stack(panels, 5.0), caption, f"Forward and backward response to unbalance of {runs.rotor} over speed"
+        chart.stack(panels, 5.0),
+        caption,
+        f"Forward and backward response to unbalance of {runs.rotor} over speed",
     )
 
 

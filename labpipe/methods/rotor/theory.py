@@ -16,14 +16,7 @@ import scipy
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.json_file import without_nan
 from labpipe.errors import FitError
-from labpipe.methods.rotor.response import (
-    Modes,
-    SupportsAtSpeed,
-    forward_backward_motion,
-    modes,
-    onset_speed,
-    unbalance_response,
-)
+from labpipe.methods.rotor import response
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.shaft import Support
 from labpipe.report.chart import Axis, Panel, curve, stack, upright
@@ -130,7 +123,8 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     """The theory of a rotor file over ascending *speeds* (n_speed,) [Hz]."""
     supports = [rig.at_speed(float(speed)).supports() for speed in speeds]
     at_speeds = [
-        modes(rig.rotor, support, 2 * np.pi * speed) for support, speed in zip(supports, speeds, strict=True)
+        response.modes(rig.rotor, support, 2 * np.pi * speed)
+        for support, speed in zip(supports, speeds, strict=True)
     ]
     order = follow(at_speeds)
     frequency, decrement, whirl = (np.full(order.shape, np.nan) for _ in range(3))
@@ -142,7 +136,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         whirl[number, there] = found.whirl[order[number, there]]
     at = _supports_between(speeds, supports)
     try:
-        onset = onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)
+        onset = response.onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)
     except FitError:
         onset = 2 * np.pi * float(speeds[0])
     crossings = []
@@ -167,7 +161,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     return _with_response(theory, at) if rig.unbalances else theory
 
 
-def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> SupportsAtSpeed:
+def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> response.SupportsAtSpeed:
     """The bearings at any speed [Hz] of a grid, by cubic splines of their coefficients."""
     nodes = [support.node for support in supports[0]]
     coefficients = np.array([[(support.stiffness, support.damping) for support in row] for row in supports])
@@ -175,7 +169,7 @@ def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]])
     return lambda speed: [Support(node, k, c) for node, (k, c) in zip(nodes, spline(speed), strict=True)]
 
 
-def follow(each: Sequence[Modes]) -> FloatArray:
+def follow(each: Sequence[response.Modes]) -> FloatArray:
     """Numbers (n_speed, n_mode) [-] of the modes at every speed so that a column is one mode; -1: it is gone.
 
     Neighbouring speeds are paired by the assurance criterion of their shapes times
@@ -203,7 +197,7 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
     return np.asarray(alike * np.exp(-(near**2) / 2))
 
 
-def _with_response(theory: RotorTheory, at: SupportsAtSpeed) -> RotorTheory:
+def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTheory:
     """The response to the file's unbalances at bearings, discs and the node that is measured."""
     rig = theory.rig
     amounts = rig.amounts
@@ -212,12 +206,14 @@ def _with_response(theory: RotorTheory, at: SupportsAtSpeed) -> RotorTheory:
     fine = np.linspace(theory.speed[0], theory.speed[-1], FINE)
     motion = np.array(
         [
-            unbalance_response(rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs)
+            response.unbalance_response(
+                rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs
+            )
             for speed in fine
         ]
     ).reshape(fine.size, len(nodes), 2)
     # The major semi-axis of an orbit is the sum of its two circles.
-    amplitude = np.sum(np.abs(forward_backward_motion(motion)), axis=2)
+    amplitude = np.sum(np.abs(response.forward_backward_motion(motion)), axis=2)
     criticals = [critical for n, node in enumerate(nodes) for critical in peaks(fine, amplitude[:, n], node)]
     return replace(theory, criticals=_distinct(criticals), fine=fine, amplitude=amplitude, nodes=tuple(nodes))
 

@@ -15,15 +15,8 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import Bearing, BearingCoefficients, MountedBearing, OperatingPoint
 from labpipe.errors import FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
+from labpipe.methods.rotor import shaft
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
-from labpipe.methods.rotor.shaft import (
-    Material,
-    across_planes,
-    free_rotor,
-    in_both_planes,
-    inertia_matrices,
-    plane_stiffness,
-)
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
 from labpipe.records.settings import Settings, quantity
@@ -203,7 +196,7 @@ class RotorSystem:
     """
 
     rig: RotorRig
-    young: Mapping[Material, float] = field(default_factory=dict)
+    young: Mapping[shaft.Material, float] = field(default_factory=dict)
     masses: tuple[float, ...] = ()
     sleeves: Mapping[str, tuple[tuple[int, ...], float, float]] = field(default_factory=dict)
     pedestals: tuple[Pedestal, ...] = ()
@@ -275,7 +268,7 @@ def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
         certain, speed = replace(place, uncertainties=()), np.array(system.rig.omega)
         theory = Theory(certain, system.rig.static_loads()[place.name])
         bearing = theory.block("stiffness", np.ones((2, 2)), speed, speed, np.zeros(0))
-    mass = HEAVY * float(free_rotor(system.rig.rotor).mass[0::4, 0::4].sum())
+    mass = HEAVY * float(shaft.free_rotor(system.rig.rotor).mass[0::4, 0::4].sum())
     stiffness = STIFFER * float(np.mean(np.abs(np.diag(bearing))))
     damping = 0.04 * float(np.sqrt(stiffness * mass))
     return Pedestal(place.name, mass, stiffness, damping, PEDESTAL_STIFFNESS, PEDESTAL_MASS)
@@ -367,23 +360,23 @@ class _Builder:
         internal = self.unknown("internal damping", error if beta else 0.0, nominal=beta, nominal_unit="s")
         for number, element in enumerate(rotor.elements, 1):
             dofs = range(4 * number - 4, 4 * number + 4)
-            mass, gyroscopic = inertia_matrices(element)
+            mass, gyroscopic = shaft.inertia_matrices(element)
             self.add("mass", dofs, mass)
             self.add("gyroscopic", dofs, gyroscopic)
             sleeve, constant = factors.get(number, ((), 1.0))
             local = self.unknown(f"element {number}", self.small.elements, group="elements")
             acting = (*young[element.material], *sleeve, *local)
-            plane = constant * plane_stiffness(element)
-            self.add("stiffness", dofs, in_both_planes(plane), acting)
+            plane = constant * shaft.plane_stiffness(element)
+            self.add("stiffness", dofs, shaft.in_both_planes(plane), acting)
             if rotor.alpha or rotor.beta:
                 self.add("damping", dofs, rotor.alpha * mass)
-                self.add("damping", dofs, rotor.beta * in_both_planes(plane), acting)
+                self.add("damping", dofs, rotor.beta * shaft.in_both_planes(plane), acting)
             if beta:
-                self.add("damping", dofs, beta * in_both_planes(plane), (*acting, *internal))
-                self.add("circulatory", dofs, beta * across_planes(plane), (*acting, *internal))
+                self.add("damping", dofs, beta * shaft.in_both_planes(plane), (*acting, *internal))
+                self.add("circulatory", dofs, beta * shaft.across_planes(plane), (*acting, *internal))
         for ring in rotor.sleeves:
             element = rotor.elements[ring.element - 1]
-            mass, gyroscopic = inertia_matrices(element, ring.tube(element))
+            mass, gyroscopic = shaft.inertia_matrices(element, ring.tube(element))
             dofs = range(4 * ring.element - 4, 4 * ring.element + 4)
             self.add("mass", dofs, mass)
             self.add("gyroscopic", dofs, gyroscopic)

@@ -16,6 +16,7 @@ from labpipe.display import plain_text
 from labpipe.distributions import chi2_tail, normal_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
 from labpipe.methods.rotor.theory import LEAST_DECREMENT
+from labpipe.methods.rotor_system import evidence, predictions, records
 from labpipe.methods.rotor_system.build import (
     PEDESTALS,
     TOGETHER,
@@ -24,15 +25,6 @@ from labpipe.methods.rotor_system.build import (
     Sensors,
     SmallErrors,
     build,
-)
-from labpipe.methods.rotor_system.evidence import (
-    Deflections,
-    FreeModes,
-    Responses,
-    RunUpVectors,
-    SystemEvidence,
-    out_of_order,
-    run_up_whitener,
 )
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import (
@@ -47,20 +39,6 @@ from labpipe.methods.rotor_system.posterior import (
     normality,
     pulls,
     refit,
-)
-from labpipe.methods.rotor_system.predictions import (
-    DRAWS,
-    campbell,
-    critical_speeds,
-    decrement_gradient,
-    onset,
-)
-from labpipe.methods.rotor_system.records import (
-    CriticalResult,
-    RotorSystemResult,
-    SmallErrorResult,
-    TestResult,
-    UnknownResult,
 )
 from labpipe.methods.rotor_system.settings import (
     MODES,
@@ -93,7 +71,7 @@ TELLING, UNDECIDED = 16.0, 6.0
 NEARER = 0.95
 
 
-def run_rotor_system(settings: RotorSystemSettings, work: Work) -> RotorSystemResult:
+def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.RotorSystemResult:
     """The result of the section; LabpipeError names it and the test."""
     system = settings.system
     assert system is not None
@@ -197,7 +175,7 @@ def _response(test: SystemTest, work: Work) -> FrequencyResponse:
 
 def _evidence(
     test: SystemTest, built: Built, system: RotorSystem, work: Work, runs: Mapping[str, RunUp]
-) -> SystemEvidence:
+) -> evidence.SystemEvidence:
     if test.kind == MODES:
         return _modes(test, work)
     if test.kind == RESPONSE:
@@ -212,7 +190,7 @@ def _evidence(
         at = outputs.index(output), inputs.index(force)
         measured[at], error[at] = number.value, number.std_error
     mass = test.mass
-    return Deflections(
+    return evidence.Deflections(
         test.name,
         tuple(_dof(system, place) for place in outputs),
         tuple(_dof(system, place) for place in inputs),
@@ -229,7 +207,7 @@ def _dof(system: RotorSystem, place: tuple[int, str]) -> int:
     return system.rig.rotor.dofs(node)["yz".index(direction)]
 
 
-def _modes(test: SystemTest, work: Work) -> FreeModes:
+def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
     """Modes as they stand in the section, or of a modal fit."""
     if test.fit:
         fit = next((fit for fit in work.fits if fit.name == test.fit), None)
@@ -259,10 +237,12 @@ def _modes(test: SystemTest, work: Work) -> FreeModes:
     numbers = np.array(test.numbers or range(1, frequency.size + 1), dtype=int)
     if numbers.size != frequency.size:
         raise ConfigError(f"test '{test.name}': {numbers.size} numbers for {frequency.size} modes")
-    return FreeModes(test.name, numbers, frequency, f_error / frequency, damping, d_error / damping)
+    return evidence.FreeModes(test.name, numbers, frequency, f_error / frequency, damping, d_error / damping)
 
 
-def _responses(test: SystemTest, response: FrequencyResponse, built: Built, system: RotorSystem) -> Responses:
+def _responses(
+    test: SystemTest, response: FrequencyResponse, built: Built, system: RotorSystem
+) -> evidence.Responses:
     if response.form not in DERIVATIVES:
         raise DataError(
             f"test '{test.name}': its FRF is a {response.form}", hint="a response to a force is needed"
@@ -279,7 +259,7 @@ def _responses(test: SystemTest, response: FrequencyResponse, built: Built, syst
     kept = (response.frequency >= max(low, 1e-9)) & (response.frequency <= high)
     if not kept.any():
         raise DataError(f"test '{test.name}': no line lies in its band")
-    return Responses(
+    return evidence.Responses(
         test.name,
         2 * np.pi * response.frequency[kept],
         outputs,
@@ -308,7 +288,7 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
         bearings, pedestals = len(system.rig.bearings), len(system.pedestals)
         for hung in free:
             modes = _modes(hung, work), _modes(test, work)
-            for place, number, below in out_of_order(*modes, planes, bearings, pedestals):
+            for place, number, below in evidence.out_of_order(*modes, planes, bearings, pedestals):
                 rotor, stands = (m.frequency[n - 1] for m, n in zip(modes, (number, place), strict=True))
                 side, what = (
                     ("below", "springs") if below else ("above", f"{bearings} springs, no mode missed,")
@@ -336,7 +316,7 @@ def _place(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str)
     )
 
 
-def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) -> RunUpVectors:
+def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) -> evidence.RunUpVectors:
     places = test.read_places
     outputs: list[int] = []
     measured: list[ComplexArray] = []
@@ -364,12 +344,12 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
                 f"test '{test.name}': an unbalance was added at node {dof // 4 + 1}, "
                 "where the rotor file has none"
             )
-    return RunUpVectors(
+    return evidence.RunUpVectors(
         test.name,
         run.speed,
         tuple(outputs),
         np.stack(measured, axis=1),
-        run_up_whitener(np.array(noise), test.slow_roll),
+        evidence.run_up_whitener(np.array(noise), test.slow_roll),
         planes=tuple(built.planes.values()),
         added=added,
         gains=built.gains[test.name],
@@ -377,7 +357,7 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
     )
 
 
-def declared_result(system: RotorSystem, band: tuple[float, float]) -> RotorSystemResult:
+def declared_result(system: RotorSystem, band: tuple[float, float]) -> records.RotorSystemResult:
     """What a rotor file says before anything is measured, over speeds [Hz]: intervals by what it declares."""
     built = build(system, SmallErrors(), {})
     posterior = fit_system(built.model, [], estimate_sizes=False)
@@ -386,7 +366,7 @@ def declared_result(system: RotorSystem, band: tuple[float, float]) -> RotorSyst
         # No unbalance in the middle makes no peak: that of its uncertainty does.
         if values[real] == values[imaginary] == 0:
             values[real] = built.model.errors[real]
-    return _result(system, built, replace(posterior, values=values), band, {}, DRAWS // 2, 1)
+    return _result(system, built, replace(posterior, values=values), band, {}, predictions.DRAWS // 2, 1)
 
 
 def _result(
@@ -397,25 +377,25 @@ def _result(
     kinds: Mapping[str, str],
     n_draw: int,
     seed: int,
-) -> RotorSystemResult:
+) -> records.RotorSystemResult:
     rig = system.rig
     low, high = band
     operating = rig.speed if rig.speed > 0 else high
     speeds = np.union1d(np.linspace(low, high, SPEEDS), [operating])
-    diagram = campbell(posterior, speeds)
+    diagram = predictions.campbell(posterior, speeds)
     least, error = diagram.least_decrement(operating)
-    pulled, gradient = pulls(posterior), decrement_gradient(posterior, operating)
-    criticals: list[CriticalResult] = []
+    pulled, gradient = pulls(posterior), predictions.decrement_gradient(posterior, operating)
+    criticals: list[records.CriticalResult] = []
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
         outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
-        criticals = critical_speeds(posterior, built, band, operating, outputs, n_draw, seed)
-    return RotorSystemResult(
+        criticals = predictions.critical_speeds(posterior, built, band, operating, outputs, n_draw, seed)
+    return records.RotorSystemResult(
         rig.name,
         operating,
         unknowns=tuple(_unknowns(posterior, pulled)),
         tests=tuple(
-            TestResult(
+            records.TestResult(
                 pull.test,
                 kinds[pull.test],
                 *posterior.chi2[pull.test],
@@ -426,13 +406,13 @@ def _result(
             for pull in pulled
         ),
         small_errors=tuple(
-            SmallErrorResult(group, built.model.groups[group], size)
+            records.SmallErrorResult(group, built.model.groups[group], size)
             for group, size in posterior.sizes.items()
         ),
         campbell=diagram,
         decrement=(least, error, float(normal_tail((LEAST_DECREMENT - least) / error)) if error else 1.0),
         criticals=tuple(criticals),
-        onset=onset(posterior, max(low, 0.05 * operating)),
+        onset=predictions.onset(posterior, max(low, 0.05 * operating)),
         next_tests={} if gradient is None else _next_tests(posterior, gradient, criticals),
         budget={} if gradient is None else budget(posterior, gradient),
         ln_evidence=posterior.ln_evidence,
@@ -442,11 +422,11 @@ def _result(
     )
 
 
-def _unknowns(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[UnknownResult]:
+def _unknowns(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[records.UnknownResult]:
     shares = posterior.shares
     for number, unknown in enumerate(posterior.model.unknowns):
         value, error = float(posterior.values[number]), float(posterior.standard_errors[number])
-        yield UnknownResult(
+        yield records.UnknownResult(
             unknown.name,
             *_people(unknown, value, error),
             *_people(unknown, unknown.mean, unknown.error),
@@ -547,14 +527,16 @@ def _notes(posterior: SystemPosterior) -> Iterator[Finding]:
 
 
 def _next_tests(
-    posterior: SystemPosterior, gradient: FloatArray, criticals: Sequence[CriticalResult]
+    posterior: SystemPosterior, gradient: FloatArray, criticals: Sequence[records.CriticalResult]
 ) -> dict[str, float]:
     """Standard error of a prediction with this *gradient* (n_unknown,), as it is and with one more test of
     each kind: u' = sqrt(g^T (F + F_c)^-1 g).
     """
-    candidates: dict[str, SystemEvidence] = {f"{test.name} once more": test for test in posterior.tests}
+    candidates: dict[str, evidence.SystemEvidence] = {
+        f"{test.name} once more": test for test in posterior.tests
+    }
     for test in posterior.tests:
-        if not isinstance(test, RunUpVectors):
+        if not isinstance(test, evidence.RunUpVectors):
             continue
         above = [at for peak in criticals if (at := 2 * np.pi * peak.speed) > test.speed[-1]]
         if above and (top := NEARER * min(above)) > 1.02 * test.speed[-1]:

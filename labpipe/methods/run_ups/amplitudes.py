@@ -26,15 +26,9 @@ from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import rank_of
+from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, displacement_slopes, runs_by_load, scales
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import (
-    RunUpRotor,
-    as_eight,
-    as_matrices,
-    carried_beyond,
-    largest_displacement,
-)
 from labpipe.registry import nearest
 
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
@@ -261,7 +255,7 @@ class SpeedwiseFit:
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
 
-        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
+        return rotor.carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,7 +286,7 @@ class AmplitudeFit(SpeedwiseFit):
 
 
 def fit_amplitudes(
-    rig: RunUpRotor,
+    rig: rotor.RunUpRotor,
     runs: Iterable[RunUp],
     bound: float = BOUND,
     method: str = "pattern",
@@ -315,7 +309,7 @@ def fit_amplitudes(
 
 
 def _fit_load(
-    rig: RunUpRotor,
+    rig: rotor.RunUpRotor,
     group: LoadRuns,
     bound: float,
     method: str,
@@ -323,7 +317,7 @@ def _fit_load(
     rng: np.random.Generator,
     limits: SearchLimits | None,
 ) -> AmplitudeFit:
-    start = as_eight(*rig.start_coefficients(group.load, group.speed))
+    start = rotor.as_eight(*rig.start_coefficients(group.load, group.speed))
     n = group.speed.size
     drawn = rng.uniform(1 - bound, 1 + bound, (starts, n, 8))
     drawn[0] = 1.0
@@ -369,7 +363,7 @@ class Amplitudes:
 
     @classmethod
     def of(cls, group: LoadRuns) -> Amplitudes:
-        measured = [largest_displacement(run.run.response) for run in group.runs]
+        measured = [rotor.largest_displacement(run.run.response) for run in group.runs]
         return cls(
             group.runs,
             np.concatenate(measured, axis=1),
@@ -380,10 +374,10 @@ class Amplitudes:
         """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
         s/m] at the *chosen* speeds.
         """
-        matrices, sizes = as_matrices(eight), []
+        matrices, sizes = rotor.as_matrices(eight), []
         for run in self.runs:
             response = run.condensed.at(chosen).response(*matrices)
-            sizes.append(largest_displacement(response.reshape(*response.shape[:-1], -1, 2)))
+            sizes.append(rotor.largest_displacement(response.reshape(*response.shape[:-1], -1, 2)))
         return np.concatenate(sizes, axis=-1)
 
     def objective(self, start: FloatArray) -> Objective:
@@ -400,7 +394,7 @@ class Amplitudes:
         """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard
         errors.
         """
-        matrices = as_matrices(eight)
+        matrices = rotor.as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]
 

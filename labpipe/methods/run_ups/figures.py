@@ -11,37 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.methods.run_ups.records import (
-    HELD_OUT,
-    TWO_SIDED,
-    Amount,
-    Cascade,
-    Convergence,
-    MeasuredRun,
-    MetamodelResult,
-    Motion,
-    RunPrediction,
-    RunUpMethod,
-    RunUpResult,
-    StartSpread,
-)
+from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.rotor import COEFFICIENTS
-from labpipe.report.chart import (
-    INK,
-    PALETTE_SIZE,
-    WIDTH,
-    Axis,
-    Chart,
-    Drawing,
-    Panel,
-    Series,
-    curve,
-    dots,
-    level,
-    named_ticks,
-    stack,
-    upright,
-)
+from labpipe.report import chart
 from labpipe.report.document import Figure
 
 if TYPE_CHECKING:
@@ -50,7 +22,7 @@ if TYPE_CHECKING:
 
 UM = 1e6
 RPM = 30 / np.pi
-SPEED = Axis("speed", "rpm")
+SPEED = chart.Axis("speed", "rpm")
 LOOKS = {
     "start": (4, "--"),
     "amplitudes": (3, ":"),
@@ -66,32 +38,32 @@ TALL = 3.0
 HIGHEST_ORDER = 3.0
 
 
-def look(method: RunUpMethod) -> tuple[int, str]:
+def look(method: records.RunUpMethod) -> tuple[int, str]:
     return LOOKS.get(method.name, ANY_LOOK)
 
 
-def short(method: RunUpMethod) -> str:
+def short(method: records.RunUpMethod) -> str:
     return method.title.split(",")[0]
 
 
-def phasor(motion: Motion) -> ComplexArray:
+def phasor(motion: records.Motion) -> ComplexArray:
     """The motion (n_speed,) as complex amplitudes [m]."""
     return np.array(motion.real) + 1j * np.array(motion.imag)
 
 
-def bode_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
+def bode_figure(result: records.RunUpResult, run: records.MeasuredRun) -> Figure:
     planes = list(dict.fromkeys(motion.plane for motion in run.motions))
-    panels: dict[tuple[int, int], Panel] = {}
+    panels: dict[tuple[int, int], chart.Panel] = {}
     for number, motion in enumerate(run.motions):
         row, column = 2 * (number % 2), planes.index(motion.plane)
         amplitude, phase = _bode_series(result, run, number)
         title = motion.plane if row == 0 else ""
-        panels[row, column] = Panel(
-            SPEED, Axis(f"{motion.direction} amplitude", "um", low=0.0), amplitude, title
+        panels[row, column] = chart.Panel(
+            SPEED, chart.Axis(f"{motion.direction} amplitude", "um", low=0.0), amplitude, title
         )
-        panels[row + 1, column] = Panel(SPEED, Axis(f"{motion.direction} phase", "deg"), phase)
-    chart = Chart(
-        tuple(panels[place] for place in sorted(panels)), 4, len(planes), (WIDTH, 7.8), "x", "above"
+        panels[row + 1, column] = chart.Panel(SPEED, chart.Axis(f"{motion.direction} phase", "deg"), phase)
+    graphic = chart.Chart(
+        tuple(panels[place] for place in sorted(panels)), 4, len(planes), (chart.WIDTH, 7.8), "x", "above"
     )
     bars = "bars: 95 % of the measurement; upright line: measured critical speed"
     caption = (
@@ -99,32 +71,34 @@ def bode_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
         f"keyphasor; {bars}."
     )
     return Figure(
-        chart, caption, f"Amplitude and phase of run {run.name} over speed, measured and by every method"
+        graphic, caption, f"Amplitude and phase of run {run.name} over speed, measured and by every method"
     )
 
 
 def _bode_series(
-    result: RunUpResult, run: MeasuredRun, number: int
-) -> tuple[tuple[Series, ...], tuple[Series, ...]]:
-    critical = () if run.critical_speed is None else (upright(RPM * run.critical_speed.value),)
+    result: records.RunUpResult, run: records.MeasuredRun, number: int
+) -> tuple[tuple[chart.Series, ...], tuple[chart.Series, ...]]:
+    critical = () if run.critical_speed is None else (chart.upright(RPM * run.critical_speed.value),)
     measured = _measured_bode(run, run.motions[number])
     methods = [pair for method in result.methods if (pair := _method_bode(method, run, number)) is not None]
     amplitude, phase = zip(measured, *methods, strict=True)
     return (*critical, *amplitude), (*critical, *phase)
 
 
-def _measured_bode(run: MeasuredRun, motion: Motion) -> tuple[Series, Series]:
+def _measured_bode(run: records.MeasuredRun, motion: records.Motion) -> tuple[chart.Series, chart.Series]:
     speed, value = RPM * np.array(run.speed), phasor(motion)
     size, turned = UM * np.abs(value), np.degrees(np.unwrap(np.angle(value)))
-    wide = UM * TWO_SIDED * np.array(motion.amplitude_error)
-    apart = np.degrees(TWO_SIDED * np.array(motion.phase_error))
+    wide = UM * records.TWO_SIDED * np.array(motion.amplitude_error)
+    apart = np.degrees(records.TWO_SIDED * np.array(motion.phase_error))
     return (
-        dots("measured", speed, size, INK, size=1.5, bars=(size - wide, size + wide)),
-        dots("measured", speed, turned, INK, size=1.5, bars=(turned - apart, turned + apart)),
+        chart.dots("measured", speed, size, chart.INK, size=1.5, bars=(size - wide, size + wide)),
+        chart.dots("measured", speed, turned, chart.INK, size=1.5, bars=(turned - apart, turned + apart)),
     )
 
 
-def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Series, Series] | None:
+def _method_bode(
+    method: records.RunUpMethod, run: records.MeasuredRun, number: int
+) -> tuple[chart.Series, chart.Series] | None:
     prediction = method.prediction(run.name)
     if prediction is None or not prediction.motions:
         return None
@@ -134,11 +108,11 @@ def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Se
     first = np.degrees(np.angle(phasor(run.motions[number])[0]))
     phase = turned - 360 * round((turned[0] - first) / 360)
     colour, line = look(method)
-    amplitude = curve(short(method), speed, UM * np.abs(value), colour, line, width=1.1)
-    return amplitude, curve(short(method), speed, phase, colour, line, width=1.1)
+    amplitude = chart.curve(short(method), speed, UM * np.abs(value), colour, line, width=1.1)
+    return amplitude, chart.curve(short(method), speed, phase, colour, line, width=1.1)
 
 
-def best_method(result: RunUpResult) -> RunUpMethod | None:
+def best_method(result: records.RunUpResult) -> records.RunUpMethod | None:
     """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else
     (c), (b), (a).
     """
@@ -149,49 +123,53 @@ def best_method(result: RunUpResult) -> RunUpMethod | None:
     return next((method for name in order if (method := result.method(name)) is not None), None)
 
 
-def _motions(method: RunUpMethod | None, run: MeasuredRun) -> RunPrediction | None:
+def _motions(method: records.RunUpMethod | None, run: records.MeasuredRun) -> records.RunPrediction | None:
     prediction = None if method is None else method.prediction(run.name)
     return prediction if prediction is not None and prediction.motions else None
 
 
-def polar_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
+def polar_figure(result: records.RunUpResult, method: records.RunUpMethod | None) -> Figure:
     motions = result.runs[0].motions
     rows = -(-len(motions) // 2)
     panels = tuple(_polar(result, method, number, motion) for number, motion in enumerate(motions))
     lines = "" if method is None else f"; lines: {method.title}"
-    chart = Chart(panels, rows, 2, (WIDTH, 3.3 * rows + 0.6), legend="above")
+    graphic = chart.Chart(panels, rows, 2, (chart.WIDTH, 3.3 * rows + 0.6), legend="above")
     return Figure(
-        chart,
+        graphic,
         f"Polar plots of all runs, 0-to-peak; dots: measured{lines}.",
         "Polar plots of every plane and direction",
     )
 
 
-def _polar(result: RunUpResult, method: RunUpMethod | None, number: int, motion: Motion) -> Panel:
+def _polar(
+    result: records.RunUpResult, method: records.RunUpMethod | None, number: int, motion: records.Motion
+) -> chart.Panel:
     series = []
     for place, run in enumerate(result.runs):
-        colour, value = place % PALETTE_SIZE, UM * phasor(run.motions[number])
-        series.append(dots(f"{run.name} measured", value.real, value.imag, colour, size=2.0))
+        colour, value = place % chart.PALETTE_SIZE, UM * phasor(run.motions[number])
+        series.append(chart.dots(f"{run.name} measured", value.real, value.imag, colour, size=2.0))
         prediction = _motions(method, run)
         if prediction is not None:
             path = UM * phasor(prediction.motions[number])
-            series.append(curve(f"{run.name} computed", path.real, path.imag, colour, width=0.9))
-    x, y = Axis("real part", "um"), Axis("imaginary part", "um")
-    return Panel(x, y, tuple(series), f"{motion.plane}, {motion.direction}", equal=True)
+            series.append(chart.curve(f"{run.name} computed", path.real, path.imag, colour, width=0.9))
+    x, y = chart.Axis("real part", "um"), chart.Axis("imaginary part", "um")
+    return chart.Panel(x, y, tuple(series), f"{motion.plane}, {motion.direction}", equal=True)
 
 
-def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
+def orbit_figure(result: records.RunUpResult, method: records.RunUpMethod | None) -> Figure:
     panels = tuple(_orbits(run, place, method) for run in result.runs for place in orbit_places(run))
-    chart = Chart(panels, len(result.runs), ORBITS, (WIDTH, 1.75 * len(result.runs) + 1.0), legend="above")
+    graphic = chart.Chart(
+        panels, len(result.runs), ORBITS, (chart.WIDTH, 1.75 * len(result.runs) + 1.0), legend="above"
+    )
     dashed = "" if method is None else f"; dashed: {method.title}"
     caption = (
         f"Orbits of 1x below, about and above the critical speed; solid: measured{dashed}; the dot "
         "marks the keyphasor's pulse."
     )
-    return Figure(chart, caption, "Orbits of every run at four speeds, measured and by one method")
+    return Figure(graphic, caption, "Orbits of every run at four speeds, measured and by one method")
 
 
-def orbit_places(run: MeasuredRun) -> list[int]:
+def orbit_places(run: records.MeasuredRun) -> list[int]:
     """Rows of a run at three quarters, one, and beyond its critical speed, and its last. Spread evenly
     without one.
     """
@@ -202,7 +180,7 @@ def orbit_places(run: MeasuredRun) -> list[int]:
     return [int(np.argmin(np.abs(speed - target))) for target in speeds]
 
 
-def _orbits(run: MeasuredRun, place: int, method: RunUpMethod | None) -> Panel:
+def _orbits(run: records.MeasuredRun, place: int, method: records.RunUpMethod | None) -> chart.Panel:
     prediction, series = _motions(method, run), []
     for number in range(0, len(run.motions), 2):
         colour, name = number // 2 % ORBITS, run.motions[number].plane
@@ -212,47 +190,52 @@ def _orbits(run: MeasuredRun, place: int, method: RunUpMethod | None) -> Panel:
             x, y = (_at(prediction, number + n, run.speed[place]) for n in (0, 1))
             series += _ellipse(x, y, colour, "--", f"{name} computed")
     title = f"{run.name}, {RPM * run.speed[place]:.0f} rpm"
-    return Panel(Axis("x", "um"), Axis("y", "um"), tuple(series), title, equal=True)
+    return chart.Panel(chart.Axis("x", "um"), chart.Axis("y", "um"), tuple(series), title, equal=True)
 
 
-def _at(prediction: RunPrediction, number: int, speed: float) -> complex:
+def _at(prediction: records.RunPrediction, number: int, speed: float) -> complex:
     motion = prediction.motions[number]
     real, imag = (np.interp(speed, prediction.speed, part) for part in (motion.real, motion.imag))
     return complex(real + 1j * imag)
 
 
-def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[Series]:
+def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[chart.Series]:
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
     across, along = UM * np.real(x * turn), UM * np.real(y * turn)
-    path = curve(name, across, along, colour, line)
+    path = chart.curve(name, across, along, colour, line)
     if line != "-":
         return [path]
     pulse = f"{name.removesuffix(' measured')} keyphasor"
-    return [path, dots(pulse, across[:1], along[:1], colour, marker="o")]
+    return [path, chart.dots(pulse, across[:1], along[:1], colour, marker="o")]
 
 
-def speeds_figure(result: RunUpResult) -> Figure:
+def speeds_figure(result: records.RunUpResult) -> Figure:
     items = (("critical_speed", "critical speed"), ("threshold", "threshold"))
     panels = [
-        Panel(Axis("static load", "N"), Axis(label, "rpm"), _speed_series(result, item))
+        chart.Panel(chart.Axis("static load", "N"), chart.Axis(label, "rpm"), _speed_series(result, item))
         for item, label in items
     ]
-    held_out_loads = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == HELD_OUT)
+    held_out_loads = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == records.HELD_OUT)
     remark = f" The run at {held_out_loads} is in no fit." if held_out_loads else ""
     caption = (
         "Critical speed and threshold of instability over the load: measured and by every method; "
         f"bars: 95 % intervals.{remark}"
     )
     return Figure(
-        stack(panels, 5.4),
+        chart.stack(panels, 5.4),
         caption,
         "Critical speed and threshold over the load, measured and by every method",
     )
 
 
-def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
+def _speed_series(result: records.RunUpResult, item: str) -> tuple[chart.Series, ...]:
     measured = _speeds(
-        [(run.load, getattr(run, item)) for run in result.runs], "measured", INK, "", marker="o", size=5.0
+        [(run.load, getattr(run, item)) for run in result.runs],
+        "measured",
+        chart.INK,
+        "",
+        marker="o",
+        size=5.0,
     )
     series = [*measured]
     for method in result.methods:
@@ -263,39 +246,41 @@ def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
 
 
 def _speeds(
-    amounts: Sequence[tuple[float, Amount | None]], name: str, colour: int, line: str, **style: Any
-) -> list[Series]:
+    amounts: Sequence[tuple[float, records.Amount | None]], name: str, colour: int, line: str, **style: Any
+) -> list[chart.Series]:
     points = sorted(
         (load, amount.value, amount.std_error or 0.0) for load, amount in amounts if amount is not None
     )
     if not points:
         return []
     load, value, error = np.array(points).T
-    ends = RPM * (value - TWO_SIDED * error), RPM * (value + TWO_SIDED * error)
-    return [curve(name, load, RPM * value, colour, line, bars=ends, **style)]
+    ends = RPM * (value - records.TWO_SIDED * error), RPM * (value + records.TWO_SIDED * error)
+    return [chart.curve(name, load, RPM * value, colour, line, bars=ends, **style)]
 
 
-def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
+def cascade_figure(run: records.MeasuredRun, cascade: records.Cascade) -> Figure:
     frequency, speed = 60 * np.array(cascade.frequency), 60 * np.array(cascade.speed)
     amplitude = UM * np.array(cascade.amplitude)
     step = float(np.ptp(speed)) / max(len(speed) - 1, 1)
     scale = TALL * step / float(amplitude.max())
     rows = zip(speed, amplitude, strict=True)
-    spectra = [curve("spectra", frequency, height + scale * spectrum, width=0.7) for height, spectrum in rows]
+    spectra = [
+        chart.curve("spectra", frequency, height + scale * spectrum, width=0.7) for height, spectrum in rows
+    ]
     ends = np.array([speed.min(), speed.max()])
-    orders = [curve(f"{order}x", order * ends, ends, 1, "--", width=0.9) for order in (1, 2)]
-    x = Axis("frequency", "cycles/min", 0.0, float(min(frequency[-1], HIGHEST_ORDER * speed.max())))
-    chart = stack([Panel(x, SPEED, (*spectra, *orders))], 5.0)
+    orders = [chart.curve(f"{order}x", order * ends, ends, 1, "--", width=0.9) for order in (1, 2)]
+    x = chart.Axis("frequency", "cycles/min", 0.0, float(min(frequency[-1], HIGHEST_ORDER * speed.max())))
+    graphic = chart.stack([chart.Panel(x, SPEED, (*spectra, *orders))], 5.0)
     highest = f"the highest line is {amplitude.max():.3g} um, 0-to-peak"
     caption = f"{run.name}: cascade of {cascade.label}; {highest}. Lines below 1x warn of whirl."
     return Figure(
-        chart, caption, f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed"
+        graphic, caption, f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed"
     )
 
 
 # Half width of the group of starts of a search; largest spread of factors that counts as agreement.
 BESIDE, ALIKE = 0.28, 0.02
-ITERATION = Axis("iteration")
+ITERATION = chart.Axis("iteration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,24 +299,28 @@ def scale(name: str) -> tuple[float, str]:
     return (1e-3, "kN/m") if name.startswith("k") else (1.0, "N s/m")
 
 
-def coefficient_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
+def coefficient_figure(result: records.RunUpResult, run: records.MeasuredRun) -> Figure:
     # Stiffness stands in the left column, damping in the right one.
     order = [row + 4 * column for row in range(4) for column in range(2)]
     panels = [
-        Panel(SPEED, Axis(COEFFICIENTS[n], scale(COEFFICIENTS[n])[1]), _coefficient(result, run, n))
+        chart.Panel(
+            SPEED, chart.Axis(COEFFICIENTS[n], scale(COEFFICIENTS[n])[1]), _coefficient(result, run, n)
+        )
         for n in order
     ]
-    chart = Chart(tuple(panels), 4, 2, (WIDTH, 7.8), "x", "above")
+    graphic = chart.Chart(tuple(panels), 4, 2, (chart.WIDTH, 7.8), "x", "above")
     caption = (
         f"Coefficients at {run.load:.4g} N ({run.name}, {run.role}) by every method; shaded: 95 % "
         "intervals, where a method has any."
     )
     return Figure(
-        chart, caption, f"Eight journal coefficients over speed at {run.load:.4g} N by every method"
+        graphic, caption, f"Eight journal coefficients over speed at {run.load:.4g} N by every method"
     )
 
 
-def _coefficient(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[Series, ...]:
+def _coefficient(
+    result: records.RunUpResult, run: records.MeasuredRun, number: int
+) -> tuple[chart.Series, ...]:
     factor, series = scale(COEFFICIENTS[number])[0], []
     for method in result.methods:
         prediction = method.prediction(run.name)
@@ -341,62 +330,70 @@ def _coefficient(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[Se
         values = factor * np.array(prediction.coefficients)[:, number]
         band = None
         if prediction.std_errors:
-            wide = TWO_SIDED * factor * np.array(prediction.std_errors)[:, number]
+            wide = records.TWO_SIDED * factor * np.array(prediction.std_errors)[:, number]
             band = values - wide, values + wide
-        series.append(curve(short(method), speed, values, *look(method), width=1.1, band=band, opacity=0.18))
+        series.append(
+            chart.curve(short(method), speed, values, *look(method), width=1.1, band=band, opacity=0.18)
+        )
     return tuple(series)
 
 
-def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
+def convergence_figure(method: records.RunUpMethod, search: records.Convergence) -> Figure:
     steps = np.arange(len(search.objective))
     meshed = bool(np.any(np.isfinite(search.mesh)))
     panels = (
-        Panel(
+        chart.Panel(
             ITERATION,
-            Axis("objective", "um²", logarithmic=True),
-            (curve("objective", steps, 1e12 * np.array(search.objective), marker="."),),
+            chart.Axis("objective", "um²", logarithmic=True),
+            (chart.curve("objective", steps, 1e12 * np.array(search.objective), marker="."),),
         ),
-        Panel(
+        chart.Panel(
             ITERATION,
-            Axis("mesh size, part of the box", logarithmic=meshed),
-            (curve("mesh", steps, search.mesh, marker="."),) if meshed else (),
+            chart.Axis("mesh size, part of the box", logarithmic=meshed),
+            (chart.curve("mesh", steps, search.mesh, marker="."),) if meshed else (),
         ),
-        Panel(ITERATION, Axis("evaluations"), (curve("evaluations", steps, search.evaluations, marker="."),)),
-        _factors((dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
+        chart.Panel(
+            ITERATION,
+            chart.Axis("evaluations"),
+            (chart.curve("evaluations", steps, search.evaluations, marker="."),),
+        ),
+        _factors((chart.dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
     end = "ended by the limit on evaluations" if search.capped else "ended at the smallest mesh"
     caption = (
         f"{method.title}: convergence at {search.where}; {int(sum(search.evaluations))} evaluations, {end}. "
         "A small objective does not mean that the factors are right."
     )
-    chart = Chart(panels, 2, 2, (WIDTH, 5.2), legend="none")
-    return Figure(chart, caption, f"Convergence of the search of {method.title} at {search.where}")
+    graphic = chart.Chart(panels, 2, 2, (chart.WIDTH, 5.2), legend="none")
+    return Figure(graphic, caption, f"Convergence of the search of {method.title} at {search.where}")
 
 
-def _factors(series: tuple[Series, ...]) -> Panel:
-    return Panel(
-        Axis(ticks=named_ticks(COEFFICIENTS)), Axis("factor on the start value"), (*series, level(1.0))
+def _factors(series: tuple[chart.Series, ...]) -> chart.Panel:
+    return chart.Panel(
+        chart.Axis(ticks=chart.named_ticks(COEFFICIENTS)),
+        chart.Axis("factor on the start value"),
+        (*series, chart.level(1.0)),
     )
 
 
-def spread_figure(method: RunUpMethod, spread: StartSpread) -> Figure:
+def spread_figure(method: records.RunUpMethod, spread: records.StartSpread) -> Figure:
     factors = np.array(spread.factors)
     shift = np.linspace(-BESIDE, BESIDE, len(factors))[:, None]
-    starts = dots(
+    starts = chart.dots(
         f"{len(factors)} starts", (np.arange(8) + shift).reshape(-1), factors.reshape(-1), 3, marker="o"
     )
-    mean = dots("mean", np.arange(8), factors.mean(axis=0), INK, marker="s", size=4.0)
+    mean = chart.dots("mean", np.arange(8), factors.mean(axis=0), chart.INK, marker="s", size=4.0)
     caption = (
         f"{method.title}: final factors of {len(factors)} starts at {spread.where}; {spread_text(spread)}."
     )
     return Figure(
-        stack([_factors((starts, mean))], 2.9),
+        chart.stack([_factors((starts, mean))], 2.9),
         caption,
         f"Spread of the factors over {len(factors)} starts at {spread.where}",
     )
 
 
-def spread_text(spread: StartSpread) -> str:
+def spread_text(spread: records.StartSpread) -> str:
     wide = float(np.median(np.ptp(np.array(spread.factors), axis=0)))
     reached = f"all meet the measured amplitudes within {100 * max(spread.objective):.2g} %"
     if wide < ALIKE:
@@ -406,11 +403,11 @@ def spread_text(spread: StartSpread) -> str:
     )
 
 
-def surface_figures(model: MetamodelResult) -> list[Figure]:
+def surface_figures(model: records.MetamodelResult) -> list[Figure]:
     return [_surfaces(model, first, quantity) for first, quantity in ((0, "stiffness"), (4, "damping"))]
 
 
-def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
+def _surfaces(model: records.MetamodelResult, first: int, quantity: str) -> Figure:
     names, load = COEFFICIENTS[first : first + 4], np.array(model.surface.load)
     factor, unit = scale(names[0])
     values = factor * np.array(model.surface.values[first : first + 4])
@@ -426,7 +423,7 @@ def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
         f"{model.title[:1].upper()}{model.title[1:]}: {quantity} coefficients over load and speed{beyond}."
     )
     return Figure(
-        Drawing("surfaces", surfaces, (WIDTH, 6.2)),
+        chart.Drawing("surfaces", surfaces, (chart.WIDTH, 6.2)),
         caption,
         f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}",
     )

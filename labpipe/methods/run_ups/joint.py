@@ -22,19 +22,9 @@ from labpipe.estimation.statistics import Stated, combination_text, pulls_of, st
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
+from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, sources_of
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import (
-    BOUND,
-    PARAMETERS,
-    PRIOR,
-    RPM,
-    CoefficientFamily,
-    FilmFamily,
-    RunUpRotor,
-    as_matrices,
-    searched_over,
-)
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
 MOST_SEARCHES = 25
@@ -45,7 +35,7 @@ SPEED_STEP = 1e-3
 LEAST_SLOPE = 1e-4
 
 
-Family = TypeVar("Family", bound=CoefficientFamily)
+Family = TypeVar("Family", bound=rotor.CoefficientFamily)
 
 
 def run_up_problem(
@@ -69,11 +59,11 @@ def run_up_problem(
 class MeasuredThreshold:
     """The threshold of instability *speed* [rad/s] of a *rig* under a *load* [N], as it was measured."""
 
-    rig: RunUpRotor
+    rig: rotor.RunUpRotor
     load: float
     speed: Uncertain
 
-    def residual(self, model: CoefficientFamily, values: FloatArray) -> Residual:
+    def residual(self, model: rotor.CoefficientFamily, values: FloatArray) -> Residual:
         """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter).
 
         d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the
@@ -81,14 +71,14 @@ class MeasuredThreshold:
         """
         speed, by_speed = nearby_threshold(self.rig, model.at_load(values, self.load), self.speed.value)
         eight, by_parameter = model.coefficients_and_slopes(values, np.array([self.load]), np.array([speed]))
-        stiffness, damping = as_matrices(eight)
+        stiffness, damping = rotor.as_matrices(eight)
         mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
         slopes = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) @ by_parameter[0]
         error = self.speed.std_error
         return np.array([(speed - self.speed.value) / error]), lambda: -slopes[None] / (by_speed * error)
 
 
-def measured_thresholds(rig: RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
+def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
     """The measured thresholds of a *rig*."""
     return tuple(
         MeasuredThreshold(rig, group.load, run.run.threshold)
@@ -98,7 +88,9 @@ def measured_thresholds(rig: RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[
     )
 
 
-def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: float) -> tuple[float, float]:
+def nearby_threshold(
+    rig: rotor.RunUpRotor, coefficients: CoefficientsAtSpeed, start: float
+) -> tuple[float, float]:
     """The threshold [rad/s] by Newton's method from *start*, and the slope of the growth rate by speed there
     [1/s per rad/s]: that of the least stable mode, coefficients by central differences.
     """
@@ -137,7 +129,7 @@ class RunUpFit(Posterior[Family]):
     *steps*.
     """
 
-    rig: RunUpRotor
+    rig: rotor.RunUpRotor
     steps: int
 
     @property
@@ -211,7 +203,7 @@ class RunUpFit(Posterior[Family]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointFit(RunUpFit[FilmFamily]):
+class JointFit(RunUpFit[rotor.FilmFamily]):
     """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing; *known*: those that were not
     estimated.
     """
@@ -221,16 +213,16 @@ class JointFit(RunUpFit[FilmFamily]):
     @property
     def at_bound(self) -> BoolArray:
         """Parameters that ran into their bounds (12,)."""
-        return ~self.problem.free & np.array([name not in self.known for name in PARAMETERS])
+        return ~self.problem.free & np.array([name not in self.known for name in rotor.PARAMETERS])
 
     @property
     def prior_dominated(self) -> tuple[str, ...]:
         """Combinations that the priors determine, as text."""
         free = self.problem.free
-        names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
+        names = [name for name, is_free in zip(rotor.PARAMETERS, free, strict=True) if is_free]
         _, singular, rows = np.linalg.svd(self.in_priors, full_matrices=False)
         return tuple(
-            combination_text(names, row * PRIOR[free], 0.1)
+            combination_text(names, row * rotor.PRIOR[free], 0.1)
             for row, size in zip(rows[::-1], singular[::-1], strict=True)
             if size < 1
         )
@@ -255,7 +247,7 @@ class JointFit(RunUpFit[FilmFamily]):
         """The factor exp(value) on the rotor file's value, for the two slopes the exponent itself, with its
         standard error.
         """
-        n = PARAMETERS.index(name)
+        n = rotor.PARAMETERS.index(name)
         value, error = float(self.values[n]), float(self.std_error[n])
         if name in EXPONENTS:
             return Uncertain(value, error)
@@ -284,7 +276,7 @@ class JointFit(RunUpFit[FilmFamily]):
             speed = self.rig.threshold(self.model.at_load(values, load))
             if speed is None:
                 what = "the threshold speed leaves the range of the search within its own uncertainty"
-                raise FitError(what, hint=f"it is above {self.rig.search.highest / RPM:.0f} rpm")
+                raise FitError(what, hint=f"it is above {self.rig.search.highest / rotor.RPM:.0f} rpm")
             return speed
 
         return self._predict(speed_of)
@@ -322,17 +314,17 @@ NEAR = 0.05
 
 
 def family_about(
-    rig: RunUpRotor, loads: Iterable[float], what: str = "a joint fit of the film's parameters"
-) -> FilmFamily:
+    rig: rotor.RunUpRotor, loads: Iterable[float], what: str = "a joint fit of the film's parameters"
+) -> rotor.FilmFamily:
     """The family about the rotor file's bearing, its slopes about the middle of the *loads* [N] and half the
     highest speed.
     """
     middle = float(np.exp(np.mean(np.log(sorted(set(loads))))))
-    return FilmFamily(rig.place.film(what), rig.search.high / 2, middle)
+    return rotor.FilmFamily(rig.place.film(what), rig.search.high / 2, middle)
 
 
 def fit_jointly(
-    rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True, known: Collection[str] = ()
+    rig: rotor.RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True, known: Collection[str] = ()
 ) -> JointFit:
     """The twelve parameters from all runs; parameters that run into their bounds (`BOUND`) stay there and
     have no standard error.
@@ -340,12 +332,12 @@ def fit_jointly(
     *known*: PARAMETERS that are those of the rotor file. FitError when no minimum is found.
     """
     runs = list(runs)
-    rig = searched_over(rig, runs)
+    rig = rotor.searched_over(rig, runs)
     groups = tuple(runs_by_speeds(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
-    free = np.array([name not in known for name in PARAMETERS])
+    free = np.array([name not in known for name in rotor.PARAMETERS])
     family = family_about(rig, [group.load for group in groups])
-    problem = run_up_problem(family, groups, thresholds, PRIOR, free)
+    problem = run_up_problem(family, groups, thresholds, rotor.PRIOR, free)
     for _ in range(MOST_REFITS):
         minimum = minimise(problem, problem.base[problem.free])
         if not minimum.converged:
@@ -353,10 +345,12 @@ def fit_jointly(
         if not minimum.converged:
             break
         values = problem.whole(minimum.values)
-        beyond = np.abs(values) > BOUND * (1 + 1e-9)
+        beyond = np.abs(values) > rotor.BOUND * (1 + 1e-9)
         if not np.any(beyond):
             return JointFit(problem=problem, values=values, rig=rig, steps=minimum.steps, known=known)
-        problem = replace(problem, free=problem.free & ~beyond, base=np.clip(values, -BOUND, BOUND))
+        problem = replace(
+            problem, free=problem.free & ~beyond, base=np.clip(values, -rotor.BOUND, rotor.BOUND)
+        )
     raise FitError(
         "no minimum of the joint fit was found",
         hint="check unbalance, phases, standard errors and the rotor file",

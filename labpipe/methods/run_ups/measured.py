@@ -19,15 +19,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
-from labpipe.methods.run_ups.records import (
-    DIRECTIONS,
-    Amount,
-    Cascade,
-    MeasuredRun,
-    Motion,
-    ProbeError,
-    RunUp,
-)
+from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.rotor import largest_displacement
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import to_display
@@ -45,7 +37,7 @@ INNER = 0.95
 FINE = 1601
 
 
-def measured_critical_speed(run: RunUp, plane: str = "") -> Uncertain:
+def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
     """Speed [rad/s] of the largest displacement at a plane (the last one unless named), with its standard
     error.
 
@@ -66,7 +58,7 @@ def measured_critical_speed(run: RunUp, plane: str = "") -> Uncertain:
     return Uncertain(wide, float(np.sqrt(variance)))
 
 
-def _top(run: RunUp, number: int) -> int:
+def _top(run: records.RunUp, number: int) -> int:
     displacement = largest_displacement(run.response)[:, number]
     top = int(np.argmax(displacement))
     if run.n_speed < FEWEST_POINTS or not 2 <= top < run.n_speed - 2:
@@ -75,20 +67,20 @@ def _top(run: RunUp, number: int) -> int:
     return top
 
 
-def _about(run: RunUp, top: int, size: int) -> slice:
+def _about(run: records.RunUp, top: int, size: int) -> slice:
     size = min(size, run.n_speed)
     first = max(0, min(top - size // 2, run.n_speed - size))
     return slice(first, first + size)
 
 
-def _noisy(run: RunUp, rng: np.random.Generator) -> ComplexArray:
+def _noisy(run: records.RunUp, rng: np.random.Generator) -> ComplexArray:
     relative = run.amplitude_error / np.abs(run.response)
     shape = run.response.shape
     turned = np.exp(1j * run.phase_error * rng.standard_normal(shape))
     return run.response * (1 + relative * rng.standard_normal(shape)) * turned
 
 
-def _peak(run: RunUp, number: int, chosen: slice, response: ComplexArray) -> float:
+def _peak(run: records.RunUp, number: int, chosen: slice, response: ComplexArray) -> float:
     speed = run.speed[chosen]
     middle, half = float(np.mean(speed[[0, -1]])), float(np.ptp(speed)) / 2
     outputs = response[chosen].reshape(speed.size, -1)
@@ -126,21 +118,21 @@ class ReadRun:
     """A run with its settings; *cascades* of a recording."""
 
     settings: RunSettings
-    run: RunUp
-    cascades: tuple[Cascade, ...] = ()
+    run: records.RunUp
+    cascades: tuple[records.Cascade, ...] = ()
 
 
-def measured_run(read: ReadRun, plane: str) -> tuple[MeasuredRun, str]:
+def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
     """The run as a record, and the reason of a missing critical speed."""
     run, settings = read.run, read.settings
     critical, reason = None, ""
     if run.shaker is None:
         try:
             peak = measured_critical_speed(run, plane)
-            critical = Amount(peak.value, peak.std_error)
+            critical = records.Amount(peak.value, peak.std_error)
         except DataError as error:
             reason = str(error)
-    record = MeasuredRun(
+    record = records.MeasuredRun(
         run.name,
         run.load,
         settings.role,
@@ -148,7 +140,9 @@ def measured_run(read: ReadRun, plane: str) -> tuple[MeasuredRun, str]:
         speed=column(run.speed),
         motions=motions(run.planes, run.response, run.amplitude_error, run.phase_error),
         critical_speed=critical,
-        threshold=None if run.threshold is None else Amount(run.threshold.value, run.threshold.std_error),
+        threshold=None
+        if run.threshold is None
+        else records.Amount(run.threshold.value, run.threshold.std_error),
         subtracted="" if settings.subtracted is None else settings.subtracted.name,
         printed_critical_speed=settings.printed_critical_speed,
         printed_threshold=settings.printed_threshold,
@@ -157,7 +151,7 @@ def measured_run(read: ReadRun, plane: str) -> tuple[MeasuredRun, str]:
     return record, reason
 
 
-def excitation_text(run: RunUp) -> str:
+def excitation_text(run: records.RunUp) -> str:
     if run.shaker is not None:
         force = f"{run.shaker.x:g} N in x, {run.shaker.y:g} N in y at {run.shaker.plane}"
         return f"shaker: {force}, {run.shaker.frequency_ratio:g} of the speed"
@@ -173,10 +167,10 @@ def motions(
     response: ComplexArray,
     amplitude_error: FloatArray | None = None,
     phase_error: FloatArray | None = None,
-) -> tuple[Motion, ...]:
+) -> tuple[records.Motion, ...]:
     """Phasors (n_speed, n_plane, 2) [m] and their errors [m, rad] as one record per plane and direction."""
     return tuple(
-        Motion(
+        records.Motion(
             plane,
             direction,
             column(response[:, n, d].real),
@@ -185,7 +179,7 @@ def motions(
             () if phase_error is None else column(phase_error[:, n, d]),
         )
         for n, plane in enumerate(planes)
-        for d, direction in enumerate(DIRECTIONS)
+        for d, direction in enumerate(records.DIRECTIONS)
     )
 
 
@@ -200,7 +194,7 @@ SAME_SPEED = 1e-3
 
 def run_up_of(
     track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()
-) -> RunUp:
+) -> records.RunUp:
     """The run-up of a tracked order; standard errors sqrt(variance / 2) of the amplitude, divided by |X| for
     the phase. x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of
     the track's planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped
@@ -222,7 +216,7 @@ def run_up_of(
             f"recording '{name}' has a constant speed", hint="a run-up needs a speed that changes"
         )
     size = np.maximum(np.abs(response), np.finfo(float).tiny)
-    return RunUp(
+    return records.RunUp(
         name,
         load,
         speed,
@@ -235,7 +229,7 @@ def run_up_of(
     )
 
 
-def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
+def _probe_errors(track: OrderTrack) -> Iterator[records.ProbeError]:
     """Uncertainties of all probes: one at theta + d reads d times what is across it."""
     for at, plane in enumerate(track.planes):
         to_plane = np.linalg.inv(plane.directions)
@@ -247,7 +241,7 @@ def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
                 read = -across if calibration.effect == "direction" else slope * along
                 matrix = np.zeros((len(track.planes), 2, 2), np.complex128)
                 matrix[at] = np.outer(to_plane[:, row], read)
-                yield ProbeError(calibration.uncertainty, matrix, power)
+                yield records.ProbeError(calibration.uncertainty, matrix, power)
 
 
 def _by_speed(
@@ -277,7 +271,7 @@ def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
     return np.stack(phasors, axis=1), np.stack(deviations, axis=1)
 
 
-def difference(run: RunUp, residual: RunUp) -> RunUp:
+def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:
     """Vector difference *run* - *residual* at common speeds: the response to the difference of their known
     unbalances. Variances are added, each resolved along and across the difference phasor. DataError where
     planes or loads differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
@@ -302,7 +296,7 @@ def difference(run: RunUp, residual: RunUp) -> RunUp:
     return _vector_difference(run, residual, common, partner[common])
 
 
-def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
+def at_speeds(run: records.RunUp, speed: FloatArray) -> records.RunUp:
     """A densely tracked run at *speed* (n,) [rad/s], linearly interpolated; speeds outside its range are
     dropped. DataError when none is inside.
     """
@@ -321,7 +315,9 @@ def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
     )
 
 
-def _vector_difference(run: RunUp, residual: RunUp, common: IntArray, partner: IntArray) -> RunUp:
+def _vector_difference(
+    run: records.RunUp, residual: records.RunUp, common: IntArray, partner: IntArray
+) -> records.RunUp:
     first, second = run.response[common], residual.response[partner]
     net = first - second
     if np.any(net == 0):

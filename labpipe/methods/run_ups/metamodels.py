@@ -25,16 +25,9 @@ import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.methods.run_ups import metamodel_kinds
 from labpipe.methods.run_ups.joint import LOAD_SLACK
 from labpipe.methods.run_ups.measured import column
-from labpipe.methods.run_ups.metamodel_kinds import (
-    Extent,
-    Grid,
-    PhysicalFit,
-    ResponseSurface,
-    WithinExtent,
-    fit_surface,
-)
 from labpipe.methods.run_ups.records import LeftOut
 from labpipe.methods.run_ups.rotor import TabulatedCoefficients, coefficient_errors
 from labpipe.registry import nearest
@@ -65,26 +58,28 @@ def scikit_learn(name: str, what: str) -> Any:
 
 
 @dataclass(frozen=True)
-class GaussianProcess(WithinExtent):
+class GaussianProcess(metamodel_kinds.WithinExtent):
     """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors:
     scikit-learn's, one of each.
     """
 
-    grid: Grid
-    extent: Extent
+    grid: metamodel_kinds.Grid
+    extent: metamodel_kinds.Extent
     hyper: FloatArray
     regressors: tuple[Any, ...]
 
     kind: ClassVar[str] = "process"
 
     @classmethod
-    def of(cls, grid: Grid, hyper: FloatArray, search: Callable[..., Any] | None = None) -> GaussianProcess:
+    def of(
+        cls, grid: metamodel_kinds.Grid, hyper: FloatArray, search: Callable[..., Any] | None = None
+    ) -> GaussianProcess:
         """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient. A
         *search* starts from them.
         """
         processes = scikit_learn("gaussian_process", "a Gaussian process")
         kernels = processes.kernels
-        extent = Extent.of(grid)
+        extent = metamodel_kinds.Extent.of(grid)
         coded, regressors = extent.coded(grid.load, grid.speed), []
         for (a, l_w, l_s, n), eight in zip(hyper, grid.eight.T, strict=True):
             plane = kernels.ConstantKernel(PLANE**2, "fixed") * kernels.DotProduct(1.0, "fixed")
@@ -141,10 +136,13 @@ class GaussianProcess(WithinExtent):
         load, speed, eight, hyper = (
             np.array(entries[name], np.float64) for name in ("load", "speed", "eight", "hyper")
         )
-        return cls.of(Grid(load, speed, eight), hyper)
+        return cls.of(metamodel_kinds.Grid(load, speed, eight), hyper)
 
 
-def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
+def fit_process(
+    grid: metamodel_kinds.Grid,
+    seed: int = 0,  # noqa: ARG001 one signature for all kinds
+) -> GaussianProcess:
     """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
     priors. Equation (run-process).
     """
@@ -167,12 +165,12 @@ def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) 
 
 
 @dataclass(frozen=True)
-class Network(WithinExtent):
+class Network(metamodel_kinds.WithinExtent):
     """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats
     whose training converged.
     """
 
-    extent: Extent
+    extent: metamodel_kinds.Extent
     repeats: tuple[Layers, ...]
     middle: FloatArray
     deviation: FloatArray
@@ -233,7 +231,7 @@ class Network(WithinExtent):
         )
         middle, deviation = (np.array(entries[name], np.float64) for name in ("middle", "deviation"))
         return cls(
-            Extent.from_entries(entries),
+            metamodel_kinds.Extent.from_entries(entries),
             repeats,
             middle,
             deviation,
@@ -242,12 +240,14 @@ class Network(WithinExtent):
         )
 
 
-def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int = HIDDEN) -> Network:
+def fit_network(
+    grid: metamodel_kinds.Grid, seed: int = 0, repeats: int = REPEATS, hidden: int = HIDDEN
+) -> Network:
     """Networks with seeds *seed*, *seed* + 1 and so on; ConfigError without scikit-learn."""
     networks, exceptions = (
         scikit_learn(name, "a feed-forward network") for name in ("neural_network", "exceptions")
     )
-    extent = Extent.of(grid)
+    extent = metamodel_kinds.Extent.of(grid)
     middle, deviation = grid.eight.mean(axis=0), grid.eight.std(axis=0)
     deviation = np.where(deviation > 0, deviation, 1.0)
     inputs, outputs = extent.coded(grid.load, grid.speed), (grid.eight - middle) / deviation
@@ -271,14 +271,19 @@ def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int =
 
 
 # Fit functions by name, each of a grid and a seed.
-METAMODELS: dict[str, Callable[[Grid, int], Metamodel]] = {
-    "surface": fit_surface,
+METAMODELS: dict[str, Callable[[metamodel_kinds.Grid, int], Metamodel]] = {
+    "surface": metamodel_kinds.fit_surface,
     "process": fit_process,
     "network": fit_network,
 }
 READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
     model_class.kind: model_class.from_entries
-    for model_class in (ResponseSurface, GaussianProcess, Network, PhysicalFit)
+    for model_class in (
+        metamodel_kinds.ResponseSurface,
+        GaussianProcess,
+        Network,
+        metamodel_kinds.PhysicalFit,
+    )
 }
 
 
@@ -288,7 +293,7 @@ class Metamodel(TabulatedCoefficients, Protocol):
     @property
     def kind(self) -> str: ...
     @property
-    def extent(self) -> Extent: ...
+    def extent(self) -> metamodel_kinds.Extent: ...
     @property
     def statement(self) -> str: ...
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -298,7 +303,7 @@ class Metamodel(TabulatedCoefficients, Protocol):
     def to_entries(self) -> dict[str, Any]: ...
 
 
-def fit_metamodel(kind: str, grid: Grid, seed: int = 0) -> Metamodel:
+def fit_metamodel(kind: str, grid: metamodel_kinds.Grid, seed: int = 0) -> Metamodel:
     """One of METAMODELS on a grid. ConfigError with the nearest name on a miss, or where a package is not
     installed.
     """
@@ -344,7 +349,7 @@ def caution(model: Metamodel, load: float) -> str:
 
 
 def leave_one_load_out(
-    grid: Grid,
+    grid: metamodel_kinds.Grid,
     kinds: Iterable[str] = tuple(METAMODELS),
     physical: Callable[[float], Metamodel] | None = None,
     seed: int = 0,
@@ -354,13 +359,13 @@ def leave_one_load_out(
     """
     kinds = tuple(kinds)
     rows: dict[str, list[LeftOut]] = {
-        kind: [] for kind in (*kinds, *([PhysicalFit.kind] if physical else []))
+        kind: [] for kind in (*kinds, *([metamodel_kinds.PhysicalFit.kind] if physical else []))
     }
     for load in grid.loads:
         training = grid.without(load) if len(grid.loads) > 1 else grid
         fits = {kind: partial(fit_metamodel, kind, training, seed) for kind in kinds}
         if physical is not None:
-            fits[PhysicalFit.kind] = partial(physical, load)
+            fits[metamodel_kinds.PhysicalFit.kind] = partial(physical, load)
         outside, points = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
         for kind, fitted in fits.items():
             errors, failed = np.full(8, np.nan), ""

@@ -16,24 +16,13 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.rotor.rig import Unbalance
+from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_amplitudes, perfect_but_wrong
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import column, motions
 from labpipe.methods.run_ups.metamodel_kinds import Queried
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load, scales, sources_of
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
-from labpipe.methods.run_ups.records import (
-    REJECTED,
-    START,
-    TWO_SIDED,
-    Amount,
-    Convergence,
-    Motion,
-    RunPrediction,
-    RunUp,
-    RunUpMethod,
-    StartSpread,
-)
 from labpipe.methods.run_ups.rotor import PARAMETERS, RPM, RunUpRotor, as_eight
 from labpipe.methods.run_ups.settings import RunUpSettings
 from labpipe.records.finding import Contribution, Parameter
@@ -61,7 +50,7 @@ class AtLoad:
     notes: tuple[str, ...] = ()
 
 
-def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
+def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
     """The rotor with a run's unbalance; unchanged where it is the rotor file's."""
     file_unbalance = rig.known_unbalance
     same = run.shaker is not None or (
@@ -78,20 +67,20 @@ def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
     return replace(rig, unbalances=amounts)
 
 
-def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
+def excited_as(rig: RunUpRotor, runs: Iterable[records.RunUp]) -> RunUpRotor:
     """The rotor with the unbalance of the first of *runs* that has one, where its file states none."""
     stated = [run for run in runs if run.shaker is None]
     return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])
 
 
 def predict(
-    rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True
-) -> RunPrediction:
+    rig: RunUpRotor, run: records.RunUp, solution: AtLoad | str, plane: str, curves: bool = True
+) -> records.RunPrediction:
     """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the
     run's unbalance.
     """
     if isinstance(solution, str):
-        return RunPrediction(run.name, None, None, notes=(solution,))
+        return records.RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
     stated = solution.critical if plane in ("", rig.plane_names[-1]) else None
     critical = threshold = None
@@ -107,11 +96,11 @@ def predict(
     except FitError as error:
         notes.append(f"no threshold: {error.what}")
     speed = _drawn_speeds(run, threshold, critical)
-    motion: tuple[Motion, ...] = ()
+    motion: tuple[records.Motion, ...] = ()
     if curves:
         outputs = rig.condensed(speed, run.unbalance, run.shaker).response(*solution.at_speed(speed))
         motion = motions(run.planes, outputs.reshape(speed.size, len(run.planes), 2))
-    return RunPrediction(
+    return records.RunPrediction(
         run.name,
         critical,
         threshold,
@@ -124,13 +113,15 @@ def predict(
     )
 
 
-def _amount(speed: Uncertain | float | None) -> Amount | None:
+def _amount(speed: Uncertain | float | None) -> records.Amount | None:
     if isinstance(speed, Uncertain):
-        return Amount(speed.value, speed.std_error)
-    return None if speed is None else Amount(speed)
+        return records.Amount(speed.value, speed.std_error)
+    return None if speed is None else records.Amount(speed)
 
 
-def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> FloatArray:
+def _drawn_speeds(
+    run: records.RunUp, threshold: records.Amount | None, critical: records.Amount | None
+) -> FloatArray:
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
     speed = np.linspace(
         run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1)
@@ -162,7 +153,7 @@ PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 
 
 def fit_points(
-    rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE
+    rig: RunUpRotor, runs: Iterable[records.RunUp], bound: float = BOUND, ridge: float = RIDGE
 ) -> list[PointFit]:
     """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
     ConfigError unless positive. Equation (run-points).
@@ -272,7 +263,7 @@ ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel extend
 
 # Prediction of a method for a run, on a rotor with the run's unbalance; the reason, as text, where there is
 # none.
-Predictor = Callable[[RunUpRotor, RunUp], AtLoad | str]
+Predictor = Callable[[RunUpRotor, records.RunUp], AtLoad | str]
 
 
 @dataclass(frozen=True)
@@ -282,7 +273,7 @@ class Solved:
     fits: one per load, at measured speeds only; anywhere: a fit at any load.
     """
 
-    method: RunUpMethod
+    method: records.RunUpMethod
     predictor: Predictor
     fits: tuple[SpeedwiseFit, ...] = ()
     anywhere: Queried | None = None
@@ -290,17 +281,19 @@ class Solved:
 
 def solve_start(
     rig: RunUpRotor,  # noqa: ARG001 (one signature for the table)
-    trained: Sequence[RunUp],  # noqa: ARG001
+    trained: Sequence[records.RunUp],  # noqa: ARG001
     settings: RunUpSettings,  # noqa: ARG001
 ) -> Solved:
 
-    def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
+    def at(run_rig: RunUpRotor, run: records.RunUp) -> AtLoad:
         return AtLoad(run_rig.start(run.load), as_eight(*run_rig.start_coefficients(run.load, run.speed)))
 
-    return Solved(RunUpMethod(START, "original (start)", "not fitted", predictions=(), unknowns=0), at)
+    return Solved(
+        records.RunUpMethod(records.START, "original (start)", "not fitted", predictions=(), unknowns=0), at
+    )
 
 
-def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+def solve_amplitudes(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     unbalanced = [run for run in trained if run.shaker is None]
     fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
     fit = fits[len(fits) // 2]
@@ -312,28 +305,32 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
     objective, mesh, counts = (
         column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations)
     )
-    method = RunUpMethod(
+    method = records.RunUpMethod(
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
         **_of_points(fits),
-        convergence=(Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),),
+        convergence=(
+            records.Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),
+        ),
         spreads=_spreads(rig, unbalanced, settings),
         remarks=(f"{perfect_but_wrong(fits)}.", *_cap(fits)),
     )
     return Solved(method, _points_at(fits), tuple(fits))
 
 
-def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+def solve_points(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     fits = fit_points(rig, trained, settings.bound, settings.ridge)
     remark = (
         f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not; its "
         "standard deviations include this."
     )
-    method = RunUpMethod("points", "(b) complex, point by point", **_of_points(fits), remarks=(remark,))
+    method = records.RunUpMethod(
+        "points", "(b) complex, point by point", **_of_points(fits), remarks=(remark,)
+    )
     return Solved(method, _points_at(fits), tuple(fits))
 
 
-def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+def solve_joint(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
     method = joint_method("joint", "(c) joint physical fit", fit)
     return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
@@ -341,11 +338,11 @@ def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
 
 def solve_process(
     rig: RunUpRotor,
-    trained: Sequence[RunUp],
+    trained: Sequence[records.RunUp],
     settings: RunUpSettings,  # noqa: ARG001
 ) -> Solved:
     fit = fit_with_process(rig, trained, fit_jointly(rig, trained))
-    method = RunUpMethod(
+    method = records.RunUpMethod(
         "process",
         "(d) joint fit with factors",
         unknowns=int(fit.values.size),
@@ -356,8 +353,8 @@ def solve_process(
     return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
 
 
-def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
-    return RunUpMethod(
+def joint_method(name: str, title: str, fit: JointFit) -> records.RunUpMethod:
+    return records.RunUpMethod(
         name,
         title,
         unknowns=len(PARAMETERS) - len(fit.known),
@@ -373,7 +370,7 @@ def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
 
 def _of_fit(fit: JointFit | ProcessFit) -> dict[str, Any]:
     return {
-        "verdict": REJECTED if fit.rejected else "not rejected",
+        "verdict": records.REJECTED if fit.rejected else "not rejected",
         "predictions": (),
         **{
             name: getattr(fit, name)
@@ -386,7 +383,7 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
     factor, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
     if bound or fit.rejected:
         return Parameter(name, factor.value, "1", at_bound=bound)
-    ci95 = Amount(factor.value, factor.std_error).ci95
+    ci95 = records.Amount(factor.value, factor.std_error).ci95
     return with_sources_of(fit, Parameter(name, factor.value, "1", ci95=ci95), factor.std_error)
 
 
@@ -414,8 +411,8 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
         std_error_inflated=combined,
         systematic=systematic,
         combined=combined,
-        expanded=TWO_SIDED * combined,
-        coverage_factor=TWO_SIDED,
+        expanded=records.TWO_SIDED * combined,
+        coverage_factor=records.TWO_SIDED,
         budget=parts,
     )
 
@@ -423,7 +420,7 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
 def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
     """Predictions at any load, without errors for a fit that chi-square rejects."""
 
-    def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
+    def at(run_rig: RunUpRotor, run: records.RunUp) -> AtLoad:
         run_fit = replace(fit, rig=run_rig)
         eight, error = fit.coefficients(run.load, run.speed)
         caution = fit.caution(run.load)
@@ -443,7 +440,7 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
 
 
 def _points_at(fits: PointFits) -> Predictor:
-    def at(_rig: RunUpRotor, run: RunUp) -> AtLoad | str:
+    def at(_rig: RunUpRotor, run: records.RunUp) -> AtLoad | str:
         load_fit = next((fit for fit in fits if abs(fit.load / run.load - 1) < SAME_LOAD), None)
         if load_fit is None:
             return ELSEWHERE
@@ -484,7 +481,9 @@ def _cap(fits: Sequence[AmplitudeFit]) -> list[str]:
     ]
 
 
-def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:
+def _spreads(
+    rig: RunUpRotor, runs: Sequence[records.RunUp], settings: RunUpSettings
+) -> tuple[records.StartSpread, ...]:
     if settings.starts < 2:
         return ()
     loads = sorted({run.load for run in runs})
@@ -504,5 +503,5 @@ def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) ->
         # The relative misfit of the amplitudes, because the sum of squares has no scale.
         misfit = np.sqrt(fit.objectives[:, point] / fit.measured[point])
         factors = tuple(column(row) for row in fit.factors[:, point])
-        spreads.append(StartSpread(place, factors, column(misfit)))
+        spreads.append(records.StartSpread(place, factors, column(misfit)))
     return tuple(spreads)

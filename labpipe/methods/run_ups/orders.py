@@ -25,19 +25,7 @@ from labpipe.project.rig_file import load_rig
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Setting, parse_phasor, to_band
-from labpipe.report.chart import (
-    PALETTE_SIZE,
-    WIDTH,
-    Axis,
-    Chart,
-    Panel,
-    Series,
-    curve,
-    dots,
-    level,
-    stack,
-    upright,
-)
+from labpipe.report import chart
 from labpipe.report.document import Figure
 from labpipe.report.figures import PHASE, phase_degrees
 from labpipe.spectra.orders import OrderTrack, plane_track, track_order
@@ -60,74 +48,82 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
     across, along = _across(track)
     unit, factor = _unit(quantity)
     phases = [
-        dots(port.label, across, phase_degrees(track.amplitude[:, n]), n % PALETTE_SIZE, size=1.5)
+        chart.dots(port.label, across, phase_degrees(track.amplitude[:, n]), n % chart.PALETTE_SIZE, size=1.5)
         for n, port in enumerate(track.ports)
     ]
     amplitudes = _amplitudes(track, across, factor)
     for n, port in enumerate(track.ports):
         whole = factor * track.overall[:, n]
         amplitudes.append(
-            curve(f"{port.label}, whole motion", across, whole, n % PALETTE_SIZE, "--", width=0.8)
+            chart.curve(f"{port.label}, whole motion", across, whole, n % chart.PALETTE_SIZE, "--", width=0.8)
         )
     panels = [
-        Panel(along, _amplitude_axis("amplitude", unit, amplitudes), tuple(amplitudes)),
-        Panel(along, PHASE, tuple(phases)),
+        chart.Panel(along, _amplitude_axis("amplitude", unit, amplitudes), tuple(amplitudes)),
+        chart.Panel(along, PHASE, tuple(phases)),
     ]
     for plane in circles:
         radii = _amplitudes(plane, across, factor)
-        panels.append(Panel(along, _amplitude_axis("circles", unit, radii), tuple(radii)))
+        panels.append(chart.Panel(along, _amplitude_axis("circles", unit, radii), tuple(radii)))
     meaning = "shaded: two standard deviations; dashed: half of the whole motion's peak-to-peak value"
     caption = f"{name}: order {track.order:g}, 0-to-peak, and phase against the tacho; {meaning}."
     return Figure(
-        stack(panels, 2.2 * len(panels)), caption, f"Amplitude and phase of order {track.order:g} of {name}"
+        chart.stack(panels, 2.2 * len(panels)),
+        caption,
+        f"Amplitude and phase of order {track.order:g} of {name}",
     )
 
 
-def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Series]:
+def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[chart.Series]:
     series = []
     for number, port in enumerate(track.ports):
         size = factor * np.abs(track.amplitude[:, number])
         spread = 2 * factor * np.sqrt(track.variance[:, number] / 2)
-        band, colour = (np.maximum(size - spread, 0), size + spread), number % PALETTE_SIZE
-        series.append(curve(port.label, across, size, colour, marker=".", size=1.5, band=band, opacity=0.2))
+        band, colour = (np.maximum(size - spread, 0), size + spread), number % chart.PALETTE_SIZE
+        series.append(
+            chart.curve(port.label, across, size, colour, marker=".", size=1.5, band=band, opacity=0.2)
+        )
     return series
 
 
-def _amplitude_axis(title: str, unit: str, series: Sequence[Series]) -> Axis:
-    return Axis(title, unit, low=0.0, high=LEGEND_ROOM * _largest(series))
+def _amplitude_axis(title: str, unit: str, series: Sequence[chart.Series]) -> chart.Axis:
+    return chart.Axis(title, unit, low=0.0, high=LEGEND_ROOM * _largest(series))
 
 
-def _largest(series: Sequence[Series]) -> float:
+def _largest(series: Sequence[chart.Series]) -> float:
     parts = [part for entry in series for part in (entry.y, entry.high) if part is not None]
     return float(np.nanmax(np.concatenate(parts)))
 
 
-def _across(track: OrderTrack) -> tuple[FloatArray, Axis]:
+def _across(track: OrderTrack) -> tuple[FloatArray, chart.Axis]:
     turning = bool(np.ptp(track.speed) > STEADY * np.max(track.speed))
-    return (60 * track.speed, Axis("speed", "rpm")) if turning else (track.time, Axis("time", "s"))
+    return (
+        (60 * track.speed, chart.Axis("speed", "rpm")) if turning else (track.time, chart.Axis("time", "s"))
+    )
 
 
 def gap_figure(
     name: str, track: OrderTrack, circles: Sequence[OrderTrack], gap: float, limit: float
 ) -> Figure:
     across, along = _across(track)
-    series: list[Series] = []
+    series: list[chart.Series] = []
     for number, circle in enumerate(circles):
         (plane,) = circle.planes
-        label, colour = plane.name or "orbit", number % PALETTE_SIZE
+        label, colour = plane.name or "orbit", number % chart.PALETTE_SIZE
         half_axis = np.abs(circle.amplitude).sum(axis=1)
         share = 100 * circle.orbit[:, 0] / gap
-        series.append(curve(f"{label}, whole motion", across, share, colour, width=1.2))
-        series.append(curve(f"{label}, order {track.order:g}", across, 100 * half_axis / gap, colour, "--"))
-    bound = level(100 * limit, name=f"{100 * limit:g} % of the gap")
-    panel = Panel(
-        along, Axis("orbit / gap", "%", 0.0, LIMIT_ROOM * _largest([*series, bound])), (*series, bound)
+        series.append(chart.curve(f"{label}, whole motion", across, share, colour, width=1.2))
+        series.append(
+            chart.curve(f"{label}, order {track.order:g}", across, 100 * half_axis / gap, colour, "--")
+        )
+    bound = chart.level(100 * limit, name=f"{100 * limit:g} % of the gap")
+    panel = chart.Panel(
+        along, chart.Axis("orbit / gap", "%", 0.0, LIMIT_ROOM * _largest([*series, bound])), (*series, bound)
     )
     caption = (
         f"{name}: largest distance of the shaft from the middle of its orbit, against the gap of "
         f"{to_display(gap, 'um'):g} um."
     )
-    return Figure(stack([panel], 3.2), caption, f"Orbit size of {name} against the gap")
+    return Figure(chart.stack([panel], 3.2), caption, f"Orbit size of {name} against the gap")
 
 
 def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure:
@@ -139,51 +135,55 @@ def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure
     rows = -(-chosen.size // columns)
     (plane,) = circles.planes
     where = f" at {plane.name}" if plane.name else ""
-    chart = Chart(panels, rows, columns, (WIDTH, 2.0 * rows + 0.4), "xy", "none")
+    graphic = chart.Chart(panels, rows, columns, (chart.WIDTH, 2.0 * rows + 0.4), "xy", "none")
     return Figure(
-        chart,
+        graphic,
         f"{name}: orbits of order {circles.order:g}{where}; the dot marks the tacho's pulse.",
         f"Orbits of {name}{where}",
     )
 
 
-def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> Panel:
+def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> chart.Panel:
     """One orbit: x = Re (f + b) e, y = Re (-j f + j b) e, as one complex number f e + conj(b e)."""
     forward, backward = circles.amplitude[row]
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 181))
     path = factor * (forward * turn + np.conj(backward * turn))
     series = (
-        curve("orbit", path.real, path.imag),
-        dots("pulse", path.real[:1], path.imag[:1], 1, marker="o"),
+        chart.curve("orbit", path.real, path.imag),
+        chart.dots("pulse", path.real[:1], path.imag[:1], 1, marker="o"),
     )
-    return Panel(Axis("x", unit), Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True)
+    return chart.Panel(
+        chart.Axis("x", unit), chart.Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True
+    )
 
 
 def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
     """Amplitudes without the slow roll over speed, critical speeds with their intervals, operating speeds."""
     unit, factor = _unit(quantity)
-    series: list[Series] = []
+    series: list[chart.Series] = []
     for number, label in enumerate(verdict.probes):
         low, high = factor * verdict.ends[:, :, number]
-        size, colour = factor * verdict.curve[:, number], number % PALETTE_SIZE
-        series.append(curve(label, 60 * verdict.fine, size, colour, band=(low, high), opacity=0.2))
+        size, colour = factor * verdict.curve[:, number], number % chart.PALETTE_SIZE
+        series.append(chart.curve(label, 60 * verdict.fine, size, colour, band=(low, high), opacity=0.2))
     axis = _amplitude_axis("amplitude", unit, series)
     for peak in verdict.peaks:
-        colour, top = verdict.probes.index(peak.probe) % PALETTE_SIZE, factor * peak.amplitude.value
+        colour, top = verdict.probes.index(peak.probe) % chart.PALETTE_SIZE, factor * peak.amplitude.value
         ends = 60 * np.array([peak.speed.low, peak.speed.high])
         bars = [factor * peak.amplitude.low], [factor * peak.amplitude.high]
-        series.append(curve("", ends, [top, top], colour, width=2.0))
-        series.append(dots("", [60 * peak.speed.value], [top], colour, marker="o", bars=bars))
+        series.append(chart.curve("", ends, [top, top], colour, width=2.0))
+        series.append(chart.dots("", [60 * peak.speed.value], [top], colour, marker="o", bars=bars))
     shade = ""
     if verdict.speed_range is not None:
-        series += [upright(60 * end, line="--") for end in verdict.speed_range]
+        series += [chart.upright(60 * end, line="--") for end in verdict.speed_range]
         shade = " Between the dashed lines: operating speeds."
     caption = (
         f"{name}: amplitude, 0-to-peak, {'with' if verdict.slow_roll is None else 'without'} its slow roll, "
         f"and critical speeds; shaded and bars: 95 % intervals.{shade}"
     )
-    panel = Panel(Axis("speed", "rpm"), axis, tuple(series))
-    return Figure(stack([panel], 3.2), caption, f"Amplitude of {name} over speed with its critical speeds")
+    panel = chart.Panel(chart.Axis("speed", "rpm"), axis, tuple(series))
+    return Figure(
+        chart.stack([panel], 3.2), caption, f"Amplitude of {name} over speed with its critical speeds"
+    )
 
 
 Column = tuple[str, FloatArray]

@@ -30,6 +30,7 @@ from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import Problem
+from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.joint import (
     JointFit,
     RunUpFit,
@@ -40,16 +41,6 @@ from labpipe.methods.run_ups.joint import (
 )
 from labpipe.methods.run_ups.misfit import LoadRuns, displacement_slopes, runs_by_load
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import (
-    PARAMETERS,
-    PRIOR,
-    RPM,
-    FilmFamily,
-    RunUpRotor,
-    as_matrices,
-    largest_displacement,
-    searched_over,
-)
 from labpipe.records.uncertain import Uncertain
 
 # Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
@@ -112,24 +103,26 @@ class ProcessFamily:
     by row.
     """
 
-    family: FilmFamily
+    family: rotor.FilmFamily
     field: SmoothField
 
     def factors(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """exp(g), (n_point, 8) [-]."""
         basis = self.field.basis(places_of(load, speed))
-        return np.asarray(np.exp(basis @ values[len(PARAMETERS) :].reshape(8, -1).T))
+        return np.asarray(np.exp(basis @ values[len(rotor.PARAMETERS) :].reshape(8, -1).T))
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
-        eight = self.family.coefficients(values[: len(PARAMETERS)], load, speed)
+        eight = self.family.coefficients(values[: len(rotor.PARAMETERS)], load, speed)
         return eight * self.factors(values, load, speed)
 
     def coefficients_and_slopes(
         self, values: FloatArray, load: FloatArray, speed: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """`coefficients` [N/m, N s/m] and their derivatives by all parameters, (n_point, 8, n_parameter)."""
-        film_eight, by_family = self.family.coefficients_and_slopes(values[: len(PARAMETERS)], load, speed)
+        film_eight, by_family = self.family.coefficients_and_slopes(
+            values[: len(rotor.PARAMETERS)], load, speed
+        )
         factors = self.factors(values, load, speed)
         eight = film_eight * factors
         by_field = np.einsum("pi,ij,pm->pijm", eight, np.eye(8), self.field.basis(places_of(load, speed)))
@@ -139,7 +132,7 @@ class ProcessFamily:
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
         """K [N/m] and C [N s/m], (n_speed, 2, 2), as a function of speed [rad/s]."""
-        return lambda speed: as_matrices(self.coefficients(values, load, speed))
+        return lambda speed: rotor.as_matrices(self.coefficients(values, load, speed))
 
 
 def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -169,8 +162,9 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         kernel = self.kernel
         return (
             f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, correlated over "
-            f"{kernel.load:.2g} N and {kernel.speed / RPM:.0f} rpm, on the joint fit; of {self.values.size} "
-            f"parameters the data determine {self.n_determined} combinations better than these assumptions do"
+            f"{kernel.load:.2g} N and {kernel.speed / rotor.RPM:.0f} rpm, on the joint fit; of "
+            f"{self.values.size} parameters the data determine "
+            f"{self.n_determined} combinations better than these assumptions do"
         )
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -194,9 +188,9 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         number = self.rig.plane_names.index(plane) if plane else -1
         eight = self.model.coefficients(self.values, load, around)
         response, slopes = self.rig.condensed(around, self.rig.known_unbalance).response_and_slopes(
-            *as_matrices(eight)
+            *rotor.as_matrices(eight)
         )
-        size = largest_displacement(response.reshape(3, -1, 2))[:, number]
+        size = rotor.largest_displacement(response.reshape(3, -1, 2))[:, number]
         bend = (size[0] - 2 * size[1] + size[2]) / step**2
         sides = np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
         by_eight = displacement_slopes(response, slopes)[:, number] * sides
@@ -249,13 +243,13 @@ SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 
 
 def fit_with_process(
-    rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True
+    rig: rotor.RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True
 ) -> ProcessFit:
     """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the
     rotor file's bearing. FitError when no minimum is found.
     """
     runs = list(runs)
-    rig = searched_over(rig, runs)
+    rig = rotor.searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     measured = [places_of(group.load, group.speed) for group in groups]
@@ -268,11 +262,11 @@ def fit_with_process(
 
     def problem_of(kernel: SquaredExponential) -> Problem[ProcessFamily]:
         field = SmoothField.of(kernel, places)
-        spread = np.concatenate([PRIOR, np.ones(8 * field.n_mode)])
+        spread = np.concatenate([rotor.PRIOR, np.ones(8 * field.n_mode)])
         return run_up_problem(ProcessFamily(family, field), groups, thresholds, spread)
 
     problem = problem_of(_kernel(np.log([median for median, _ in HYPER]), ranges))
-    first = np.zeros(len(PARAMETERS)) if joint is None else joint.values
+    first = np.zeros(len(rotor.PARAMETERS)) if joint is None else joint.values
     values, steps = _minimum(problem, np.concatenate([first, np.zeros(8 * problem.model.field.n_mode)]))
     for _ in range(ROUNDS):
         linear = LinearData.at(problem, values, places)
@@ -299,7 +293,7 @@ def _minimum(problem: Problem[ProcessFamily], start: FloatArray) -> tuple[FloatA
 
 def _carry(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
     """The same fields in another basis, by least squares at the places of the data."""
-    n = len(PARAMETERS)
+    n = len(rotor.PARAMETERS)
     field = old.basis(old.places) @ values[n:].reshape(8, -1).T
     basis = new.basis(new.places)
     z = np.linalg.solve(basis.T @ basis + 1e-6 * new.kernel.size**2 * np.eye(new.n_mode), basis.T @ field)
@@ -323,7 +317,7 @@ class LinearData:
         """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s]
         of the data.
         """
-        n = len(PARAMETERS)
+        n = len(rotor.PARAMETERS)
         eight, slopes = problem.model.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
         now = np.log(problem.model.factors(values, places[:, 0], places[:, 1])) + by_family @ values[:n]
@@ -339,9 +333,9 @@ class LinearData:
         = 1 + B^T A^T A B.
         """
         basis = field.basis(field.places)
-        scaled = self.by_family * PRIOR
+        scaled = self.by_family * rotor.PRIOR
         corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)
-        beside = np.einsum("pia,pij,pm->ajm", scaled, self.normal, basis).reshape(len(PARAMETERS), -1)
+        beside = np.einsum("pia,pij,pm->ajm", scaled, self.normal, basis).reshape(len(rotor.PARAMETERS), -1)
         weighted = np.einsum("pij,pm->ijpm", self.normal, basis).reshape(64, basis.shape[0], -1)
         block = (
             (weighted.swapaxes(1, 2) @ basis).reshape(8, 8, field.n_mode, field.n_mode).transpose(0, 2, 1, 3)
@@ -370,7 +364,7 @@ def _rows_by_place(
         threshold, by_parameter = test.residual(problem.model, values)
         # A slope by z is the slope by ln coefficients times b.
         place = field.basis(field.places[[first]])[0]
-        by_z = by_parameter()[0, len(PARAMETERS) :].reshape(8, field.n_mode)
+        by_z = by_parameter()[0, len(rotor.PARAMETERS) :].reshape(8, field.n_mode)
         rows.append((threshold, (by_z @ place / (place @ place))[None]))
         first += 1
     return rows

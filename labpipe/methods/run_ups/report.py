@@ -8,18 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.display import with_error, written
-from labpipe.methods.run_ups import figures
-from labpipe.methods.run_ups.records import (
-    HELD_OUT,
-    REJECTED,
-    TWO_SIDED,
-    Amount,
-    MeasuredRun,
-    MetamodelResult,
-    RunPrediction,
-    RunUpMethod,
-    RunUpResult,
-)
+from labpipe.methods.run_ups import figures, records
 from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.records.identification import Identification
 from labpipe.report.document import Block, Paragraph, Section, Table
@@ -45,7 +34,7 @@ ADVICE_WORDS = (
 MOST_SPEEDS = 7
 
 
-def rpm_text(amount: Amount | None) -> str:
+def rpm_text(amount: records.Amount | None) -> str:
     if amount is None or not math.isfinite(amount.value):
         return "none"
     if amount.std_error is None:
@@ -53,7 +42,7 @@ def rpm_text(amount: Amount | None) -> str:
     return with_error(figures.RPM * amount.value, figures.RPM * amount.std_error)
 
 
-def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
+def _measured_row(run: records.MeasuredRun) -> tuple[str, ...]:
     speeds = f"{len(run.speed)} from {figures.RPM * run.speed[0]:.0f} to {figures.RPM * run.speed[-1]:.0f}"
     excitation = run.excitation + (f"; '{run.subtracted}' subtracted" if run.subtracted else "")
     return (
@@ -67,7 +56,7 @@ def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
     )
 
 
-def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
+def speed_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
     """Critical speeds and thresholds of every method with the measurement, then values printed in a
     source.
     """
@@ -87,13 +76,13 @@ def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _speed_table(
-    result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()
+    result: records.RunUpResult, item: str, caption: str, models: Sequence[records.MetamodelResult] = ()
 ) -> Table:
-    columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
+    columns: Sequence[records.RunUpMethod | records.MetamodelResult] = models or result.methods
     header = ("run", "measured", *(_heading(column) for column in columns))
     rows = []
     for run in _runs_with(result, item):
-        measured: Amount | None = getattr(run, item)
+        measured: records.Amount | None = getattr(run, item)
         cells = (_speed_text(column.prediction(run.name), item, measured) for column in columns)
         text = "none" if measured is None else f"{rpm_text(measured)} rpm".replace("± ", f"±{FIXED}")
         rows.append((_run_name(run), text, *cells))
@@ -101,13 +90,17 @@ def _speed_table(
     return Table(header, tuple(rows), caption)
 
 
-def _heading(column: RunUpMethod | MetamodelResult) -> str:
+def _heading(column: records.RunUpMethod | records.MetamodelResult) -> str:
     name = SHORT.get(column.name, column.name)
-    return f"{name}, {REJECTED}" if isinstance(column, RunUpMethod) and column.verdict == REJECTED else name
+    return (
+        f"{name}, {records.REJECTED}"
+        if isinstance(column, records.RunUpMethod) and column.verdict == records.REJECTED
+        else name
+    )
 
 
-def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
-    selected: list[MeasuredRun] = []
+def _runs_with(result: records.RunUpResult, item: str) -> list[records.MeasuredRun]:
+    selected: list[records.MeasuredRun] = []
     for run in result.runs:
         predictions = [method.prediction(run.name) for method in result.methods]
         predicted = any(
@@ -119,13 +112,15 @@ def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
     return selected
 
 
-def _run_name(run: MeasuredRun) -> str:
-    role = f", {HELD_OUT}" if run.role == HELD_OUT and HELD_OUT not in run.name else ""
+def _run_name(run: records.MeasuredRun) -> str:
+    role = (
+        f", {records.HELD_OUT}" if run.role == records.HELD_OUT and records.HELD_OUT not in run.name else ""
+    )
     return f"{run.name}, {run.load:.4g} N{role}".replace(" N", f"{FIXED}N")
 
 
-def _speed_text(prediction: RunPrediction | None, item: str, measured: Amount | None) -> str:
-    amount: Amount | None = None if prediction is None else getattr(prediction, item)
+def _speed_text(prediction: records.RunPrediction | None, item: str, measured: records.Amount | None) -> str:
+    amount: records.Amount | None = None if prediction is None else getattr(prediction, item)
     if amount is None:
         return "none"
     text = rpm_text(amount)
@@ -136,11 +131,11 @@ def _speed_text(prediction: RunPrediction | None, item: str, measured: Amount | 
     return f"{value}: {relative.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
 
 
-def _mark(amount: Amount, measured: Amount) -> str:
+def _mark(amount: records.Amount, measured: records.Amount) -> str:
     if amount.std_error is None or measured.std_error is None:
         return ""
     error = math.hypot(amount.std_error, measured.std_error)
-    return "*" if abs(amount.value - measured.value) > TWO_SIDED * error else ""
+    return "*" if abs(amount.value - measured.value) > records.TWO_SIDED * error else ""
 
 
 def both_differences(predicted: float, measured: float) -> str:
@@ -152,7 +147,7 @@ def both_differences(predicted: float, measured: float) -> str:
     return f"{100 * relative:+.2f} % ({100 * rule:.2f} %)"
 
 
-def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
+def _printed_table(result: records.RunUpResult, item: str, title: str) -> list[Block]:
     rows = []
     for run in result.runs:
         printed = getattr(run, f"printed_{item}")
@@ -170,7 +165,7 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
     return [Table(header, tuple(rows), caption, (1, 2, 3))]
 
 
-def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
+def uncertainty_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
     fitted = [method for method in result.methods if method.rank is not None]
     header = (
         "method",
@@ -197,7 +192,7 @@ def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
+def _uncertainty_row(method: records.RunUpMethod) -> tuple[str, ...]:
     p = method.chi2_p
     p_text = "p unknown" if p is None else "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"
     return (
@@ -212,7 +207,7 @@ def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
     )
 
 
-def _rank_blocks(result: RunUpResult) -> list[Block]:
+def _rank_blocks(result: records.RunUpResult) -> list[Block]:
     if not result.ranks:
         return []
     place = f"{result.rank_load:.3g} N and {figures.RPM * result.rank_speed:.0f} rpm"
@@ -235,7 +230,7 @@ def _rank_blocks(result: RunUpResult) -> list[Block]:
     return blocks
 
 
-def parameter_table(method: RunUpMethod) -> Table:
+def parameter_table(method: records.RunUpMethod) -> Table:
     rows = []
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
@@ -250,7 +245,7 @@ def parameter_table(method: RunUpMethod) -> Table:
     )
 
 
-def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
+def coefficient_table(method: records.RunUpMethod, run: records.MeasuredRun) -> Table | None:
     prediction = method.prediction(run.name)
     if prediction is None or not prediction.coefficients:
         return None
@@ -268,7 +263,7 @@ def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
     return Table(("speed [rpm]", *units), rows, caption, tuple(range(9)))
 
 
-def _eight(prediction: RunPrediction, place: int) -> list[str]:
+def _eight(prediction: records.RunPrediction, place: int) -> list[str]:
     cells = []
     for number, value in enumerate(prediction.coefficients[place]):
         scale, _ = figures.scale(COEFFICIENTS[number])
@@ -282,7 +277,7 @@ def _eight(prediction: RunPrediction, place: int) -> list[str]:
     return cells
 
 
-def validation_table(models: Sequence[MetamodelResult]) -> Table:
+def validation_table(models: Sequence[records.MetamodelResult]) -> Table:
     loads = dict.fromkeys(validation.load for model in models for validation in model.left_out)
     rows = []
     for model in models:
@@ -311,14 +306,14 @@ FRAME = (
 )
 
 
-def cover_facts(result: RunUpResult) -> dict[str, str]:
+def cover_facts(result: records.RunUpResult) -> dict[str, str]:
     return {
         "rig": result.rotor,
         "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for run in result.runs),
     }
 
 
-def run_up_sections(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
+def run_up_sections(result: records.RunUpResult, _identification: Identification) -> tuple[Section, ...]:
     searches: list[Block] = []
     for method in result.methods:
         searches += [figures.convergence_figure(method, search) for search in method.convergence]
@@ -336,7 +331,7 @@ def run_up_sections(result: RunUpResult, _identification: Identification) -> tup
     )
 
 
-def _measured_blocks(result: RunUpResult) -> tuple[Block, ...]:
+def _measured_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
     method = figures.best_method(result)
     description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [figures.cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
@@ -363,9 +358,9 @@ def _measured_blocks(result: RunUpResult) -> tuple[Block, ...]:
     )
 
 
-def _cautions(result: RunUpResult) -> tuple[Block, ...]:
+def _cautions(result: records.RunUpResult) -> tuple[Block, ...]:
     notes = _notes(result.methods)
-    held_out = {run.name for run in result.runs if run.role == HELD_OUT}
+    held_out = {run.name for run in result.runs if run.role == records.HELD_OUT}
     return tuple(
         Paragraph(
             f"{text} ({', '.join(runs)}).",
@@ -375,7 +370,7 @@ def _cautions(result: RunUpResult) -> tuple[Block, ...]:
     )
 
 
-def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[str]]:
+def _notes(owners: Sequence[records.RunUpMethod | records.MetamodelResult]) -> dict[str, list[str]]:
     notes: dict[str, list[str]] = {}
     for owner in owners:
         for prediction in owner.predictions:
@@ -384,7 +379,7 @@ def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[st
     return notes
 
 
-def _coefficients(result: RunUpResult) -> tuple[Block, ...]:
+def _coefficients(result: records.RunUpResult) -> tuple[Block, ...]:
     method = figures.best_method(result)
     blocks: list[Block] = [] if method is None or not method.parameters else [parameter_table(method)]
     for run in result.runs:
@@ -394,7 +389,7 @@ def _coefficients(result: RunUpResult) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _metamodels(result: RunUpResult) -> tuple[Block, ...]:
+def _metamodels(result: records.RunUpResult) -> tuple[Block, ...]:
     basis = (
         f"Fitted to the coefficients of {result.metamodels_of} at the trained loads; the physical fit is "
         "(c). A metamodel is no better than these: a small leave-one-out error means that the coefficients "

@@ -12,6 +12,7 @@ import numpy as np
 
 from labpipe.errors import LabpipeError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
+from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
 from labpipe.methods.run_ups.joint import JointFit
 from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
@@ -28,20 +29,6 @@ from labpipe.methods.run_ups.methods import (
     with_unbalance_of,
 )
 from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
-from labpipe.methods.run_ups.records import (
-    HELD_OUT,
-    REJECTED,
-    START,
-    TRAINED,
-    Amount,
-    MeasuredRun,
-    MetamodelResult,
-    RunPrediction,
-    RunUp,
-    RunUpMethod,
-    RunUpResult,
-    Surface,
-)
 from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, carried_beyond, searched_over
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
@@ -61,10 +48,10 @@ SURFACE_LOADS, SURFACE_SPEEDS = 11, 15
 def metamodels(
     settings: RunUpSettings,
     rig: RunUpRotor,
-    trained: Sequence[RunUp],
-    runs: Sequence[RunUp],
+    trained: Sequence[records.RunUp],
+    runs: Sequence[records.RunUp],
     solved: Sequence[Solved],
-) -> tuple[MetamodelResult, ...]:
+) -> tuple[records.MetamodelResult, ...]:
     """Metamodels of the section in its order; LabpipeError names the metamodel that cannot be fitted."""
     if not settings.metamodels:
         return ()
@@ -79,7 +66,7 @@ def metamodels(
         kind, title = KINDS[name]
         model = _fit(name, grid, joint, settings.seed)
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
-        rejected = source.verdict == REJECTED
+        rejected = source.verdict == records.REJECTED
         uncertainty = (f"of a fit that chi-square rejects, {source.title}",) if rejected else ()
         predictions = tuple(_prediction(model, rig, run, settings.plane, uncertainty) for run in runs)
         loads = [run.load for run in runs]
@@ -87,10 +74,10 @@ def metamodels(
         speed = np.linspace(*model.extent.speeds, SURFACE_SPEEDS)
         values = np.stack([model.predict(one_load, speed) for one_load in load])
         results.append(
-            MetamodelResult(
+            records.MetamodelResult(
                 name,
                 title,
-                Surface(
+                records.Surface(
                     column(load),
                     column(speed),
                     tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)),
@@ -104,7 +91,7 @@ def metamodels(
     return tuple(results)
 
 
-def _grid(method: Solved, trained: Sequence[RunUp]) -> Grid:
+def _grid(method: Solved, trained: Sequence[records.RunUp]) -> Grid:
     if method.anywhere is None:
         return Grid.of(method.fits)
     longest = max(trained, key=lambda run: run.n_speed)
@@ -123,8 +110,8 @@ def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
 
 
 def _prediction(
-    model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, uncertainty: tuple[str, ...]
-) -> RunPrediction:
+    model: Metamodel, rig: RunUpRotor, run: records.RunUp, plane: str, uncertainty: tuple[str, ...]
+) -> records.RunPrediction:
     run_rig = with_unbalance_of(rig, run)
     remark = caution(model, run.load)
     beyond = "" if isinstance(model, PhysicalFit) else BEYOND
@@ -140,14 +127,14 @@ Tell = Callable[[str], None]
 
 def run_up_result(
     settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadRun], tell: Tell = lambda _: None
-) -> RunUpResult:
+) -> records.RunUpResult:
     """All methods of the settings, fitted to the trained runs and compared on every run."""
     measured = [measured_run(item, settings.plane) for item in read]
     runs = [item.run for item in read]
     rig = excited_as(searched_over(rig, runs), runs)
-    trained = [item.run for item in read if item.settings.role == TRAINED]
+    trained = [item.run for item in read if item.settings.role == records.TRAINED]
     solved = []
-    for name in [START, *(name for name in METHODS if name in settings.methods)]:
+    for name in [records.START, *(name for name in METHODS if name in settings.methods)]:
         tell(f"run-ups   {name}")
         solved.append(_solve(name, rig, trained, settings))
     methods = []
@@ -161,7 +148,7 @@ def run_up_result(
     load = loads[len(loads) // 2]
     load_runs = [run for run in trained if run.load == load]
     speed = float(load_runs[0].speed[load_runs[0].n_speed // 2])
-    result = RunUpResult(
+    result = records.RunUpResult(
         rig.name,
         settings.plane or rig.plane_names[-1],
         _bearing_text(rig),
@@ -178,9 +165,9 @@ def run_up_result(
     return _with_findings(result, [reason for _, reason in measured if reason], read)
 
 
-def _solve(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+def _solve(name: str, rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     try:
-        solve = solve_start if name == START else METHODS[name]
+        solve = solve_start if name == records.START else METHODS[name]
         return solve(rig, trained, settings)
     except LabpipeError as error:
         error.where = error.where or f"run_ups, method {name}"
@@ -188,8 +175,8 @@ def _solve(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUp
 
 
 def prediction(
-    predictor: Predictor, rig: RunUpRotor, run: RunUp, plane: str, curves: bool = True
-) -> RunPrediction:
+    predictor: Predictor, rig: RunUpRotor, run: records.RunUp, plane: str, curves: bool = True
+) -> records.RunPrediction:
     run_rig = with_unbalance_of(rig, run)
     return predict(run_rig, run, predictor(run_rig, run), plane, curves)
 
@@ -205,7 +192,9 @@ def _bearing_text(rig: RunUpRotor) -> str:
     return f"journal bearing '{rig.place.name}': {size}, viscosity {bearing.viscosity:.4g} Pa s"
 
 
-def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]) -> RunUpResult:
+def _with_findings(
+    result: records.RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]
+) -> records.RunUpResult:
     findings = [
         *(finding for method in result.methods for finding in _uncertainties(method, result.runs)),
         *(note("no-critical-speed", reason) for reason in reasons),
@@ -219,7 +208,7 @@ def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[R
     return replace(result, findings=tuple(findings))
 
 
-def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
+def _uncertainties(method: records.RunUpMethod, runs: Sequence[records.MeasuredRun]) -> list[Finding]:
     findings = []
     if method.verdict == "not determined":
         message = (
@@ -245,12 +234,12 @@ def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Fin
     jointly = method.verdict in ("rejected", "not rejected")
     for run in runs if jointly else ():
         notes = getattr(method.prediction(run.name), "notes", ())
-        if run.role == HELD_OUT and notes:
+        if run.role == records.HELD_OUT and notes:
             findings.append(Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(notes)}."))
     return findings
 
 
-def _advice(result: RunUpResult) -> list[Finding]:
+def _advice(result: records.RunUpResult) -> list[Finding]:
     if result.measured_rank is None or result.measured_rank.rank == 8:
         return []
     place = f"under {result.rank_load:.3g} N at {result.rank_speed / RPM:.0f} rpm"
@@ -262,7 +251,7 @@ def _advice(result: RunUpResult) -> list[Finding]:
 MEASURED = "run_ups.measured"
 
 
-def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParameter]:
+def listed_speeds_and_parameters(result: records.RunUpResult) -> Iterator[ListedParameter]:
     """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and
     predicted.
     """
@@ -278,10 +267,10 @@ def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParamete
 
 
 def _speeds(
-    fit: str, run: str, owner: MeasuredRun | RunPrediction, codes: tuple[str, ...]
+    fit: str, run: str, owner: records.MeasuredRun | records.RunPrediction, codes: tuple[str, ...]
 ) -> Iterator[ListedParameter]:
     for name in ("critical_speed", "threshold"):
-        speed: Amount | None = getattr(owner, name)
+        speed: records.Amount | None = getattr(owner, name)
         if speed is not None:
             parameter = Parameter(
                 name, speed.value, "rad/s", std_error=speed.std_error, ci95=speed.ci95, derived=True

@@ -13,19 +13,8 @@ import numpy as np
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
+from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.measured import ReadRun, at_speeds, column, difference, run_up_of
-from labpipe.methods.run_ups.records import (
-    REJECTED,
-    Amount,
-    Cascade,
-    MeasuredRun,
-    MetamodelResult,
-    RunPrediction,
-    RunUp,
-    RunUpMethod,
-    RunUpResult,
-    findings,
-)
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
 from labpipe.methods.run_ups.result import Tell, listed_speeds_and_parameters, run_up_result
 from labpipe.methods.run_ups.rotor import RunUpRotor
@@ -83,7 +72,7 @@ def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
     return ReadRun(settings, run)
 
 
-def _statement(settings: RunSettings, run: RunUp) -> RunUp:
+def _statement(settings: RunSettings, run: records.RunUp) -> records.RunUp:
     threshold = run.threshold
     if settings.threshold is not None:
         threshold = Uncertain(2 * np.pi * settings.threshold.value, 2 * np.pi * settings.threshold.std_error)
@@ -120,7 +109,7 @@ def _open(path: Path, settings: RunSettings, output: OutputFolder, folder: Path)
 
 def _track(
     recording: StoredRecording, lines: ShaftLines, settings: RunSettings, unbalance: dict[str, complex]
-) -> RunUp:
+) -> records.RunUp:
     track = track_order(recording, lines, revolutions=settings.revolutions)
     assert settings.load is not None
     run = run_up_of(track, settings.name, settings.load, unbalance)
@@ -130,7 +119,7 @@ def _track(
     return replace(run, uncertainties=(*run.uncertainties, *of_keyphasor))
 
 
-def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, ...]:
+def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[records.Cascade, ...]:
     """Cascade of every response; groups of lines are reduced to their maximum, so that no peak is lost."""
     spectra = cascade_spectra(recording, lines)
     group = -(-spectra.frequency.size // MOST_LINES)
@@ -143,18 +132,18 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
     )
     places = column(spectra.speed), column(frequency)
     return tuple(
-        Cascade(label, *places, tuple(column(row) for row in thinned[:, :, number]))
+        records.Cascade(label, *places, tuple(column(row) for row in thinned[:, :, number]))
         for number, label in enumerate(spectra.labels)
     )
 
 
-def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
+def run_run_ups(settings: RunUpSettings, work: Work) -> records.RunUpResult:
     return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
 
 
 def identify_run_ups(
     settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None
-) -> RunUpResult:
+) -> records.RunUpResult:
     """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the
     pipeline file.
     """
@@ -168,7 +157,7 @@ def identify_run_ups(
 MEASURED = "measured"
 SPEEDS = ("critical_speed", "threshold")
 ATTRIBUTES = ("std_error", "covers", "difference")
-METHOD_VALUES: dict[str, Callable[[RunUpMethod], float | None]] = {
+METHOD_VALUES: dict[str, Callable[[records.RunUpMethod], float | None]] = {
     "rank": lambda method: None if method.rank is None else float(method.rank),
     "condition_number": lambda method: method.condition,
     "chi2_reduced": lambda method: method.chi2_per_datum,
@@ -189,7 +178,7 @@ class _Address:
     attribute: str
 
 
-def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
+def run_up_outcome(rule: Rule, result: records.RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
         return rule.outcome(*compare_warnings(rule, result.findings)[:2])
@@ -212,10 +201,10 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
 
 
 def _of_method(
-    rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
+    rule: Rule, address: _Address, result: records.RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
     predictor = _predictor(rule, address, result)
-    if isinstance(predictor, MetamodelResult):
+    if isinstance(predictor, records.MetamodelResult):
         if address.item != "left_out":
             raise rule.fault(
                 f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
@@ -230,7 +219,9 @@ def _of_method(
     return rule.outcome(*compare_number(rule, METHOD_VALUES[address.item](predictor), "1"))
 
 
-def _predictor(rule: Rule, address: _Address, result: RunUpResult) -> RunUpMethod | MetamodelResult:
+def _predictor(
+    rule: Rule, address: _Address, result: records.RunUpResult
+) -> records.RunUpMethod | records.MetamodelResult:
     predictors = {predictor.name: predictor for predictor in result.predictors}
     if address.method not in predictors:
         hint = nearest(address.method, [*predictors, MEASURED])
@@ -238,20 +229,26 @@ def _predictor(rule: Rule, address: _Address, result: RunUpResult) -> RunUpMetho
     return predictors[address.method]
 
 
-def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:
+def _amount(
+    rule: Rule, address: _Address, result: records.RunUpResult, run: records.MeasuredRun
+) -> records.Amount | None:
     if address.method == MEASURED:
         return getattr(run, address.item)
     return getattr(_predictor(rule, address, result).prediction(run.name), address.item, None)
 
 
 def _attribute(
-    rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, compare_number: CompareNumber
+    rule: Rule,
+    address: _Address,
+    run: records.MeasuredRun,
+    amount: records.Amount | None,
+    compare_number: CompareNumber,
 ) -> Compared:
     if address.attribute == "covers":
         interval = None if amount is None else amount.ci95
         return compare_covers(rule, None if interval is None else (HZ * interval[0], HZ * interval[1]), "Hz")
     if address.attribute == "difference":
-        measured: Amount | None = getattr(run, address.item)
+        measured: records.Amount | None = getattr(run, address.item)
         there = None if amount is None or measured is None else abs(amount.value / measured.value - 1)
         return compare_number(rule, there, "1")
     value, error = (None, None) if amount is None else (HZ * amount.value, amount.std_error)
@@ -261,11 +258,13 @@ def _attribute(
     return compare_number(rule, value, "Hz", error)
 
 
-def run_up_lines(result: RunUpResult) -> Iterator[str]:
+def run_up_lines(result: records.RunUpResult) -> Iterator[str]:
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
     names = ["measured"]
     for method in result.methods:
-        names.append(f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name)
+        names.append(
+            f"{method.name} {records.REJECTED}" if method.verdict == records.REJECTED else method.name
+        )
     yield f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names)
     for run in result.runs:
         columns = [run, *(method.prediction(run.name) for method in result.methods)]
@@ -276,7 +275,7 @@ def run_up_lines(result: RunUpResult) -> Iterator[str]:
             yield f"  {method.title}: {method.verdict}, rank {method.rank} of {method.unknowns}{chi2}"
 
 
-def _speeds(owner: MeasuredRun | RunPrediction | None) -> str:
+def _speeds(owner: records.MeasuredRun | records.RunPrediction | None) -> str:
     speeds = () if owner is None else (owner.critical_speed, owner.threshold)
     return (
         " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in speeds) or "-"
@@ -288,10 +287,10 @@ RUN_UPS = PipelineSection(
     settings=RunUpSettings,
     standalone=True,
     run=run_run_ups,
-    record=RunUpResult,
+    record=records.RunUpResult,
     entry="run_ups",
     outcome=run_up_outcome,
-    findings=findings,
+    findings=records.findings,
     parameters=listed_speeds_and_parameters,
     report=run_up_sections,
     cover=cover_facts,

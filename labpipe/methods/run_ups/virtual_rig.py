@@ -25,14 +25,7 @@ from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matric
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
-from labpipe.simulate.virtual_rigs import (
-    LoggedFile,
-    Simulation,
-    Truth,
-    VirtualRigKind,
-    chosen_runs,
-    generator,
-)
+from labpipe.simulate import virtual_rigs
 
 KIND = "virtual-unbalance-rig"
 # factors: every coefficient times a smooth field of its own over load and speed; inside: the family of the
@@ -204,8 +197,8 @@ def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
 
 def run_ups(virtual: VirtualUnbalanceRig, seed: int, names: Sequence[str] | None = None) -> tuple[RunUp, ...]:
     """The named runs (all unless named); with independent noise, at the speeds where the rotor is stable."""
-    chosen = chosen_runs(virtual, names)
-    return tuple(_run(virtual, name, generator(seed, name)) for name in chosen)
+    chosen = virtual_rigs.chosen_runs(virtual, names)
+    return tuple(_run(virtual, name, virtual_rigs.generator(seed, name)) for name in chosen)
 
 
 def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> RunUp:
@@ -279,19 +272,19 @@ def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
     }
 
 
-def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> Simulation:
-    files = {run.name: LoggedFile(run, write_run_up_csv) for run in run_ups(virtual, seed, runs)}
-    return Simulation(files, {"truth": truth(virtual)})
+def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> virtual_rigs.Simulation:
+    files = {run.name: virtual_rigs.LoggedFile(run, write_run_up_csv) for run in run_ups(virtual, seed, runs)}
+    return virtual_rigs.Simulation(files, {"truth": truth(virtual)})
 
 
-def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> Truth:
+def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> virtual_rigs.Truth:
     coefficients = true_coefficients(virtual, virtual.load_of_run[runs[0]])
     speeds = {"critical_speed": virtual.nominal.critical_speed(coefficients)}
     threshold = virtual.nominal.threshold(coefficients)
     return speeds if threshold is None else {**speeds, "threshold": threshold}
 
 
-UNBALANCE_RIG = VirtualRigKind(
+UNBALANCE_RIG = virtual_rigs.VirtualRigKind(
     settings=VirtualUnbalanceRig,
     runs=lambda virtual: tuple(virtual.load_of_run),
     simulate=_simulate,

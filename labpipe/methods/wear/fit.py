@@ -9,15 +9,9 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
+from labpipe.estimation import diagnostics
 from labpipe.estimation.budget import Source, with_sources
 from labpipe.estimation.derived import drawn_densely, reported_fit
-from labpipe.estimation.diagnostics import (
-    MISMATCH_P,
-    collinear_groups,
-    estimate_findings,
-    excess_findings,
-    quality_findings,
-)
 from labpipe.estimation.measured import changes_by
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
@@ -188,7 +182,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
                 solved, estimate, "" if wear.objective == "complex" else NAMES[wear.objective]
             ),
             *findings,
-            *quality_findings(response, [0, 1], [0, 1], lines),
+            *diagnostics.quality_findings(response, [0, 1], [0, 1], lines),
         ),
         notes=(search_note(solved.minima, wear, solved.misfit.model.film_mesh),),
         curve=_curve(measured, solved),
@@ -324,7 +318,7 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
         return tuple(plain), findings
     probability = healthy_probability(misfit, best, solved.healthy_chi2)
     plain.append(Parameter("healthy_probability", probability, "1", derived=True))
-    mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < MISMATCH_P
+    mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < diagnostics.MISMATCH_P
     return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
 
 
@@ -364,12 +358,12 @@ def _parameter(
 def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list[Finding]:
     names = [solved.misfit.model.names[number] for number in _sensitive_parameters(solved)]
     findings = [
-        *estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
-        *excess_findings(estimate, biased),
+        *diagnostics.estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
+        *diagnostics.excess_findings(estimate, biased),
     ]
     group = {
         name
-        for collinear in (collinear_groups(estimate.scaled_design, names) if names else [])
+        for collinear in (diagnostics.collinear_groups(estimate.scaled_design, names) if names else [])
         for name in collinear
     }
     along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}

@@ -20,15 +20,8 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.shaft import Rotor
+from labpipe.methods.wear import tables
 from labpipe.methods.wear.settings import ANGLE, DEPTH, Gaussian, WearSettings
-from labpipe.methods.wear.tables import (
-    Ranges,
-    TabledBearing,
-    VaryingSupport,
-    forward_backward,
-    response_with_slopes,
-    tabulate,
-)
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import lines_in
@@ -53,7 +46,7 @@ class WornModel:
     """
 
     rig: RotorRig
-    bearings: tuple[TabledBearing, ...]
+    bearings: tuple[tables.TabledBearing, ...]
     frequency: tuple[float, ...]
     directional: bool
     names: tuple[str, ...]
@@ -102,7 +95,7 @@ class WornModel:
         values = self.values(parameters)
         supports = [bearing.support(values, self.names) for bearing in self.bearings]
         beta = values.get("beta", self.rig.rotor.beta)
-        response, slopes = response_with_slopes(
+        response, slopes = tables.response_with_slopes(
             self._rotor(beta), supports, self.rig.response, self.rig.force
         )
         if "beta" in self.names:
@@ -111,10 +104,12 @@ class WornModel:
             slopes[self.names.index("beta")] = (ends[0] - ends[1]) / (2 * step)
         slopes = slopes * self.scale[:, None, None, None]
         return (
-            (forward_backward(response), forward_backward(slopes)) if self.directional else (response, slopes)
+            (tables.forward_backward(response), tables.forward_backward(slopes))
+            if self.directional
+            else (response, slopes)
         )
 
-    def _standing(self, beta: float, supports: list[VaryingSupport]) -> ComplexArray:
+    def _standing(self, beta: float, supports: list[tables.VaryingSupport]) -> ComplexArray:
         standing = self._rotor(beta).on(support.support for support in supports)
         return standing.response(self.rig.response, self.rig.force)
 
@@ -146,7 +141,7 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     ranges, box = _reach(settings, prior, rig)
     loads, mesh = rig.static_loads(), FilmMesh(settings.cells_around, settings.cells_across)
     bearings = tuple(
-        tabulate(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh)
+        tables.tabulate(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh)
         for place in rig.bearings
     )
     nuisances = tuple(name for name in prior.names if name not in SCALES)
@@ -179,7 +174,7 @@ def _centre(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
 
 def _reach(
     settings: WearSettings, prior: Gaussian, rig: RotorRig
-) -> tuple[Ranges, dict[str, tuple[float, float]]]:
+) -> tuple[tables.Ranges, dict[str, tuple[float, float]]]:
     box = {DEPTH: (0.0, settings.depth_limit), ANGLE: (-settings.angle_limit, settings.angle_limit)}
     for name, mean, std in zip(prior.names, prior.mean, prior.std, strict=True):
         low, high = box.get(name, (-np.inf, np.inf))
@@ -192,7 +187,7 @@ def _reach(
     lowest = min(
         box.get("cavitation_pressure", (0.0,))[0], *(1.25 * film.cavitation_pressure for film in films)
     )
-    return Ranges(settings.depth_limit, settings.angle_limit, viscosity, clearance, lowest), box
+    return tables.Ranges(settings.depth_limit, settings.angle_limit, viscosity, clearance, lowest), box
 
 
 def _factor(prior: Gaussian, box: dict[str, tuple[float, float]], name: str) -> float:
