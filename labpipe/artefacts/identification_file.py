@@ -37,8 +37,6 @@ from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
 from labpipe.records.sections import section, sections
 from labpipe.records.spectra import ChannelSpectra
 
-# JSON entry of one fit: in identification.json, and in a separate file until all tests are done.
-
 _FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
 
 
@@ -129,7 +127,7 @@ def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
     try:
         entries = json_file.read_digested(path, "file of fits")
         return [read_fit(entry) for entry in entries["fits"]], str(entries.get(json_file.DIGEST, ""))
-    except json_file.RECORD_FAULTS as error:
+    except json_file.BAD_ENTRY as error:
         raise DamagedError(f"is not readable as fits ({cut(str(error))})", path, AGAIN) from None
 
 
@@ -185,7 +183,7 @@ def read_identification(path: Path) -> Identification:
         raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", path)
     try:
         return _identification(_upgrade(entries))
-    except json_file.RECORD_FAULTS as error:
+    except json_file.BAD_ENTRY as error:
         # Same schema, other entries: written by another version, or edited by hand.
         version = cut(str(entries.get("labpipe", "?")))
         written = f"was written by labpipe {version}, or edited ({type(error).__name__}: {cut(str(error))})"

@@ -27,16 +27,7 @@ from labpipe.errors import cut
 from labpipe.records.settings import Settings, settings_of
 
 # What an entry of another type than the declared one raises, here and where its record is checked at birth.
-RECORD_FAULTS = (
-    KeyError,
-    TypeError,
-    IndexError,
-    ValueError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    MemoryError,
-)
+BAD_ENTRY = (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError, MemoryError)
 
 LARGEST_COUNT = 1 << 63
 PLAIN = frozenset((str, bool, int, float))
@@ -47,18 +38,13 @@ def entry_of(record: Any) -> Any:
     if record is None or type(record) in PLAIN:
         return record
     if dataclasses.is_dataclass(record) and not isinstance(record, type):
-        skipped = _contents_elsewhere(record)
-        return {
-            name: entry_of(getattr(record, name))
-            for name in _stored_fields(type(record))
-            if name not in skipped
-        }
+        elsewhere = _contents_elsewhere(record)
+        names = (name for name in _stored_fields(type(record)) if name not in elsewhere)
+        return {name: entry_of(getattr(record, name)) for name in names}
+    if isinstance(record, np.ndarray) and np.iscomplexobj(record):
+        return {"re": record.real.tolist(), "im": record.imag.tolist()}
     if isinstance(record, np.ndarray):
-        return (
-            {"re": record.real.tolist(), "im": record.imag.tolist()}
-            if np.iscomplexobj(record)
-            else record.tolist()
-        )
+        return record.tolist()
     if isinstance(record, Mapping):
         return {str(key): entry_of(value) for key, value in record.items()}
     if isinstance(record, (tuple, list)):
@@ -156,9 +142,7 @@ def _array(entry: Any, kind: Any) -> Any:
         # A sum re + 1j im would lose the sign of a zero, and the written file would differ.
         values.real, values.imag = real, imaginary
         return values
-    return np.array(
-        entry, {np.floating: np.float64, np.bool_: np.bool_, np.intp: np.intp}.get(element, np.float64)
-    )
+    return np.array(entry, element if element in (np.bool_, np.intp) else np.float64)
 
 
 def _scalar(entry: Any, kind: Any) -> Any:
@@ -169,10 +153,8 @@ def _scalar(entry: Any, kind: Any) -> Any:
             # OverflowError for an integer that is larger than any number.
             float(entry)
         return math.nan if entry is None else entry
-    if kind in (str, bool, int) and (
-        not isinstance(entry, kind) or (kind is int and isinstance(entry, bool))
-    ):
-        raise TypeError(f"{cut(repr(entry))} is not a {kind.__name__}")
+    if kind in (str, bool, int):
+        _need(entry, kind)
     if kind is int and abs(entry) >= LARGEST_COUNT:
         raise OverflowError(f"{cut(str(entry))} is no count")
     if kind is str:
@@ -182,14 +164,12 @@ def _scalar(entry: Any, kind: Any) -> Any:
 
 
 def _need(entry: Any, kind: type) -> Any:
-    if not isinstance(entry, kind):
+    if not isinstance(entry, kind) or (kind is int and isinstance(entry, bool)):
         raise TypeError(f"{cut(repr(entry))} is not a {kind.__name__}")
     return entry
 
 
-# JSON of labpipe's files: null instead of not-a-number and missing values; a digest of the content on a
-# line of its own.
-
+# A digest of the content stands on a line of its own.
 DIGEST = "digest"
 # Of files without a digest the second entry is a version or a list.
 LONGEST_SECOND = 30
@@ -232,9 +212,8 @@ def read_digested(path: Path, what: str) -> dict[str, Any]:
 def _digests(content: bytes, entries: dict[str, Any]) -> Iterator[str]:
     """The digest of the content, then that of the entries written again."""
     yield hashlib.sha256(_DIGEST_LINE.sub(b"", content, count=1)).hexdigest()
-    yield hashlib.sha256(
-        _content({key: entry for key, entry in entries.items() if key != DIGEST})
-    ).hexdigest()
+    others = {key: entry for key, entry in entries.items() if key != DIGEST}
+    yield hashlib.sha256(_content(others)).hexdigest()
 
 
 def read_bytes(path: Path) -> bytes:

@@ -22,8 +22,6 @@ from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse,
 from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays, UncertainFactor
 from labpipe.records.uncertain import MatrixError, Uncertainty
 
-# ``*.frf.parquet``: a frequency response with its covariance, real and imaginary parts in separate columns.
-
 RESPONSE_SUFFIX = ".frf.parquet"
 _COMPLEX = ("change", "open_loop")
 _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}

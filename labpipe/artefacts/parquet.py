@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_digest, stamp_parquet
 from labpipe.artefacts.header import Header, header_from_json
-from labpipe.artefacts.json_file import RECORD_FAULTS
+from labpipe.artefacts.json_file import BAD_ENTRY
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, cut
 
@@ -97,7 +97,7 @@ def as_written(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except RECORD_FAULTS as error:
+    except BAD_ENTRY as error:
         if isinstance(error, DataError):
             raise
         raise DamagedError(

@@ -22,8 +22,6 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
 
-# Read the next block of a file in a thread during the work on the current block.
-
 Block = TypeVar("Block")
 _END = object()
 

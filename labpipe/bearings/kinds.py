@@ -17,9 +17,6 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertainty
 from labpipe.registry import Registry
 
-# Result of a bearing model of any kind: stiffness and damping at its load and speed, and its equilibrium
-# position.
-
 TILTS = ("bx", "by", "bz")
 
 

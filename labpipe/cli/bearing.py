@@ -26,8 +26,6 @@ from labpipe.project.bearing import (
 )
 from labpipe.project.bearing_file import BearingFile, Sweep, open_bearing, parse_sweep
 
-# A bearing's coefficients as tables on the terminal.
-
 # Share of sqrt(K_ii K_jj) below which a coefficient is zero by structure, up to rounding.
 STRUCTURAL_ZERO = 1e-9
 LEAST_SPREAD = 1e-4

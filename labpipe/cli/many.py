@@ -16,8 +16,6 @@ from labpipe.project.executors import LOCAL, Execute, in_processes, on_cluster, 
 from labpipe.project.run import Manner
 from labpipe.records.identification import Failed
 
-# Progress of a run over many tests, and its remaining time.
-
 # Duration below which no progress is shown.
 QUIET_SECONDS = 1.0
 

@@ -16,8 +16,6 @@ from labpipe.quantities import to_display
 if TYPE_CHECKING:
     from labpipe.records.finding import Finding
 
-# What commands print: text from files never acts on a terminal, and no message is longer than people read.
-
 # The colours that labpipe itself prints, by click.style.
 _OWN = re.compile("(\x1b\\[(?:0|31|32|33|36)m)")
 # Characters that reverse the order of what follows, or are not seen at all.

@@ -33,8 +33,6 @@ from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
 from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
 
-# The shipped examples: for every rig its recordings, what describes it, and the pipelines that use it.
-
 _SAMPLE = re.compile(r"\.\./sample_data/([\w.-]+)/")
 _VIRTUAL = re.compile(r"\.\./configs/([\w.-]+)\.yaml")
 

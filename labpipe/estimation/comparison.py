@@ -25,9 +25,6 @@ from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
 
-# Rational functions with a common denominator, fitted to an FRF: the most general response of a given
-# number of modes.
-
 PASSES = 8
 # The descent ends where a further full step would lower chi-square by a small part of its expectation per
 # equation only: differences in AIC count from 10, and a surplus mode creeps long through noise before it

@@ -28,8 +28,6 @@ from labpipe.records.settings import COEFFICIENT_UNITS, ESTIMATE
 from labpipe.records.uncertain import Budget
 from labpipe.spectra.convert import TRANSMISSIBILITY
 
-# Corrections of estimates: the support subtracted, the load shared between equal bearings.
-
 
 @dataclass(frozen=True)
 class Estimated:

@@ -13,9 +13,6 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 
-# The triangular factor of tall matrices, from the products of their columns where that is as good as
-# Householder's way.
-
 # Condition number up to which the products of columns tell the factor to about half of all digits.
 WELL_CONDITIONED = 1e4
 

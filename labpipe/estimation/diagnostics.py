@@ -23,8 +23,6 @@ from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.joint import is_joint
 from labpipe.spectra.period_average import is_unsettled
 
-# Independent motions of the responses: singular values of the FRF against those of its noise.
-
 # Least ratio of a motion's singular value to the largest one of noise alone.
 STANDS_OUT = 1.5
 

@@ -22,8 +22,6 @@ from labpipe.estimation.weights import has_noise, whitener
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget, Uncertainty
 
-# Bootstrap: the fit repeated on the fitted FRF plus random noise of the measured covariance.
-
 FEWEST_REPEATS = 50
 # Largest share of failed refits: above it the intervals would be biased towards the successful ones.
 MOST_FAILED = 0.05

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from labpipe.estimation.measured import Measured
     from labpipe.estimation.model import DynamicModel, FittedModel, ReceptanceModel, ResponseModel
 
-# Noise that lines of an FRF share: its correlation from line to line as a matrix that is never formed, and
-# what it does to a fit.
-
 # Columns of the correlation formed together: enough to keep the overhead small, few enough for the memory.
 COLUMNS_AT_ONCE = 64
 

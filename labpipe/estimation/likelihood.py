@@ -33,8 +33,6 @@ from labpipe.estimation.weights import (
 )
 from labpipe.records.identification import Goodness
 
-# Start values of an output-error fit: estimates without start values of their own, the best one first.
-
 REWEIGHTINGS = 12
 # Share of the lowest chi-square that a useful pass must fall below, and another minimum to be the better one.
 WORTHWHILE, LOWER = 0.99, 0.999

@@ -24,9 +24,6 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
 
-# Models of few degrees of freedom: which coefficients act between which of them. settings.MODELS is the
-# table.
-
 # Least share of a force along a direction that excites it.
 SMALLEST_SHARE = 1e-3
 # Responses count as perpendicular when the cosine of the angle between them is below this (0.06 deg).

@@ -19,9 +19,6 @@ from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 
-# A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces B = B_0 +
-# sum_j p_j B_j.
-
 # Complex numbers of the derivatives that are made together: few enough to stay in the cache.
 CACHED_ELEMENTS = 1 << 16
 

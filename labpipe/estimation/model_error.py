@@ -1,6 +1,4 @@
-"""What a fit of one FRF states where its residual is not noise: values and intervals that include the model
-error.
-"""
+"""What a fit of one FRF states where its residual is not noise: values and intervals with model error."""
 
 from __future__ import annotations
 
@@ -108,12 +106,10 @@ class ModelError:
 
     def _statement(self, parameter: Parameter) -> Parameter:
         row = self.rows.get(parameter.name)
+        if row is None and not parameter.std_error:
+            return parameter
         if row is None:
-            return (
-                replace(parameter, ci95=None, significant=None, t_ratio=None)
-                if parameter.std_error
-                else parameter
-            )
+            return replace(parameter, ci95=None, significant=None, t_ratio=None)
         centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
         if apart is not None:
@@ -224,10 +220,8 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
         return _transfer(by_name) if by_name["f_n"] > 0 and by_name["zeta"] > 0 else None
     if not isinstance(model, DynamicModel) or any(term.aliases for term in model.terms):
         return None
-    names = {
-        letter: next((name for name in (letter, PER_MASS[letter][0]) if name in by_name), "")
-        for letter in "kc"
-    }
+    either = {letter: (letter, PER_MASS[letter][0]) for letter in "kc"}
+    names = {letter: next((n for n in both if n in by_name), "") for letter, both in either.items()}
     free = "m" in by_name
     if set(by_name) != {*names.values(), *(["m"] if free else [])} or "" in names.values():
         return None
@@ -250,10 +244,8 @@ def _coefficient_rows(mode: ModeModel, stiffness: str, damping: str) -> dict[str
     rows = {stiffness: StatedRow(unit[0]), damping: StatedRow(unit[1])}
     if mode.mass is None:
         rows |= {"m": StatedRow(unit[2]), "modal_constant": StatedRow(-unit[2])}
-    return rows | {
-        name: StatedRow(row, offset)
-        for name, row, offset in zip(("f_n", "zeta"), mode.to_resonance, mode.offset, strict=True)
-    }
+    resonance = zip(("f_n", "zeta"), mode.to_resonance, mode.offset, strict=True)
+    return rows | {name: StatedRow(row, offset) for name, row, offset in resonance}
 
 
 def _transfer(by_name: dict[str, float]) -> _Built:

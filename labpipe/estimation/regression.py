@@ -19,9 +19,6 @@ from labpipe.estimation.model import DynamicModel
 from labpipe.estimation.weights import complex_rows, has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.identification import Goodness
 
-# ls: least squares of the equation of motion, sum_j p_j (Z_j H - B_j) = B_0 - Z_0 H, real and imaginary
-# parts stacked.
-
 BIAS_NOTE = (
     "ls: the standard errors come from the equation's residual; they do not include the bias caused by noise "
     "of the measured FRF (the FRF is among the regressors). The estimator ml has no such bias."

@@ -1,6 +1,4 @@
-"""Goodness of fit, standard errors, intervals, collinearity, and what systematic errors do to a minimum of
-squares.
-"""
+"""Goodness of fit, standard errors, intervals, collinearity; systematic errors at a minimum of squares."""
 
 from __future__ import annotations
 
@@ -16,8 +14,6 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Goodness
-
-# Goodness of fit, standard errors, intervals and collinearity measures.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,9 +78,8 @@ def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vi
 
 
 def widen(parameter: Parameter, factor: float) -> Parameter:
-    """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong.
-
-    Std_error stays that of noise.
+    """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong;
+    std_error stays that of noise.
     """
     if parameter.std_error is None:
         return parameter
@@ -129,8 +124,7 @@ def inflation_factors(scaled_design: FloatArray) -> FloatArray:
     """
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     with np.errstate(divide="ignore"):
-        factors: FloatArray = np.sum((vectors / singular[:, None]) ** 2, axis=0)
-    return factors
+        return np.asarray(np.sum((vectors / singular[:, None]) ** 2, axis=0))
 
 
 def condition_number(scaled_design: FloatArray) -> float:
@@ -191,23 +185,15 @@ def mixture_interval(weights: FloatArray, means: FloatArray, deviations: FloatAr
     return ends[0], ends[1]
 
 
-# Combinations of parameters in words.
-
-
 def combination_text(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
-    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change.
-
-    Without parts below *least*.
+    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change; parts
+    below *least* are left out.
     """
     # Sorted as printed: parts that look alike keep the order of their names, whatever their last digits.
     order = np.argsort(-np.round(np.abs(direction) / np.max(np.abs(direction)), 2), kind="stable")
     direction = direction / direction[order[0]]
     parts = [f"{names[n]} {direction[n]:+.2f}" for n in order if abs(direction[n]) >= least]
     return ", ".join(parts)
-
-
-# What systematic errors do to a minimum of squares: one more step of Gauss-Newton, and the part of
-# chi-square that they explain.
 
 
 # Singular values of columns of length 1 below which they are dependent.
@@ -223,10 +209,8 @@ def orthonormal(columns: FloatArray) -> FloatArray:
 
 def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> FloatArray:
     """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the
-    residual of slopes J.
-
-    slopes (n_datum, n_parameter) [1/parameter unit]; covariance (n_parameter, n_parameter) [parameter units]
-    (J^T J)^-1. Equation (unc-step).
+    residual of slopes J: slopes (n_datum, n_parameter) [1/parameter unit]; covariance (n_parameter,
+    n_parameter) [parameter units] (J^T J)^-1. Equation (unc-step).
     """
     return np.asarray(-changes @ slopes @ covariance)
 
@@ -311,6 +295,5 @@ def pulls_of(
     share = np.where(by_data > SAYS_NOTHING, by_data, np.inf)
     likely = stated.at - posterior @ score
     error = np.sqrt(np.maximum(np.diag(posterior), 0.0) / np.where(np.isinf(share), SAYS_NOTHING**2, share))
-    return Pulls(
-        likely, likely / share, error, float(noise * (score @ posterior @ score - stated.at @ stated.at))
-    )
+    explained = float(noise * (score @ posterior @ score - stated.at @ stated.at))
+    return Pulls(likely, likely / share, error, explained)

@@ -20,9 +20,6 @@ from labpipe.estimation.leakage import LineBlocks, SharedNoise, shared_residual
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.statistics import stack
 
-# Weights of FRFs whose covariance is one matrix over the responses times one over the forces, as that of H1
-# is.
-
 # Share of the standard deviations by which a covariance may differ from such a product: rounding of its
 # making.
 ROUNDING = 1e-12

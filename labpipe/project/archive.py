@@ -38,9 +38,6 @@ from labpipe.project.report import COMMENTS, drawn_from, is_drawn
 from labpipe.project.verification import artefacts_below, verified
 from labpipe.records.identification import Identification
 
-# What an archive holds: the files of a result, the pipeline, and every file that the pipeline names, with
-# all their digests.
-
 # The two folders in that of an archive.
 PROJECT, RESULTS = f"{EXPERIMENT}/project", f"{EXPERIMENT}/results"
 YAML = (".yaml", ".yml")

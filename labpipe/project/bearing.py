@@ -1,6 +1,4 @@
-"""bearing: a bearing file -> stiffness and damping at its load and speed, alone or over a sweep of one
-entry.
-"""
+"""bearing: a bearing file -> stiffness and damping at its load and speed, alone or over a sweep."""
 
 from __future__ import annotations
 
@@ -40,10 +38,8 @@ def stiffness_figure(name: str, bearing: BearingCoefficients) -> Figure:
     matrix = cells(bearing.relative, texts, "k_ij / sqrt(k_ii k_jj)")
     panel = Panel(Axis("displacement in", ticks=ticks), Axis("load in", ticks=ticks), (matrix,))
     chart = Chart((panel,), size=(1.15 * n + 1.3, 0.62 * n + 0.9))
-    caption = (
-        f"{name}: stiffness matrix. Colour: coupling relative to the diagonal, so that all units compare."
-    )
-    return Figure(chart, caption, f"Stiffness matrix of {name} as a heat map")
+    colour = "Colour: coupling relative to the diagonal, so that all units compare."
+    return Figure(chart, f"{name}: stiffness matrix. {colour}", f"Stiffness matrix of {name} as a heat map")
 
 
 def _coefficient_text(bearing: BearingCoefficients, row: int, column: int) -> str:
@@ -89,14 +85,10 @@ def _sweep_figure(
 def _coefficients_by_unit(
     swept: Sequence[BearingCoefficients], matrices: FloatArray
 ) -> dict[str, list[tuple[int, int]]]:
-    """unit -> the (row, column) that are not zero throughout.
-
-    One of each pair that is the same by symmetry.
-    """
+    """unit -> the (row, column) that are not zero throughout, one of each pair that symmetry makes equal."""
     relative = np.max([np.abs(bearing.relative) for bearing in swept], axis=0)
-    symmetric = np.allclose(
-        matrices, np.swapaxes(matrices, 1, 2), rtol=1e-9, atol=1e-9 * np.abs(matrices).max()
-    )
+    least = 1e-9 * np.abs(matrices).max()
+    symmetric = np.allclose(matrices, np.swapaxes(matrices, 1, 2), rtol=1e-9, atol=least)
     groups: dict[str, list[tuple[int, int]]] = {}
     for (row, column), size in np.ndenumerate(relative):
         if (size >= STRUCTURAL_ZERO or row == column) and not (symmetric and column < row):
@@ -113,9 +105,8 @@ def _curve(
     def over_sweep(name: str) -> FloatArray:
         return factor * np.array([getattr(bearing, name)[entry] for bearing in swept])
 
-    ranged = kind == "stiffness" and all(
-        bearing.lowest is not None and bearing.highest is not None for bearing in swept
-    )
+    ends = (end for bearing in swept for end in (bearing.lowest, bearing.highest))
+    ranged = kind == "stiffness" and all(end is not None for end in ends)
     band = (over_sweep("lowest"), over_sweep("highest")) if ranged else None
     title = f"{'k' if kind == 'stiffness' else 'c'} {dofs[entry[0]]},{dofs[entry[1]]}"
     line = DASHES[number % len(DASHES)]
@@ -127,10 +118,7 @@ SCHEMA = "labpipe/bearing/1"
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The coefficients of a bearing, with what the uncertainties of its numbers leave of them.
-
-    None without uncertainties.
-    """
+    """The coefficients of a bearing, and what the *uncertainties* of its numbers leave of them, if any."""
 
     coefficients: BearingCoefficients
     uncertainties: BearingUncertainties | None = None
@@ -143,11 +131,9 @@ def evaluate(file: BearingFile) -> Evaluated:
 
 
 def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
-    """The coefficients at every value of the sweep, in its order.
-
-    The uncertainty of the swept entry itself does not count.
+    """The coefficients at every value of the sweep, in its order; the uncertainty of the swept entry itself
+    does not count.
     """
-
     entries = [f"{sweep.key}={float(value)!r} {sweep.unit}" for value in sweep.values]
     return _evaluate(file, entries, [key for key in file.uncertainties if key != sweep.key])
 
@@ -164,8 +150,9 @@ def _evaluate(file: BearingFile, entries: Sequence[str], keys: Collection[str]) 
     coefficients = file.coefficients(settings)
     if not keys:
         return [Evaluated(point) for point in coefficients]
+    units = [setting_at(file.kind.settings, key).unit for key in keys]
     sources = [
-        uncertainty_of(file.uncertainties[key], key, setting_at(file.kind.settings, key).unit) for key in keys
+        uncertainty_of(file.uncertainties[key], key, unit) for key, unit in zip(keys, units, strict=True)
     ]
     size = 1 + 2 * len(keys)
     rows = [coefficients[start : start + size] for start in range(0, len(coefficients), size)]
@@ -201,10 +188,8 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
     if coefficients.shaft:
         entry["shaft"] = {amount.name: amount.value for amount in coefficients.shaft}
     if coefficients.lowest is not None and coefficients.highest is not None:
-        entry["passage"] = {
-            "stiffness_min": coefficients.lowest.tolist(),
-            "stiffness_max": coefficients.highest.tolist(),
-        }
+        ends = {"min": coefficients.lowest, "max": coefficients.highest}
+        entry["passage"] = {f"stiffness_{name}": matrix.tolist() for name, matrix in ends.items()}
     if whole.uncertainties is not None:
         entry["uncertainty"] = _uncertainty_entry(whole.uncertainties, coefficients)
     return entry
@@ -237,9 +222,8 @@ def _uncertainty_entry(
 
 
 def bearing_json(entry: dict[str, Any]) -> str:
-    """The entry as text.
-
-    Null where an amount has no end, as the sensitivity of a loop without stiffness at rest.
+    """The entry as text; null where an amount has no end, as the sensitivity of a loop without stiffness at
+    rest.
     """
     return json.dumps(without_nan(entry), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -283,10 +267,8 @@ def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: Output
 
 
 def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
-    """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, the
-    codes of the warnings.
-
-    With uncertainties, standard uncertainties u_k_i_j and u_c_i_j follow.
+    """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, with
+    uncertainties u_k_i_j and u_c_i_j, and the codes of the warnings.
     """
     columns: dict[str, Any] = {f"{sweep.key} [{sweep.unit}]": sweep.values}
     coefficients = [point.coefficients for point in points]
@@ -299,11 +281,10 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
             values = [getattr(point, attribute)[number].value for point in coefficients]
             columns[f"{prefix}{amount.name} [{amount.unit}]"] = np.array(values)
     uncertainties = [point.uncertainties for point in points if point.uncertainties is not None]
-    if uncertainties:
-        errors = np.stack([source.stiffness_error for source in uncertainties])
-        columns |= _by_element("u_k", coefficients[0], errors)
-        errors = np.stack([source.damping_error for source in uncertainties])
-        columns |= _by_element("u_c", coefficients[0], errors) if errors.any() else {}
+    for symbol, attribute in (("u_k", "stiffness_error"), ("u_c", "damping_error")):
+        errors = np.array([getattr(point, attribute) for point in uncertainties])
+        if uncertainties and (symbol == "u_k" or errors.any()):
+            columns |= _by_element(symbol, coefficients[0], errors)
     columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]
     return columns
 

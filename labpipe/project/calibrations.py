@@ -23,8 +23,6 @@ from labpipe.records import uncertain
 from labpipe.records.settings import Settings, Uncertainties, setting
 from labpipe.registry import nearest
 
-# The uncertainties of a channel of a rig file: of its sensitivity, delay, phase and direction.
-
 
 @dataclass(frozen=True)
 class ChainUncertaintySettings(Settings):

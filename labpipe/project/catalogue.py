@@ -24,7 +24,7 @@ from labpipe import __version__
 from labpipe.artefacts.dataset_file import amount_of
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
-from labpipe.artefacts.json_file import RECORD_FAULTS, read_bytes
+from labpipe.artefacts.json_file import BAD_ENTRY, read_bytes
 from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.quantities import UnitError, si_amount
@@ -153,7 +153,7 @@ def _remove(connection: sqlite3.Connection, name: str) -> None:
 def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:
     try:
         rows = _rows(read_identification(path), file_date)
-    except (DataError, *RECORD_FAULTS) as error:
+    except (DataError, *BAD_ENTRY) as error:
         other = f"holds what no labpipe wrote ({type(error).__name__}: {error})"
         what = error.what if isinstance(error, DataError) else other
         rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
@@ -168,7 +168,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
 def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
     """The rows of a result with their tables.
 
-    One of RECORD_FAULTS for entries of other types than labpipe writes.
+    One of BAD_ENTRY for entries of other types than labpipe writes.
     """
     conditions = {test: _texts(of_test) for test, of_test in identification.test_conditions.items()}
     dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)

@@ -51,9 +51,6 @@ from labpipe.uncertainty.amounts import joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
 
-# Queries of a dataset of results: its parts are read column by column, and only those whose folders can
-# hold what is asked for.
-
 # Columns of the dataset by those of a listed value, where they differ.
 _NAMES = {"std_error": "full_error"}
 _GIVEN = ("path", "date")

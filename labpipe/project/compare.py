@@ -39,9 +39,6 @@ from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.matrix import PointTheory, condition_matrix
 from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, MatrixTheorySettings, levels_of
 
-# compare: the fits of all tests held against each other, and against the theory of a bearing file at each
-# test's condition.
-
 
 def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
     """The section compare: every comparison in its order. One that lacks a failed test is named among the

@@ -1,7 +1,5 @@
-"""Where the jobs of many tests run: one after the other, in processes of this machine, or on a Dask cluster.
-
-Tests on the workers of a Dask cluster: one that runs already, one of this machine, or one that a file
-describes.
+"""Where the jobs of many tests run: one after the other, in processes of this machine, or on a Dask cluster:
+one that runs already, one of this machine, or one that a file describes.
 
 Tests go out in batches, a bounded number at a time: a scheduler spends about a millisecond on a task, however
 short that is, and keeps each until its outcome is taken.
@@ -29,9 +27,6 @@ from labpipe.processes import end_with_parent
 from labpipe.project.marked_yaml import load_marked
 from labpipe.project.one_test import Done, Job
 from labpipe.records.identification import Failed
-
-# Where the jobs of many tests run: one after the other, or in processes of this machine; the results are
-# the same.
 
 Work = Callable[[Job], Done]
 Execute = Callable[[Work, Sequence[Job]], Iterator[Done]]
@@ -234,14 +229,10 @@ def _describe(path: Path) -> Any:
     for the number of workers.
     """
     entries = load_marked(path).plain()
-    if (
-        not isinstance(entries, dict)
-        or not isinstance(entries.get("class"), str)
-        or "." not in entries["class"]
-    ):
-        raise ConfigError(
-            "is not the description of a cluster", path, "begin with class: dask_jobqueue.SLURMCluster"
-        )
+    named = entries.get("class") if isinstance(entries, dict) else None
+    if not isinstance(named, str) or "." not in named:
+        hint = "begin with class: dask_jobqueue.SLURMCluster"
+        raise ConfigError("is not the description of a cluster", path, hint)
     unknown = [key for key in entries if key not in FILE_KEYS]
     if unknown:
         raise ConfigError(f"unknown entry '{unknown[0]}'", path, f"known: {', '.join(FILE_KEYS)}")

@@ -28,12 +28,12 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.project.deciding import stated_error
 from labpipe.raw_files.certificate import DCC, SI, dsi_unit
 from labpipe.raw_files.frf_csv import write_frf_csv
-from labpipe.raw_files.mat_frf import write_frf_mat, write_recording_mat
+from labpipe.raw_files.mat import write_frf_mat, write_recording_mat
 from labpipe.raw_files.uff_write import write_frf_uff, write_recording_uff, write_shapes_uff
+from labpipe.records.comparison import Study
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.fit_details import Modes, RobustPlant
 from labpipe.records.identification import Fit, Identification, RuleOutcome
-from labpipe.records.study import Study
 from labpipe.registry import Registry
 from labpipe.uncertainty.amounts import random_error
 

@@ -22,9 +22,6 @@ from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.raw_files.table import Table
 from labpipe.records.finding import Finding
 
-# What a recording's own metadata say of its channels: quantity, unit, role, direction; what they do not
-# say, a person must.
-
 # Largest number of rows read.
 MOST_ROWS = 1 << 21
 # Relative deviation of the steps of a time axis.

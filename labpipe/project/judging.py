@@ -20,8 +20,6 @@ from labpipe.records.sections import names_of, section
 from labpipe.records.uncertain import parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
 
-# Numbers held against a rule, and how they are shown: in the unit in which the rule is written.
-
 # (rule, value, unit, standard uncertainty) -> what is compared
 CompareNumber = Callable[..., deciding.Compared]
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}

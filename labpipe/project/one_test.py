@@ -59,8 +59,6 @@ from labpipe.spectra.channels import READ_SAMPLES
 from labpipe.spectra.settings import FrfSettings, ShaftLines
 from labpipe.spectra.shaft import shaft_motion
 
-# One test of a result whose tests stand in a dataset, as a result by itself.
-
 
 def one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
     """The fits and the response of one test from the files in the *folder* of the result.

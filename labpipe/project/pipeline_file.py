@@ -25,9 +25,6 @@ from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, MatrixSettings, comparison_kind
 
-# Reading the section ``uncertainty:``: how uncertainties are propagated, and how tests scatter between
-# repeats.
-
 
 @dataclass(frozen=True)
 class RepeatSettings(Settings):

@@ -13,7 +13,7 @@ from labpipe.project.guessed_frfs import guessed_frf
 from labpipe.project.tests import ReadyFrf
 from labpipe.raw_files.frf_csv import FREQUENCY, port_of
 from labpipe.raw_files.frf_described import Dofs, read_described
-from labpipe.raw_files.mat_frf import holds_response
+from labpipe.raw_files.mat import holds_response
 from labpipe.raw_files.table import TEXT_SUFFIXES, guard, open_table, readable
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff

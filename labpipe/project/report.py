@@ -17,9 +17,6 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.project.one_test import one_of_many
 from labpipe.records.identification import Identification
 
-# The last line of a report: what it was drawn from, and the digest of all before it. A report of the same
-# result is not drawn again.
-
 # How a format writes what its readers pass over; a format of another package has no stamp and is always
 # drawn.
 COMMENTS = {"html": (b"<!-- ", b" -->\n"), "md": (b"<!-- ", b" -->\n"), "pdf": (b"% ", b"\n")}

@@ -23,7 +23,7 @@ from pathlib import Path
 from labpipe import __version__
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME
-from labpipe.artefacts.json_file import RECORD_FAULTS
+from labpipe.artefacts.json_file import BAD_ENTRY
 from labpipe.artefacts.writing import is_remote, only_one, output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.project.catalogue import verdict
@@ -176,7 +176,7 @@ def _read(path: Path) -> tuple[list[Run], str]:
             runs.append(Run(**{**entries, "inputs": tuple(entries["inputs"])}))
             if runs[-1].line != line:
                 raise ValueError("another layout")
-        except (*RECORD_FAULTS, UnicodeDecodeError) as error:
+        except (*BAD_ENTRY, UnicodeDecodeError) as error:
             raise DataError(f"line {number} is no run ({cut(str(error))})", path) from None
         digest = hashlib.sha256(line).hexdigest()
     return runs, digest

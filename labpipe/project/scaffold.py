@@ -40,9 +40,6 @@ from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.records.frf_layout import MECHANICAL
 from labpipe.records.response import FORMS, FrequencyResponse
 
-# A project from a recording: rig.yaml and pipeline.yaml with all that the file says itself, and marks where
-# a person must decide.
-
 MARK = "# <- decide:"
 # What init asks for: no recording shows it.
 NOT_SHOWN = (

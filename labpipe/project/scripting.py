@@ -49,8 +49,6 @@ from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, VirtualRigKi
 if TYPE_CHECKING:
     import xarray
 
-# Bearings, rotors and virtual rigs by the name of their kind or by their file.
-
 # Readers of text files that say themselves what they are: from a path to a record, or None for a file of
 # another kind.
 TEXT_FILES = Registry("text file")

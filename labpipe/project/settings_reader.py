@@ -25,8 +25,6 @@ from labpipe.records.settings import CONVERTERS, FileKind, Setting, settings_of,
 from labpipe.records.uncertain import is_uncertain, parse_uncertain
 from labpipe.registry import Registry, nearest
 
-# Collecting the faults of a file, so that one run names them all.
-
 
 class Faults:
     """The faults of one file so far; `raise_any` ends the pass. *folder*: of the file, to which the files

@@ -13,10 +13,10 @@ from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.quantities import UnitError, parse_value
+from labpipe.records.comparison import Studies, Study, StudyCase
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
-from labpipe.records.study import Studies, Study, StudyCase
 from labpipe.registry import nearest
 from labpipe.report.chart import Axis, Panel, Series, curve, level, look, stack
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table

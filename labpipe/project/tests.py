@@ -16,9 +16,6 @@ from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.rig import RecordedCondition, Rig
 from labpipe.spectra.settings import FrfSettings
 
-# Reading the entries under ``frfs:``: ready FRFs, in files that describe themselves or that the entry
-# describes.
-
 
 @dataclass(frozen=True)
 class ReadyFrf:

@@ -31,8 +31,6 @@ from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.dataset import DatasetSummary, TestResult, summary_of, summed
 from labpipe.records.identification import Failed
 
-# Recordings that arrive in a folder of this machine, or under a prefix of an object storage.
-
 
 @dataclass(frozen=True)
 class Arrived:

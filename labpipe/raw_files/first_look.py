@@ -10,8 +10,6 @@ from scipy import fft
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.records.recording import Envelope, Spectrum
 
-# Classification of an unknown force: periodic, impact or random, and its band.
-
 # Least correlation of two periods of a periodic signal; that of noise is far below.
 ALIKE = 0.9
 # Hits: least peak over rms, and least share of samples below a hundredth of the peak.

@@ -15,7 +15,7 @@ from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.arrays_table import load_arrays
 from labpipe.raw_files.frf_csv import cube, port_of
-from labpipe.raw_files.mat_table import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
+from labpipe.raw_files.mat import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
 from labpipe.raw_files.text_table import fields_of, find_layout, open_text, plain_suffix
 from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout

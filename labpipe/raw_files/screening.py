@@ -12,8 +12,6 @@ from labpipe.errors import DataError
 from labpipe.quantities import LARGEST, SMALLEST
 from labpipe.records.finding import Finding
 
-# Samples at the ends of a channel's range, block by block: peaks that a logger has cut off.
-
 # Equal consecutive samples that count as clipping; fewer occur by chance at a coarse resolution.
 CLIPPED_RUN = 3
 # Or this many times as many samples at the extreme as at each of the NEXT_VALUES next ones: where the signal

@@ -21,8 +21,6 @@ from labpipe.errors import DataError, LabpipeError, cut
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.registry import Registry, nearest
 
-# Unique column names.
-
 
 def unique(names: Sequence[str]) -> tuple[str, ...]:
     """The names, with repeated ones numbered from the second on: a, a_2, a_3."""

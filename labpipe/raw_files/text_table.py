@@ -25,8 +25,6 @@ from labpipe.artefacts.writing import text_of
 from labpipe.errors import DataError, cut
 from labpipe.quantities import UnitError, parse_unit
 
-# Text tables, plain or compressed with gzip or Zstandard; decompressed while reading.
-
 PACKED = (".gz", ".zst")
 
 

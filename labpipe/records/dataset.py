@@ -11,9 +11,6 @@ from labpipe.arrays import FloatArray
 from labpipe.records import identification
 from labpipe.records.finding import Finding
 
-# Rows of a dataset of results: one for each parameter of each fit of a test, and one for a test that could
-# not be evaluated.
-
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetRow:

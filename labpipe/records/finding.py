@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 
-# A finding: something the user must know about the measurement or the fit, in a code and in words.
-
 NOTE, WARNING = "note", "warning"
 
 

@@ -9,8 +9,6 @@ from labpipe.quantities import UnitError, unit_of
 from labpipe.records.response import FORMS
 from labpipe.records.settings import Settings, setting
 
-# Windows that data or FRFs have already when they come from an analyser.
-
 
 @dataclass(frozen=True)
 class WindowedSettings(Settings):

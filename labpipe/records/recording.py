@@ -17,8 +17,6 @@ from labpipe.records.finding import Finding
 from labpipe.records.text import VIEWS, recording_line
 from labpipe.records.uncertain import ChannelUncertainty, as_uncertainties
 
-# Sums of channels: f - m a, x_stator - x_shaft, (x_1 + x_2) / 2, with the uncertainty of the numbers in them.
-
 
 @dataclass(frozen=True)
 class Number:

@@ -16,8 +16,6 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.text import VIEWS, response_line
 from labpipe.records.uncertain import ChannelUncertainty, MatrixError, as_uncertainties
 
-# The covariance of an FRF matrix as two small factors per line, made whole only where somebody asks for it.
-
 
 @dataclass(frozen=True)
 class FactoredCovariance:

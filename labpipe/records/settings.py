@@ -25,8 +25,6 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
 
-# A kind of file that a settings file can name.
-
 
 @dataclass(frozen=True)
 class FileKind:

@@ -13,8 +13,6 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
 from labpipe.records.response import Blocks, Port
 
-# Complex amplitudes of all channels of a test, line by line and run by run, with their covariance.
-
 
 @dataclass(frozen=True)
 class UncertainFactor:

@@ -58,11 +58,11 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
     Behind it in brackets: what the number is, where it is no standard uncertainty (k=2, rectangular or
     triangular limits), its degrees of freedom (dof=12), and its cause (source=scale).
     """
-    value_text, _, error_text = text.replace("±", "+-").partition("+-")
-    value = parse_value(value_text.strip(), unit)
-    if not error_text.strip():
+    value_text, error_text = split_uncertainty(text)
+    value = parse_value(value_text, unit)
+    if not error_text:
         return Uncertain(value)
-    size_text, qualities = _qualities(error_text.strip())
+    size_text, qualities = _qualities(error_text)
     relative = size_text.endswith("%")
     size = abs(value) * parse_value(size_text, "1") if relative else _difference(size_text, unit)
     if size < 0:
@@ -104,9 +104,10 @@ def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
             number = parse_value(text, "1")
             if not number > 0:
                 raise UnitError(f"'{quality}' must be above zero")
-            factor, entries = (
-                (factor * number, entries) if name == "k" else (factor, {**entries, "dof": number})
-            )
+            if name == "k":
+                factor *= number
+            else:
+                entries["dof"] = number
         else:
             words = (*SHAPES, "k=2", "dof=12", "source=NAME")
             raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, words))
@@ -114,12 +115,8 @@ def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
 
 
 # Systematic uncertainties: a number of the rig that is known with a standard uncertainty, the same error in
-# all that rests on it.
-
-# What the number of a channel does to it: size and sign, delay of its chain, phase, direction.
-
-# Relative change of a channel's amplitude X by a unit of the error d of its chain, a w^n as (a, n): X (1 -
-# d), X e^{+jwd}, X e^{+jd}.
+# all that rests on it. Relative change of a channel's amplitude X by a unit of the error d of its chain, as
+# (a, n) for a w^n: X (1 - d), X e^{+jwd}, X e^{+jd}.
 COURSES: dict[str, tuple[complex, int]] = {"gain": (-1.0, 0), "delay": (1j, 1), "phase": (1j, 0)}
 
 
@@ -171,13 +168,9 @@ class MatrixError:
     change: ComplexArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self,
-            "change",
-            frozen_array(
-                self.change, np.complex128, f"change by {self.uncertainty.source}", np.shape(self.change)
-            ),
-        )
+        what = f"change by {self.uncertainty.source}"
+        change = frozen_array(self.change, np.complex128, what, np.shape(self.change))
+        object.__setattr__(self, "change", change)
 
 
 def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:
@@ -272,18 +265,12 @@ class Budget:
         """
         column = self.names.index(name)
         parts = {"noise": float(self.random[column] ** 2)}
-        parts.update(
-            {
-                source.source: float(change[column] ** 2)
-                for source, change in zip(self.sources, self.changes, strict=True)
-            }
-        )
+        for source, change in zip(self.sources, self.changes, strict=True):
+            parts[source.source] = float(change[column] ** 2)
         whole = sum(parts.values())
-        return (
-            {part: value / whole for part, value in sorted(parts.items(), key=lambda pair: -pair[1])}
-            if whole > 0
-            else parts
-        )
+        if whole <= 0:
+            return parts
+        return {part: value / whole for part, value in sorted(parts.items(), key=lambda pair: -pair[1])}
 
     def change_by(self, source: str, name: str) -> float:
         """Change of a parameter by one standard uncertainty of a source.
@@ -291,12 +278,8 @@ class Budget:
         Zero for a source that the fit does not have.
         """
         column = self.names.index(name)
-        numbers = [
-            number
-            for number, source_of_change in enumerate(self.sources)
-            if source_of_change.source == source
-        ]
-        return float(sum(self.changes[number, column] for number in numbers))
+        rows = zip(self.sources, self.changes, strict=True)
+        return float(sum(change[column] for by, change in rows if by.source == source))
 
 
 # What changes between repeats of a test and is not seen within one: drift between days, remounting.

@@ -21,9 +21,6 @@ from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Se
 from labpipe.report.wording import few, legible, unit_text
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
 
-# Figures of a coefficient in many tests: points where they can be told apart, else the share of tests
-# within bands.
-
 Points = tuple[FloatArray, FloatArray]
 HEIGHT = 2.6
 # Points that are drawn one by one, with their intervals.

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Sequence
 from labpipe.display import unit_label, written
 from labpipe.distributions import student_tail
 from labpipe.quantities import display_unit
+from labpipe.records.comparison import StudyThreshold
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.study import StudyThreshold
 from labpipe.records.text import parameter_cells
 
 STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))

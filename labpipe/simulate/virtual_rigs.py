@@ -4,6 +4,7 @@ them, truth.
 
 from __future__ import annotations
 
+import functools
 import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,8 +25,6 @@ from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
-# The truth of a virtual rig by the names that a fit gives its parameters.
-
 
 def one_mass_truth(mass: float, stiffness: float, damping: float) -> dict[str, float]:
     """Mass [kg], k [N/m], c [N.s/m] with f_n = sqrt(k / m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) [1], by
@@ -34,13 +33,8 @@ def one_mass_truth(mass: float, stiffness: float, damping: float) -> dict[str, f
     Equation (sim-one-mass).
     """
     natural = math.sqrt(stiffness / mass)
-    return {
-        "mass": mass,
-        "k": stiffness,
-        "c": damping,
-        "f_n": natural / (2 * math.pi),
-        "zeta": damping / (2 * mass * natural),
-    }
+    modal = {"f_n": natural / (2 * math.pi), "zeta": damping / (2 * mass * natural)}
+    return {"mass": mass, "k": stiffness, "c": damping, **modal}
 
 
 def coefficients_by_name(labels: Sequence[str], glue: str = "", **matrices: ArrayLike) -> dict[str, float]:
@@ -54,9 +48,6 @@ def coefficients_by_name(labels: Sequence[str], glue: str = "", **matrices: Arra
         for (row, column), value in np.ndenumerate(np.asarray(matrix))
     }
 
-
-# Virtual rigs with true parameters. VIRTUAL_RIGS by kind: the settings of a rig file, its runs, their
-# files, and responses for studies.
 
 VIRTUAL_RIGS = Registry("virtual rig")
 
@@ -191,9 +182,8 @@ def kind_of_tests(
         runs = tests(rig, seed, names)
         files = {run.name: LoggedTable(run.table, text=True) for run in runs if run.table is not None}
         files |= {run.name: logged(run.recording) for run in runs if run.recording is not None}
-        return Simulation(
-            {run.name: files[run.name] for run in runs}, {"runs": {run.name: run.truth for run in runs}}
-        )
+        truth = {run.name: run.truth for run in runs}
+        return Simulation({run.name: files[run.name] for run in runs}, {"runs": truth})
 
     return VirtualRigKind(settings=settings, simulate=simulated, recordings=recordings_of, **others)
 
@@ -232,9 +222,8 @@ def simulated_response(
     if kind.response is not None:
         return kind.response(rig, seeds)
     if kind.recordings is None:
-        raise ConfigError(
-            f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses"
-        )
+        hint = "studies repeat fits of frequency responses"
+        raise ConfigError(f"a {rig.kind} gives no frequency response", hint=hint)
     if frf is None:
         raise ConfigError("the study needs the frf: section to measure this rig's recordings")
     made = list(recordings(rig, _join(seeds), runs))
@@ -243,10 +232,7 @@ def simulated_response(
 
 def _join(seeds: Sequence[int]) -> int:
     """One integer from several, different for different rows of up to a million repeats."""
-    joined = 0
-    for part in seeds:
-        joined = joined * 1_000_003 + part
-    return joined
+    return functools.reduce(lambda joined, part: joined * 1_000_003 + part, seeds, 0)
 
 
 def chosen_runs(rig: VirtualRig, runs: Iterable[str] | None) -> tuple[str, ...]:
@@ -263,8 +249,6 @@ def chosen_runs(rig: VirtualRig, runs: Iterable[str] | None) -> tuple[str, ...]:
             raise ConfigError(f"no run '{name}'", hint=nearest(name, available))
     return chosen
 
-
-# Recordings in the format of virtual loggers: units, whole numbers, and packing.
 
 # Long runs are stored as whole numbers: quantity -> (recorded unit, recorded value per SI value).
 WHOLE = {

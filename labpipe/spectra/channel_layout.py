@@ -1,8 +1,5 @@
 """Which channels of several recordings stand in the spectra, how sums are made of them, and what their
-uncertainties do.
-
-What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of
-its members.
+uncertainties do to an FRF: those of the numbers in a sum, and of the calibration of its members.
 
 An output y_o = sum a_m x_m changes by da x_m, and so does its row of H by da G_m, G_m = x_m / u the response
 of the member. A force u_i = sum a_m x_m changes by da x_m = da G_m u, so that H changes by -H e_i da G_m. All
@@ -31,8 +28,6 @@ from labpipe.spectra.channels import (
 )
 from labpipe.spectra.ports import Layout, Parts, at_columns, sensor_response
 from labpipe.spectra.settings import FrfSettings
-
-# A recording whose outputs are other channels than those that its rig names.
 
 
 class WithRoles(DerivedRecording):

@@ -16,8 +16,6 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import UncertainFactor
 from labpipe.records.uncertain import COURSES, ChannelUncertainty
 
-# Blocks of a recording on their way to the spectra, with checks for missing samples and constant forces.
-
 # Samples of a block: a few blocks fit into the cache together with their spectra.
 READ_SAMPLES = 1 << 17
 

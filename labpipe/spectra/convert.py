@@ -13,9 +13,6 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.matrices import hermitian, without_rounding
 
-# Conversion of receptance, mobility and accelerance: one factor j w per time derivative; dynamic stiffness
-# is the matrix inverse.
-
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 # Motion over motion of a base.
 TRANSMISSIBILITY = "transmissibility"

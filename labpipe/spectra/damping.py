@@ -12,8 +12,6 @@ from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import without_rounding
 
-# Correction of a frequency response for the damping that an exponential window adds.
-
 # Half width of the local rational fit [lines].
 HALF_WIDTH = 4
 # Elements of a matrix that are corrected together.

@@ -30,8 +30,6 @@ from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from labpipe.spectra.welch import CrossSpectra
 from labpipe.spectra.windows import exponential_correlation
 
-# Hammer hits: detection, windows, and rejection of overloads and double hits.
-
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
 CLIPPED_RUN = 3
 # Share of the double-hit level below which the contact has ended; a later rise above that level is a second

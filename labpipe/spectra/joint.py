@@ -170,9 +170,8 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     averages = sum(spectrum.averages for spectrum in spectra)
     if averages <= n + 2:
         hint = "record longer, or shorten `block`"
-        raise DataError(
-            f"{averages:.2g} effective averages are too few for the noise of an FRF by references", hint=hint
-        )
+        what = f"{averages:.2g} effective averages are too few for the noise of an FRF by references"
+        raise DataError(what, hint=hint)
     matrix = joined_spectra(spectra, whole)[chosen]
     estimate = joint_estimate(matrix, references, n_input, averages)
     findings = _strength_findings(estimate, spectra[0].frequency[chosen], settings, layout)
@@ -221,9 +220,8 @@ def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> 
             raise SettingError("reference", what, "record it, and give it role: reference in the rig file")
     for source in sources:
         if not {channel.name for channel in source.channels} & set(settings.reference):
-            raise DataError(
-                f"recording '{source.name}' has none of the references {', '.join(settings.reference)}"
-            )
+            listed = ", ".join(settings.reference)
+            raise DataError(f"recording '{source.name}' has none of the references {listed}")
 
 
 def _with_references(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Layout:

@@ -26,9 +26,6 @@ from labpipe.spectra.matrices import hermitian, without_rounding
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.settings import FrfSettings
 
-# Local polynomial method: around a line FRF and leakage are polynomials over the lines (Pintelon and
-# Schoukens 2012, chapter 7).
-
 # Lines solved together, so that memory does not depend on the record, and lines from which the correlation is
 # averaged.
 LINES_AT_ONCE, CORRELATED = 2048, 4096

@@ -18,8 +18,6 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, SMALLEST
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, shaft_motion
 
-# Measuring planes of a shaft: pairs of outputs in known directions, grouped by the names of their dofs.
-
 
 @dataclass(frozen=True)
 class Plane:

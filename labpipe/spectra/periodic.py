@@ -46,8 +46,6 @@ from labpipe.spectra.random import cut_at, rest_of_mean
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
-# Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
-
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.

@@ -18,8 +18,6 @@ from labpipe.spectra.channels import DerivedRecording, columns_of
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.windows import hann
 
-# Independence of forces and of outputs: condition numbers, and errors where an FRF matrix cannot be formed.
-
 # Largest condition number of the force matrix at which its inverse is used.
 WORST_FORCE_CONDITION = 1e3
 

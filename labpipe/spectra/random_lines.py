@@ -28,8 +28,6 @@ from labpipe.spectra.random import block_average
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
 
-# What either excitation gives of all channels side by side, and how far noise covers it.
-
 LOW_SNR = 10.0
 # A force's part that is due to what is injected, over the standard deviation of that part, below which it
 # might as well be noise.

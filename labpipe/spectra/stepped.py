@@ -21,8 +21,6 @@ from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.sweeps import Dwell, find_dwells, loudest
 
-# Sines of one frequency in samples: frequency, complex amplitudes, and their scatter from block to block.
-
 # Steps of Gauss and Newton for the frequency: the error shrinks by orders of magnitude with each.
 STEPS = 6
 

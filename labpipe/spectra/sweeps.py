@@ -14,8 +14,6 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.spectra.damping import HalfPower, half_power
 
-# Dwells of a stepped sine: where the frequency of a force stays constant.
-
 # Fewest periods of one frequency that count as a dwell.
 LEAST_PERIODS = 5
 # A zero crossing counts once the force has been below this share of its local peak.

@@ -30,9 +30,6 @@ from labpipe.spectra.settings import FrfSettings, ShaftLines
 from labpipe.spectra.shaft import STRETCH, ShaftMotion, at_rest, shaft_motion, steady
 from labpipe.spectra.windows import hann
 
-# Synchronous part of a recording (harmonics of the shaft speed): least-squares fit and subtraction in all
-# channels.
-
 
 class WithoutSynchronous(DerivedRecording):
     """A recording minus its synchronous part; satisfies SampleSource.

@@ -21,8 +21,6 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.response import Blocks
 
-# Windows of random data: values, noise bandwidth, and the correlation of overlapping blocks.
-
 # Correlation below which the noise of two lines counts as independent; no window's main lobe is wider than
 # FURTHEST_LINE lines.
 SHARED = 1e-3

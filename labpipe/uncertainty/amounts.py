@@ -15,8 +15,6 @@ from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, random_part
 from labpipe.records.uncertain import Budget, Uncertainty
 
-# Results of comparisons as parameters with standard error and interval.
-
 
 def with_error(name: str, unit: str, value: float, std_error: float, quantile: float) -> Parameter:
     """value +- quantile standard errors."""

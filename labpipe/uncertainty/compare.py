@@ -28,8 +28,6 @@ from labpipe.uncertainty.observations import Campaign, campaign_of, fits_named, 
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
 from labpipe.uncertainty.weighted import WeightedFit, repeatability, weighted_fit, weighted_mean
 
-# Trend of a parameter over a condition, and difference of two groups of tests.
-
 # Trend of a parameter over a condition: weighted straight line or power law through the tests, and its
 # significance.
 

@@ -25,9 +25,6 @@ from labpipe.uncertainty.observations import check_single, condition_of
 from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
 from labpipe.uncertainty.weighted import weighted_mean
 
-# Repeats of one coefficient at one point: their mean, with what repeating makes smaller and what it does
-# not.
-
 
 def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.

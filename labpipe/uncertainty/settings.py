@@ -17,8 +17,6 @@ from labpipe.records.settings import Settings, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import Registry
 
-# Levels of a condition: set values that differ by less than a tolerance are one.
-
 
 def levels_of(values: FloatArray, tolerance: float) -> tuple[FloatArray, IntArray]:
     """Levels (n_level,) [as the values], the means of their members, and the level of every value, (n,).

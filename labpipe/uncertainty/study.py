@@ -24,17 +24,15 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import whitener
 from labpipe.processes import pool_of
+from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Settings, setting
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.study import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.simulate.virtual_rigs import Truth as RigTruth
 from labpipe.simulate.virtual_rigs import VirtualRig, chosen_runs, kind_of, simulated_response
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.settings import FrfSettings
-
-# The ``study:`` section of a pipeline.
 
 FEWEST_REPEATS = 10
 

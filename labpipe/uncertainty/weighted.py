@@ -18,8 +18,6 @@ from labpipe.records.finding import Parameter
 from labpipe.uncertainty.amounts import chance, with_error
 from labpipe.uncertainty.observations import Campaign
 
-# Weighted means and lines of a few values with standard errors, and a test of their scatter.
-
 # p-value below which the scatter is larger than the standard errors explain.
 SCATTER_LEVEL = 0.05
 

@@ -16,11 +16,18 @@ from hypothesis import strategies as st
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.methods.rotor.section import UnbalanceCase, UnbalanceRuns
 from labpipe.methods.run_ups.records import RunUpMethod, RunUpResult
-from labpipe.records.comparison import ComparedBand, ComparedPoint, Comparison, Curve, Overlay
+from labpipe.records.comparison import (
+    ComparedBand,
+    ComparedPoint,
+    Comparison,
+    Curve,
+    Overlay,
+    Study,
+    StudyCase,
+)
 from labpipe.records.finding import WARNING, Finding, Parameter, note
 from labpipe.records.identification import Candidate, Failed, Fit, Goodness, Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.study import Study, StudyCase
 from tests.artefacts.any_record import any_of, fits, responses, same
 
 CHECKS = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]

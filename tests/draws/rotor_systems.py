@@ -50,11 +50,13 @@ from labpipe.methods.rotor_system.predictions import (
     at_speed,
     campbell,
     critical_speeds,
+    drawn_influence,
+    interval_of,
     onset,
+    stated_influence,
     unbalance_forces,
 )
 from labpipe.methods.rotor_system.records import InfluenceResult
-from labpipe.methods.rotor_system.weights import drawn_influence, interval_of, stated_influence
 from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, run_up
 
 ROOT = Path(__file__).parent.parent.parent

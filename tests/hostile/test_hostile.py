@@ -23,7 +23,7 @@ from labpipe.artefacts.writing import cell, text_of
 from labpipe.cli.main import main
 from labpipe.cli.output import LONGEST, message_line, printable
 from labpipe.errors import DataError
-from labpipe.raw_files import mat_table
+from labpipe.raw_files import mat
 from labpipe.raw_files import table as probe
 from labpipe.raw_files.table import open_table
 from tests.conftest import Command
@@ -289,7 +289,7 @@ def test_a_file_that_loops_inside_the_library_is_ended(
         while True:
             pass
 
-    monkeypatch.setattr(mat_table, "touch", loops)
+    monkeypatch.setattr(mat, "touch", loops)
     monkeypatch.setattr(probe, "SECONDS", 0.2)
     os.utime(path, ns=(1, 1))
     with pytest.raises(DataError, match="takes too long"):

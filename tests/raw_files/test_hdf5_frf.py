@@ -12,8 +12,7 @@ import pytest
 
 from labpipe.errors import DataError
 from labpipe.project.ready_response import is_response, load_response
-from labpipe.raw_files.mat_frf import holds_response, read_frf_mat
-from labpipe.raw_files.mat_table import has_hdf5_variables, load_hdf5_variables
+from labpipe.raw_files.mat import has_hdf5_variables, holds_response, load_hdf5_variables, read_frf_mat
 
 FREQUENCY = np.arange(1.0, 21.0)
 COMPLEX = np.dtype([("real", "<f8"), ("imag", "<f8")])

@@ -14,7 +14,7 @@ from scipy.io import savemat
 from scipy.sparse import eye_array
 
 from labpipe.errors import DataError
-from labpipe.raw_files.mat_frf import read_frf_mat, write_frf_mat, write_recording_mat
+from labpipe.raw_files.mat import read_frf_mat, write_frf_mat, write_recording_mat
 from labpipe.raw_files.table import open_table
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port

@@ -20,13 +20,12 @@ from labpipe.methods.run_ups.records import (
     RunUpResult,
     Surface,
 )
-from labpipe.records.comparison import ComparedBand, Comparison
+from labpipe.records.comparison import ComparedBand, Comparison, StudiedParameter
 from labpipe.records.finding import NOTE, WARNING, Finding, Parameter, note, of_level
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome
 from labpipe.records.recording import ChannelOverview, Envelope, Overview, Spectrum
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.study import StudiedParameter
 
 K, C = Parameter("k", 45.2e3, "N/m", std_error=31.0), Parameter("c", 3.7, "N.s/m")
 FIT = Fit(

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from labpipe.project.study import study_blocks, study_sections
+from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification
-from labpipe.records.study import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.figures import matrix_figure, matrix_figures
 from labpipe.report.fits import candidate_blocks

@@ -8,7 +8,7 @@ from labpipe.errors import ConfigError
 from labpipe.project.judging import compare_number
 from labpipe.project.rules import Rule
 from labpipe.project.study import study_outcome
-from labpipe.records.study import Study, StudyCase, StudyThreshold
+from labpipe.records.comparison import Study, StudyCase, StudyThreshold
 
 
 def case(fit: str, noise: float, coverage: float) -> StudyCase:

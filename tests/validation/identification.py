@@ -13,9 +13,9 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.magnetic_bearing.virtual_mechanics import VirtualMagneticRig
 from labpipe.methods.magnetic_bearing.virtual_rig import simulate
 from labpipe.project.simulate import load_virtual_rig
+from labpipe.records.comparison import StudyCase
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.study import StudyCase
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.study import StudySettings, run_study

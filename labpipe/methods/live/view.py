@@ -36,8 +36,6 @@ from labpipe.report.document import Block, Document, Figure, Paragraph, Section,
 from labpipe.report.figures import fitted_curve_figure, response_figure
 from labpipe.spectra.settings import FrfSettings
 
-# The section live of a pipeline: what a test is to reach, and its course, average by average.
-
 # Coefficients that are drawn where nothing is asked for.
 DRAWN = 4
 

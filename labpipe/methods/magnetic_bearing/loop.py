@@ -158,11 +158,8 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
     for an integrator. Equation (mag-static).
     """
     if not np.isfinite(loop.at_rest):
-        raise SettingError(
-            "static_stiffness",
-            "static_stiffness: the controller integrates, so the loop is rigid at rest",
-            "give negative_stiffness",
-        )
+        what = "static_stiffness: the controller integrates, so the loop is rigid at rest"
+        raise SettingError("static_stiffness", what, "give negative_stiffness")
     return loop_stiffness(loop) * loop.at_rest - static
 
 
@@ -297,6 +294,5 @@ def _largest(
     before, middle, after = at[top - 1 : top + 2]
     bend = before - 2 * middle + after
     shift = 0.5 * (before - after) / bend if bend else 0.0
-    return float(middle - 0.25 * (before - after) * shift), float(
-        points[top] + shift * (points[top + 1] - points[top])
-    )
+    place = points[top] + shift * (points[top + 1] - points[top])
+    return float(middle - 0.25 * (before - after) * shift), float(place)

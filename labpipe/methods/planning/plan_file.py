@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from labpipe import __version__
-from labpipe.artefacts.json_file import RECORD_FAULTS, entry_of, read_digested, record_of, write_digested
+from labpipe.artefacts.json_file import BAD_ENTRY, entry_of, read_digested, record_of, write_digested
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.document.render import DOCUMENTS
 from labpipe.errors import ConfigError, DataError, LabpipeError, cut
@@ -107,7 +107,7 @@ def read_plan(path: Path) -> Plan | RunPlan:
         plan: Plan | RunPlan = record_of(entries, kinds[entries["schema"]])
     except FileNotFoundError:
         raise DataError("no such file", path, "run `labpipe plan` first") from None
-    except RECORD_FAULTS as error:
+    except BAD_ENTRY as error:
         what = f"is not a readable plan ({cut(str(error))})"
         raise DataError(what, path, "run `labpipe plan` again") from None
     return plan

@@ -1,4 +1,9 @@
-"""plan of run-ups: which loads, trial unbalances and speeds to run, and the pipeline of their joint fit."""
+"""plan of run-ups: which loads, trial unbalances and speeds to run, and the pipeline of their joint fit.
+
+With the slopes J of the joint fit's residual at expected parameters, a run tells J^T J of the logarithms of
+PARAMETERS, its Fisher information. Readings have standard errors of a share of the amplitude, with a floor,
+and of the phase; where the rotor is unstable, or moves farther than the limits allow, it is not run.
+"""
 
 from __future__ import annotations
 
@@ -10,26 +15,41 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.methods.planning import run_up_information
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_relative
-from labpipe.methods.run_ups.misfit import scales
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE
+from labpipe.methods.run_ups.joint import MeasuredThreshold
+from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, scales
 from labpipe.methods.run_ups.records import RunUp, Shaker
-from labpipe.methods.run_ups.rotor import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, RPM, FilmFamily, RunUpRotor
+from labpipe.methods.run_ups.rotor import (
+    BOUND,
+    COEFFICIENTS,
+    PARAMETERS,
+    PRIOR,
+    RPM,
+    FilmFamily,
+    RunUpRotor,
+    as_matrices,
+    largest_displacement,
+)
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
 RUN_UPS = "run-ups"
 EXPONENTS = ("viscosity_speed", "viscosity_load")
 SPEEDS = ("critical_speed", "threshold")
+# Readings with a larger relative error are not planned with: a fit weighs along and across the measured
+# phasor, which is noise then.
+LARGEST_ERROR = 0.2
 
 
 @dataclass(frozen=True)
@@ -206,9 +226,9 @@ class RunUpChoice:
     """The run-ups to choose from, by the settings of a plan, of a rig that is *expected*."""
 
     settings: RunUpPlanSettings
-    expected: run_up_information.ExpectedRig
+    expected: ExpectedRig
 
-    def _all(self) -> Iterator[run_up_information.RunCandidate]:
+    def _all(self) -> Iterator[RunCandidate]:
         settings = self.settings
         stretches = np.array_split(settings.omega, settings.stretches)
         for place, load in enumerate(settings.loads, 1):
@@ -217,21 +237,19 @@ class RunUpChoice:
                 for number, speed in enumerate(stretches, 1):
                     stem = f"load-{place}-{name.replace(' ', '-')}"
                     stem += f"-{number}" if settings.stretches > 1 else ""
-                    candidate = run_up_information.RunCandidate(
-                        stem, load, speed, dict(trial.unbalance), shaker
-                    )
+                    candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), shaker)
                     yield candidate
                     may_go_on = settings.to_threshold and number == settings.stretches and not shaker
                     if may_go_on and self.expected.threshold(load) is not None:
                         yield replace(candidate, name=f"{stem}-threshold", to_threshold=True)
 
     @cached_property
-    def _allowed(self) -> tuple[list[run_up_information.RunCandidate], list[str]]:
+    def _allowed(self) -> tuple[list[RunCandidate], list[str]]:
         """The runs at the speeds that the limits allow, and what to note of it."""
-        limits = run_up_information.Limits(self.settings.displacement_limit, self.settings.journal_limit)
+        limits = Limits(self.settings.displacement_limit, self.settings.journal_limit)
         kept, cut, whole = [], 0, 0
         for candidate in self._all():
-            allowed = run_up_information.at_allowed_speeds(self.expected, candidate, limits)
+            allowed = at_allowed_speeds(self.expected, candidate, limits)
             kept += [] if allowed is None else [allowed]
             full = allowed is not None and allowed.speed.size == candidate.speed.size
             cut, whole = cut + (not full), whole + full
@@ -244,7 +262,7 @@ class RunUpChoice:
     def run(self, name: str) -> RunUp:
         """The run of that name as it is expected, without noise."""
         candidate = next(candidate for candidate in self._allowed[0] if candidate.name == name)
-        return run_up_information.expected_run(self.expected, candidate)
+        return expected_run(self.expected, candidate)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
@@ -260,7 +278,7 @@ class RunUpChoice:
                 ("rate", f"{(high - low) / (dwell * max(candidate.speed.size - 1, 1)):.3g} rpm/s"),
             )
             seconds = dwell * candidate.speed.size + self.settings.changeover
-            of_run = run_up_information.information(self.expected, candidate)
+            of_run = information(self.expected, candidate)
             conditions.append(Condition(candidate.name, seconds, words, of_run))
         return tuple(conditions)
 
@@ -339,9 +357,7 @@ class RunUpChoice:
                 yield Quantity(name, unit, value, row, goal, size)
 
 
-def _speed_row(
-    expected: run_up_information.ExpectedRig, load: float, name: str
-) -> tuple[float, FloatArray] | None:
+def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
 
     def speed(values: FloatArray) -> float | None:
         at = expected.family.at_load(values, load)
@@ -358,7 +374,7 @@ def _speed_row(
     return value, np.array([(high - low) / (2 * STEP) for high, low in np.array(ends, float)])
 
 
-def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> run_up_information.ExpectedRig:
+def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> ExpectedRig:
     """The rig of the settings; *earlier*: factors and exponents [1] of an earlier fit."""
     assert settings.rig is not None
     rig: RunUpRotor = settings.rig
@@ -367,8 +383,8 @@ def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> r
     usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
     family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
     noise = settings.noise
-    reading = run_up_information.Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
-    return run_up_information.ExpectedRig(rig, family, settings.values(earlier), reading)
+    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
+    return ExpectedRig(rig, family, settings.values(earlier), reading)
 
 
 def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
@@ -400,3 +416,142 @@ def _earlier(file: PlanFile) -> dict[str, float]:
 
 
 RUN_UPS_PLAN = PlanKind(RunUpPlanSettings, run_up_files)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Standard errors at one speed: *amplitude* [1] relative, a *displacement* [m] added in squares, *phase*
+    [rad], *threshold* [1].
+    """
+
+    amplitude: float
+    displacement: float
+    phase: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class ExpectedRig:
+    """The rotor with the family of its film, and the expected logarithms *values* (12,) [-] of PARAMETERS.
+
+    *reading*: its noise.
+    """
+
+    rig: RunUpRotor
+    family: FilmFamily
+    values: FloatArray
+    reading: Reading
+
+    def coefficients(self, load: float, speed: FloatArray) -> FloatArray:
+        """The eight coefficients (n_speed, 8) [N/m, N s/m] at a load [N] and speeds (n_speed,) [rad/s]."""
+        return self.family.coefficients(self.values, load, speed)
+
+    def threshold(self, load: float) -> float | None:
+        """Expected threshold of instability [rad/s] under a load [N]; None for none within the search."""
+        return self.rig.threshold(self.family.at_load(self.values, load))
+
+
+@dataclass(frozen=True)
+class RunCandidate:
+    """A run under a *load* [N] at speeds (n_speed,) [rad/s], under an unbalance [kg m] by plane or a shaker.
+
+    Or on to the threshold.
+    """
+
+    name: str
+    load: float
+    speed: FloatArray
+    unbalance: Mapping[str, complex]
+    shaker: Shaker | None = None
+    to_threshold: bool = False
+
+    @property
+    def excitation(self) -> str:
+        """What excites the rotor, in words."""
+        if self.shaker is not None:
+            where = f"shaker at {self.shaker.plane}: {self.shaker.x:g} N in x"
+            return f"{where}, {self.shaker.frequency_ratio:g} of the speed"
+        return "; ".join(
+            f"{plane}: {1e6 * abs(size):.4g} g mm at {np.degrees(np.angle(size)):.4g} deg"
+            for plane, size in self.unbalance.items()
+        )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Largest displacement 0-to-peak at a plane and of the journal [m]; None: no limit."""
+
+    displacement: float | None = None
+    journal: float | None = None
+
+
+def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
+    """The run as it is expected, without noise, with the standard errors of its readings."""
+    rig, speed = expected.rig, candidate.speed
+    shape = (speed.size, len(rig.planes), 2)
+    ones = np.ones(shape)
+    unit = RunUp(
+        candidate.name,
+        candidate.load,
+        speed,
+        rig.plane_names,
+        ones + 0j,
+        amplitude_error=ones,
+        phase_error=ones,
+        unbalance=candidate.unbalance,
+        shaker=candidate.shaker,
+    )
+    matrices = as_matrices(expected.coefficients(candidate.load, speed))
+    response = rig.excited(unit).response(*matrices).reshape(shape)
+    reading = expected.reading
+    floor = reading.displacement / np.abs(response)
+    threshold = expected.threshold(candidate.load) if candidate.to_threshold else None
+    return replace(
+        unit,
+        response=response,
+        amplitude_error=np.hypot(reading.amplitude, floor) * np.abs(response),
+        phase_error=np.hypot(reading.phase, floor),
+        threshold=None if threshold is None else Uncertain(threshold, reading.threshold * threshold),
+    )
+
+
+def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
+    """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the
+    search does not find.
+
+    Equation (plan-run-up).
+    """
+    run = expected_run(expected, candidate)
+    speeds = LoadRuns(run.load, run.speed, (ExcitedRun.of(expected.rig, run),))
+    rows = speeds.residual(expected.family, expected.values)[1]()
+    matrix = rows.T @ rows
+    if run.threshold is not None:
+        measured = MeasuredThreshold(expected.rig, run.load, run.threshold)
+        row = measured.residual(expected.family, expected.values)[1]()
+        matrix = matrix + row.T @ row
+    elif candidate.to_threshold:
+        what = f"no threshold is expected under {candidate.load:.4g} N"
+        raise FitError(what, hint="leave to_threshold out")
+    return np.asarray(matrix)
+
+
+def allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> BoolArray:
+    """Speeds (n_speed,) at which the rotor is stable, no displacement exceeds its limit, and every reading is
+    above its noise.
+    """
+    run = expected_run(expected, replace(candidate, to_threshold=False))
+    stiffness, damping = as_matrices(expected.coefficients(run.load, run.speed))
+    good = expected.rig.stability.growth(run.speed, stiffness, damping) <= GROWTH_TOLERANCE
+    good &= np.all(run.amplitude_error <= LARGEST_ERROR * np.abs(run.response), axis=(1, 2))
+    if limits.displacement is not None:
+        good &= np.all(largest_displacement(run.response) <= limits.displacement, axis=1)
+    if limits.journal is not None:
+        journal = expected.rig.excited(run).journal(stiffness, damping)[0]
+        good &= largest_displacement(journal) <= limits.journal
+    return np.asarray(good)
+
+
+def at_allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> RunCandidate | None:
+    """The candidate at the speeds that are allowed; None where fewer than two are left."""
+    good = allowed_speeds(expected, candidate, limits)
+    return replace(candidate, speed=candidate.speed[good]) if np.count_nonzero(good) > 1 else None

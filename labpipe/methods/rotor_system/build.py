@@ -21,8 +21,6 @@ from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
 from labpipe.records.settings import Settings, quantity
 
-# Coefficients of a bearing's theory over speed, frequency and its uncertain inputs.
-
 # What a film's curve over the Sommerfeld number takes.
 ON_CURVE = ("clearance", "viscosity")
 # At least this frequency [rad/s] for a controlled bearing under a static load.

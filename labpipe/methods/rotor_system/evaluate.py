@@ -40,6 +40,7 @@ from labpipe.methods.rotor_system.posterior import (
     pulls,
     refit,
 )
+from labpipe.methods.rotor_system.predictions import balance
 from labpipe.methods.rotor_system.settings import (
     MODES,
     RESPONSE,
@@ -48,7 +49,6 @@ from labpipe.methods.rotor_system.settings import (
     SystemTest,
     place_of,
 )
-from labpipe.methods.rotor_system.weights import balance
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.section import run_as_measured
 from labpipe.project.work import Work

@@ -50,8 +50,7 @@ class FreeModes:
 
         f = |lambda| / 2 pi and zeta = -Re lambda / |lambda| of the rotor without what carries it.
         """
-        shaft = np.arange(model.n_shaft)
-        plane = np.sort(np.concatenate([shaft[0::4], shaft[3::4]]))
+        plane = np.flatnonzero(np.isin(np.arange(model.n_shaft) % 4, (0, 3)))
         roots = model.roots(values, 0.0, int(self.numbers.max()), dofs=plane, supported=False)
         eigenvalues, slopes = roots.values[self.numbers - 1], roots.slopes[self.numbers - 1]
         size = np.abs(eigenvalues)
@@ -59,10 +58,8 @@ class FreeModes:
             raise FitError("a free mode has no damping", hint="name the shaft's damping as unknown")
         of_size = (eigenvalues.conj()[:, None] * slopes).real / size[:, None] ** 2
         of_damping = slopes.real / eigenvalues.real[:, None] - of_size
-        return (
-            np.concatenate([np.log(size / (2 * np.pi)), np.log(-eigenvalues.real / size)]),
-            np.concatenate([of_size, of_damping]),
-        )
+        ln = np.concatenate([np.log(size / (2 * np.pi)), np.log(-eigenvalues.real / size)])
+        return ln, np.concatenate([of_size, of_damping])
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
@@ -88,13 +85,10 @@ def out_of_order(
     two standard uncertainties of both. Equation (system-interlacing).
     """
     wrong = []
-    for place, (f, error) in enumerate(
-        zip(supported.frequency, supported.frequency * supported.frequency_error, strict=True), 1
-    ):
-        for number, bending, spread in zip(
-            free.numbers, free.frequency, free.frequency * free.frequency_error, strict=True
-        ):
-            rank, apart = int(number) + 2, 2 * float(np.hypot(error, spread))
+    error, spreads = (modes.frequency * modes.frequency_error for modes in (supported, free))
+    for place, (f, error_of_f) in enumerate(zip(supported.frequency, error, strict=True), 1):
+        for number, bending, spread in zip(free.numbers, free.frequency, spreads, strict=True):
+            rank, apart = int(number) + 2, 2 * float(np.hypot(error_of_f, spread))
             # Of so many supported modes of a plane one is at least this far up.
             if -(-place // planes) - added >= rank and f < bending - apart:
                 wrong.append((place, int(number), True))
@@ -136,8 +130,8 @@ class Responses:
         spin = np.full(self.omega.size, self.spin)
         acting = np.where(model.acting(self.name), values, 0.0)
         motion, slopes, _ = model.response(acting, spin, self.omega, forces, self.outputs, self.supported)
-        gains = np.exp([acting[number] for number in self.gains] or [0.0] * len(self.outputs))
-        factor = (1j * self.omega[:, None, None]) ** self.derivative * gains[:, None]
+        gains = np.exp(acting[list(self.gains)])[:, None] if self.gains else 1.0
+        factor = (1j * self.omega[:, None, None]) ** self.derivative * gains
         modelled = motion * factor
 
         def derivatives() -> ComplexArray:
@@ -158,7 +152,6 @@ class Responses:
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Responses:
         """At *values* (n_unknown,) [SI units], see Evidence."""
-        # Some lines are enough to come near.
         few = slice(None, None, max(1, self.omega.size // FEW_LINES))
         thinned = replace(self, omega=self.omega[few], measured=self.measured[few], error=self.error[few])
         modelled, _ = thinned.predicted(model, values)
@@ -201,16 +194,12 @@ class RunUpVectors:
         turning[firsts, np.arange(len(firsts))] = 1
         turning[[first + 1 for first in firsts], np.arange(len(firsts))] = -1j
         forces = self.speed[:, None, None] ** 2 * turning
-        added = [sum(u for dof, u in self.added if dof == first) for first in firsts]
-        unbalance = np.array([acting[real] + 1j * acting[imaginary] for _, real, imaginary in self.planes])
-        unbalance = unbalance + np.array(added)
-        motion, slopes, left = model.response(
-            acting, self.speed, self.speed, forces @ unbalance[:, None], self.outputs
-        )
-        probes = np.exp(
-            np.array([acting[number] for number in self.gains] or [0.0] * len(self.outputs))
-            + 1j * np.array([acting[number] for number in self.phases] or [0.0] * len(self.outputs))
-        )
+        added = np.array([sum(u for dof, u in self.added if dof == first) for first in firsts])
+        unbalance = added + [acting[real] + 1j * acting[imaginary] for _, real, imaginary in self.planes]
+        exciting = forces @ unbalance[:, None]
+        motion, slopes, left = model.response(acting, self.speed, self.speed, exciting, self.outputs)
+        gains, phases = (acting[list(numbers)] if numbers else 0.0 for numbers in (self.gains, self.phases))
+        probes = np.broadcast_to(np.exp(gains + 1j * phases), len(self.outputs))
         influence = (left @ forces) * probes[:, None]
         vectors = motion[:, :, 0] * probes
 
@@ -246,8 +235,7 @@ class RunUpVectors:
         """
         size = np.broadcast_to(np.reshape(noise, (-1, 1)), (len(self.outputs), speed.size))
         nothing = np.zeros((speed.size, len(self.outputs)), complex)
-        whitener = run_up_whitener(size, 0.0)
-        return replace(self, speed=speed, measured=nothing, whitener=whitener, added=added)
+        return replace(self, speed=speed, measured=nothing, whitener=run_up_whitener(size, 0.0), added=added)
 
     @property
     def noise(self) -> FloatArray:

@@ -63,10 +63,9 @@ class Grid:
     @classmethod
     def of(cls, fits: Iterable[SpeedwiseFit]) -> Grid:
         """From one fit per load, such as a PointFit or an AmplitudeFit."""
-        all_fits = list(fits)
-        if not all_fits:
+        parts = [(np.full(fit.speed.size, fit.load), fit.speed, fit.coefficients) for fit in fits]
+        if not parts:
             raise DataError("there is no fit to make a metamodel of")
-        parts = [(np.full(fit.speed.size, fit.load), fit.speed, fit.coefficients) for fit in all_fits]
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     @classmethod
@@ -74,10 +73,8 @@ class Grid:
         """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,)
         [rad/s].
         """
-        parts = [
-            (np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0])
-            for load in loads
-        ]
+        n, speed = np.size(speed), np.asarray(speed)
+        parts = [(np.full(n, load), speed, fit.coefficients(load, speed)[0]) for load in loads]
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     @property
@@ -155,7 +152,6 @@ class ResponseSurface(WithinExtent):
     press: FloatArray
     total: FloatArray
     n_point: int
-
     kind: ClassVar[str] = "surface"
 
     @property
@@ -171,9 +167,7 @@ class ResponseSurface(WithinExtent):
     @property
     def statement(self) -> str:
         kinds = {"R²": self.r2, "adjusted R²": self.r2_adjusted, "predicted R² (PRESS)": self.r2_predicted}
-        ranges = "; ".join(
-            f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items()
-        )
+        ranges = "; ".join(f"{name} {of.min():.3f} to {of.max():.3f}" for name, of in kinds.items())
         return f"{self.n_point} points, over the eight coefficients {ranges}"
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -209,10 +203,8 @@ def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 o
     terms = _terms(extent.coded(grid.load, grid.speed))
     n, m = terms.shape
     if n <= m or np.linalg.matrix_rank(terms, tol=1e-8 * np.sqrt(n)) < m:
-        raise FitError(
-            "a second-order surface needs three loads and three speeds at least",
-            hint="measure more, or use another metamodel",
-        )
+        hint = "measure more, or use another metamodel"
+        raise FitError("a second-order surface needs three loads and three speeds at least", hint=hint)
     inverse = np.linalg.inv(terms.T @ terms)
     beta = inverse @ terms.T @ grid.eight
     residual = grid.eight - terms @ beta
@@ -246,7 +238,6 @@ class PhysicalFit:
     family: FilmFamily
     values: FloatArray
     covariance: FloatArray
-
     kind: ClassVar[str] = "physical"
 
     @property
@@ -257,12 +248,8 @@ class PhysicalFit:
     @classmethod
     def of(cls, fit: JointFit, speeds: tuple[float, float]) -> PhysicalFit:
         """Of a joint fit to run-ups between two *speeds* [rad/s]."""
-        return cls(
-            Extent((min(fit.loads), max(fit.loads)), speeds),
-            fit.model,
-            fit.values,
-            fit.covariance * fit.widening**2,
-        )
+        extent = Extent((min(fit.loads), max(fit.loads)), speeds)
+        return cls(extent, fit.model, fit.values, fit.covariance * fit.widening**2)
 
     @property
     def statement(self) -> str:
@@ -272,9 +259,8 @@ class PhysicalFit:
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s].
-
-        FitError outside the film's table.
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]. FitError outside
+        the film's table.
         """
         return self.family.coefficients(self.values, load, speed)
 

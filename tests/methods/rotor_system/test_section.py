@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from labpipe.methods.rotor_system import evaluate
+from labpipe.methods.rotor_system import predictions
 
 ROOT = Path(__file__).parents[3]
 # Of a rotor as declared: its interval is many times wider than they can move it.
@@ -222,7 +222,7 @@ def test_modes_of_a_modal_fit_are_a_test(tmp_path: Path) -> None:
 
 def test_a_rotor_as_declared_has_wide_intervals(tmp_path: Path, labpipe, monkeypatch) -> None:
     """Bearings known to 40 % leave the critical speed open to some hundred rpm."""
-    monkeypatch.setattr(evaluate, "DRAWS", FEW_DRAWS)
+    monkeypatch.setattr(predictions, "DRAWS", FEW_DRAWS)
     path = tmp_path / "declared.json"
     ended = labpipe("rotor", ROOT / "configs/rotors/two-discs.yaml", "--json", path, "--speeds", "20-80 Hz")
     assert ended.code == 0 and "as declared" in ended.out
@@ -234,7 +234,7 @@ def test_a_rotor_in_oil_films_by_theory(tmp_path: Path, labpipe, monkeypatch) ->
     """Its critical speed and the onset of whirl have intervals by clearance and viscosity; stiffness is not
     symmetric there.
     """
-    monkeypatch.setattr(evaluate, "DRAWS", FEW_DRAWS)
+    monkeypatch.setattr(predictions, "DRAWS", FEW_DRAWS)
     whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
     oil = {"kind": "journal-bearing", "diameter": "40 mm", "length": "20 mm", "clearance": "60 um"}
     whole["bearings"] = [
