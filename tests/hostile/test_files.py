@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -61,13 +64,33 @@ DEAR = ("campaign", "run-up", "study", "plan", "virtual journal")
 MARKED = [pytest.param(name, marks=pytest.mark.long if name.startswith(DEAR) else ()) for name in SCENARIOS]
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Path], None]:
+    """Copies a scenario's folder as its command leaves it; scenarios of the same files and command share
+    one.
+    """
+    folders: dict[tuple[object, ...], Path] = {}
+
+    def copy(name: str, to: Path) -> None:
+        scenario = SCENARIOS[name]
+        key = scenario.command, id(scenario.files)
+        if key not in folders:
+            folders[key] = tmp_path_factory.mktemp("scenario")
+            write_scenario(name, folders[key])
+            with contextlib.chdir(folders[key]):
+                assert run_command(list(scenario.command)) == 0
+        shutil.copytree(folders[key], to, dirs_exist_ok=True)
+
+    return copy
+
+
 @pytest.mark.parametrize("name", MARKED)
 @pytest.mark.filterwarnings("ignore")
-def test_no_mutated_yaml_breaks_a_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_no_mutated_yaml_breaks_a_command(
+    finished: Callable[[str, Path], None], tmp_path: Path, name: str
+) -> None:
     """Nor is the file as it stands refused: its mutations would try nothing."""
-    monkeypatch.chdir(tmp_path)
-    write_scenario(name, tmp_path)
-    assert run_command(list(SCENARIOS[name].command)) == 0
+    finished(name, tmp_path)
     tally = Tally(name)
     for seed in range(YAML_TRIALS.get(name, 2)):
         trial_of_yaml(name, tmp_path, seed, tally)

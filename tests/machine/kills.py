@@ -63,14 +63,18 @@ class Way:
         return " ".join(self.options)
 
 
-def prepared(folder: Path, results: str = "whole") -> None:
-    """Recordings of several tests, their pipeline, and the result of an undisturbed run in "whole"."""
+def prepared(folder: Path, results: str = "whole", options: tuple[str, ...] = ()) -> float:
+    """Recordings of several tests, their pipeline, and the result of an undisturbed run in "whole"; that
+    run's duration [s].
+    """
     laboratory(folder)
     for number in range(TESTS):
         (folder / f"run{number}.csv").write_text(recording(18e3 + 100 * number, seed=number))
     tests = "\n".join(f"  - {{name: t{number}, recordings: run{number}.csv}}" for number in range(TESTS))
     (folder / "pipeline.yaml").write_text(PIPELINE.format(tests=tests, results=results))
-    assert _begun(folder, "whole", ()).wait() == 0
+    began = time.monotonic()
+    assert _begun(folder, "whole", options).wait() == 0
+    return time.monotonic() - began
 
 
 def killed(folder: Path, name: str, way: Way, seconds: float) -> list[str]:
@@ -131,7 +135,7 @@ def scheduler_killed(folder: Path, name: str, seconds: float) -> list[str]:
     What is not as it should be.
     """
     faults = []
-    with dask_cluster(folder, 2) as first, (folder / f"{name}.err").open("w+") as said:
+    with dask_cluster(folder, 1) as first, (folder / f"{name}.err").open("w+") as said:
         run = _begun(folder, name, ("--cluster", first.address), said)
         while not first.workers() and run.poll() is None:
             time.sleep(0.01)
@@ -146,7 +150,7 @@ def scheduler_killed(folder: Path, name: str, seconds: float) -> list[str]:
         text = said.read()
         if code not in (0, 2) or (code == 2 and len(text.splitlines()) != 1):
             faults.append(f"the run ends with {code}: {text[-500:]}")
-    with dask_cluster(folder, 2) as second:
+    with dask_cluster(folder, 1) as second:
         way = Way(("--cluster", second.address), lambda _: second.workers())
         code = _begun(folder, name, way.options).wait()
         return [
@@ -234,12 +238,11 @@ def scheduler_kills(count: int, folder: Path, seed: int = 0) -> list[str]:
     ]
 
 
-def kills(count: int, way: Way, folder: Path, *, worker: bool = False, seed: int = 0) -> list[str]:
-    """What went wrong in *count* kills at random moments of a run's duration, in a prepared *folder*."""
-    rng = random.Random(seed)
-    began = time.monotonic()
-    assert _begun(folder, "timed", way.options).wait() == 0
-    duration = time.monotonic() - began
+def kills(
+    count: int, way: Way, folder: Path, results: str = "whole", *, worker: bool = False, seed: int = 0
+) -> list[str]:
+    """What went wrong in *count* kills at random moments of a run's duration, in an empty *folder*."""
+    rng, duration = random.Random(seed), prepared(folder, results, way.options)
     faults: list[str] = []
     for number in range(count):
         name = f"out{number}"
@@ -264,12 +267,14 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        prepared(folder, "dataset" if arguments.dataset else "whole")
+        results = "dataset" if arguments.dataset else "whole"
         if arguments.scheduler:
+            prepared(folder, results)
             faults = scheduler_kills(arguments.count, folder, arguments.seed)
         else:
             with cluster(folder) if arguments.cluster else nullcontext(alone(arguments.processes)) as way:
-                faults = kills(arguments.count, way, folder, worker=arguments.worker, seed=arguments.seed)
+                options = {"worker": arguments.worker, "seed": arguments.seed}
+                faults = kills(arguments.count, way, folder, results, **options)
     print(*faults, f"{arguments.count} kills, {len(faults)} faults", sep="\n")
     return 1 if faults else 0
 

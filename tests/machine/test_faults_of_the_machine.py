@@ -37,7 +37,6 @@ def lab(tmp_path: Path) -> Path:
 @needs_proc
 def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
     """`python -m tests.machine.kills --count 100 --processes 2` does more of them."""
-    prepared(tmp_path)
     assert kills(1, alone(2), tmp_path, seed=2) == []
 
 
@@ -46,7 +45,6 @@ def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
 def test_a_run_on_a_cluster_whose_worker_is_killed_is_finished_to_the_same_bytes(tmp_path: Path) -> None:
     """`python -m tests.machine.kills --cluster` kills the run itself as well."""
     pytest.importorskip("distributed")
-    prepared(tmp_path)
     with cluster(tmp_path) as way:
         assert kills(1, way, tmp_path, worker=True) == []
 

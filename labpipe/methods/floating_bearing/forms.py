@@ -85,20 +85,21 @@ def _relaxation_slopes(theta: FloatArray, omega: FloatArray) -> ComplexArray:
     return np.stack([zero, zero, s / (1 + s) ** 2])[None]
 
 
-def _oscillator(theta: FloatArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """1 / (1 + 2 zeta s / w_0 + s^2 / w_0^2), its slopes by theta = (ln w_0, ln zeta)."""
+def _reduced(theta: FloatArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, float]:
+    """1 / (1 + 2 zeta s / w_0 + s^2 / w_0^2), s / w_0 and 2 zeta of theta = (ln w_0, ln zeta)."""
     s, damping = 1j * omega / np.exp(theta[0]), 2 * np.exp(theta[1])
-    reduced = 1 / (1 + damping * s + s**2)
-    return reduced, reduced**2 * (damping * s + 2 * s**2), -(reduced**2) * damping * s
+    return 1 / (1 + damping * s + s**2), s, damping
 
 
 def _pad(theta: FloatArray, omega: FloatArray) -> ComplexArray:
-    reduced, s = _oscillator(theta, omega)[0], 1j * omega
+    s = 1j * omega
+    reduced = _reduced(theta, omega)[0]
     return np.stack([np.ones_like(s), s, reduced, s * reduced])
 
 
 def _pad_slopes(theta: FloatArray, omega: FloatArray) -> ComplexArray:
-    _, *changes = _oscillator(theta, omega)
+    reduced, turned, damping = _reduced(theta, omega)
+    changes = reduced**2 * (damping * turned + 2 * turned**2), -(reduced**2) * damping * turned
     s, zero = 1j * omega, np.zeros_like(omega, np.complex128)
     return np.stack([np.stack([zero, zero, change, s * change]) for change in changes])
 
@@ -189,6 +190,7 @@ SYMMETRIES: dict[str, tuple[tuple[str, FloatArray], ...]] = {
     "direct": (("xx", _UNIT[0]), ("yy", _UNIT[3])),
     "isotropic": (("xx", _UNIT[0] + _UNIT[3]),),
 }
+_ELEMENTS = {name: np.stack([matrix for _, matrix in elements]) for name, elements in SYMMETRIES.items()}
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,7 @@ class StiffnessModel:
     @property
     def elements(self) -> FloatArray:
         """(n_element, 2, 2) [1]: the place of every element of a matrix."""
-        return np.stack([matrix for _, matrix in SYMMETRIES[self.symmetry]])
+        return _ELEMENTS[self.symmetry]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -229,7 +231,8 @@ class StiffnessModel:
 
     def matrices(self, values: FloatArray) -> FloatArray:
         """The M_k (n_matrix, 2, 2) [N/m, N.s/m, kg] of values (n_parameter,)."""
-        return np.tensordot(values[: self.n_linear].reshape(len(self.form.matrices), -1), self.elements, 1)
+        of_matrices = values[: self.n_linear].reshape(len(self.form.matrices), -1)
+        return (of_matrices @ self.elements.reshape(-1, 4)).reshape(-1, 2, 2)
 
     def stiffness(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s].
@@ -237,7 +240,7 @@ class StiffnessModel:
         Equation (ds-form).
         """
         basis = self.form.basis(values[self.n_linear :], omega)
-        return np.tensordot(basis.T, self.matrices(values), 1)
+        return (basis.T @ self.matrices(values).reshape(-1, 4)).reshape(-1, 2, 2)
 
     def jacobian(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp [N/m per parameter unit], (n_parameter, n_line, 2, 2)."""

@@ -67,19 +67,26 @@ class Whitened:
     def whiten(self, side: ComplexArray) -> ComplexArray:
         """L^-1 of forces (..., n_line, n_run, 2) [N]."""
         first = side[..., 0] / self.l_xx
-        return np.stack([first, (side[..., 1] - self.l_yx * first) / self.l_yy], axis=-1)
+        return plane_vectors(first, (side[..., 1] - self.l_yx * first) / self.l_yy)
 
     def weighted(self) -> ComplexArray:
         """S^-1 e (n_line, n_run, 2) [1/N]."""
         second = self.white[..., 1] / self.l_yy
-        return np.stack([(self.white[..., 0] - self.l_yx.conj() * second) / self.l_xx, second], axis=-1)
+        return plane_vectors((self.white[..., 0] - self.l_yx.conj() * second) / self.l_xx, second)
 
 
 def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
     """Matrices (..., 2, 2) on vectors (..., 2) [any unit], the axes before them broadcast."""
-    return np.stack(
-        [matrix[..., n, 0] * vectors[..., 0] + matrix[..., n, 1] * vectors[..., 1] for n in (0, 1)], axis=-1
+    return plane_vectors(
+        *(matrix[..., n, 0] * vectors[..., 0] + matrix[..., n, 1] * vectors[..., 1] for n in (0, 1))
     )
+
+
+def plane_vectors(first: ComplexArray, second: ComplexArray) -> ComplexArray:
+    """Vectors (..., 2) [any unit] of their components (...); np.stack takes several times as long."""
+    both = np.empty((*first.shape, 2), np.complex128)
+    both[..., 0], both[..., 1] = first, second
+    return both
 
 
 def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:

@@ -155,7 +155,7 @@ def test_the_frequency_without_what_moves_is_held() -> None:
     held, right = 0, 0
     for seed in range(3):
         for pull in (0.3, 2.0):
-            fit = fitted(roving(seed, pull), moving_mass=0.008)
+            fit = fitted(roving(seed, pull, lines=FREQUENCY[::2]), moving_mass=0.008)
             right += len(fit.detail(Modes).frequency) == 3 and bool(np.min(likeness(fit)) > 0.99)
             for f_n in MODES:
                 near = min(

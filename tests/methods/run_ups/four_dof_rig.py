@@ -103,18 +103,21 @@ def _integrated(rig: FourDofRig, spectra: np.ndarray, n: int) -> np.ndarray:
     weight = np.sinc(np.fft.rfftfreq(n, 1 / RATE) * dt) ** 2
     force = np.fft.irfft(spectra / weight[None, :, None], fine, axis=1) * FINE
     step, now, then = _steps(dt)
+    # What the forces do in each step is there beforehand: the loop is Python's. For matrices as small as
+    # these `dot` takes half of the time of `@`.
+    driven = np.ascontiguousarray((force @ now + np.roll(force, -1, axis=1) @ then).swapaxes(0, 1))
+    then_x = then[:, :4]
     state = np.zeros((spectra.shape[0], 8))
-    motion = np.empty((spectra.shape[0], n, 4))
+    motion = np.empty((n, spectra.shape[0], 4))
     extra = _extra_force(rig, fine)
     for number in range(fine):
+        x = state[:, :4]
         if number % FINE == 0:
-            motion[:, number // FINE] = state[:, :4]
-        following = force[:, (number + 1) % fine]
-        begin = extra(state[:, :4], number)
-        free = state @ step + (force[:, number] + begin) @ now
-        end = extra((free + (following + begin) @ then)[:, :4], number + 1)
-        state = free + (following + end) @ then
-    return motion
+            motion[number // FINE] = x
+        begin = extra(x, number)
+        free = state.dot(step) + driven[number] + begin.dot(now)
+        state = free + extra(free[:, :4] + begin.dot(then_x), number + 1).dot(then)
+    return motion.swapaxes(0, 1)
 
 
 def _extra_force(rig: FourDofRig, fine: int) -> Callable[[np.ndarray, int], np.ndarray]:
@@ -122,7 +125,7 @@ def _extra_force(rig: FourDofRig, fine: int) -> Callable[[np.ndarray, int], np.n
     # Asked for twice in every step: what is not there costs nothing.
     change = -rig.stiffness * true_stiffness().T / fine
     if not rig.cubic:
-        return lambda x, number: (x @ change) * number
+        return lambda x, number: x.dot(change * number)
     if not rig.stiffness:
         return lambda x, _: x * x * (-rig.cubic * x)
     return lambda x, number: (x @ change) * number - rig.cubic * x * x * x

@@ -4,11 +4,13 @@
 The Mendes rotor on ten states of its bearings, none of them shipped: speed 40-60 Hz, clearance 75-100 um,
 viscosity .08-.12 Pa s, wear 8-46 um within 18 deg, all drawn; the rotor file of the fit is wrong by draws of
 2 % of clearance and 3 % of viscosity. Lines every .25 Hz, circular noise of 1 and 2 % of the largest |H| in
-turn. Starts at the truth: where minima are is tested by itself.
+turn. Starts at the truth: where minima are is tested by itself. The reference's films take a second and a
+half each and are recorded: `python -m tests.methods.wear.test_wear_intervals` solves them anew.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,11 +30,13 @@ from labpipe.methods.wear.settings import WearSettings
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
 from tests.methods.journal_bearing.reynolds_reference import Bearing, coefficients
+from tests.methods.wear.worn_cases import without_region
 
 RIG = load_rotor(Path(__file__).parents[3] / "configs/rotors/mendes.yaml")
 PORTS = (Port("y", "y", "y"), Port("z", "z", "z"))
 LINES = np.setdiff1d(np.arange(10.0, 100.5, 0.25), [50.0])
 NOISE = (0.01, 0.02)
+RECORDED = Path(__file__).with_name("reference_films.json")
 # Speed [Hz], clearance [m], viscosity [Pa s], depth [m], angle [rad]; errors of clearance and viscosity in
 # standard deviations.
 State = tuple[float, float, float, float, float, float, float]
@@ -75,16 +79,23 @@ def priors(state: State) -> dict[str, Uncertain]:
     }
 
 
-def response(rig: RotorRig) -> np.ndarray:
-    """H on the lines with the reference's coefficients, (n_line, 2, 2) [m/N]."""
+def films(rig: RotorRig) -> np.ndarray:
+    """K [N/m] and C [N s/m] of the reference for every bearing, (n_bearing, 2, 2, 2)."""
     loads = rig.static_loads()
-    films = [
-        (place.node, *reference(place.film("a test"), loads[place.name], rig.omega)) for place in rig.bearings
-    ]
-    free = reduced_rotor(
-        rig.rotor, (*(place.node for place in rig.bearings), rig.force, rig.response), LINES, rig.omega
-    )
-    return free.on([Support(*film) for film in films]).response(rig.response, rig.force)
+    return np.array([reference(place.film("a test"), loads[place.name], rig.omega) for place in rig.bearings])
+
+
+def recorded_films() -> np.ndarray:
+    """Those of every state, (n_state, n_bearing, 2, 2, 2)."""
+    return np.array(json.loads(RECORDED.read_text("utf-8")))
+
+
+def response(rig: RotorRig, coefficients: np.ndarray) -> np.ndarray:
+    """H on the lines with the *coefficients* of its films, (n_line, 2, 2) [m/N]."""
+    nodes = [place.node for place in rig.bearings]
+    free = reduced_rotor(rig.rotor, (*nodes, rig.force, rig.response), LINES, rig.omega)
+    supports = [Support(node, *film) for node, film in zip(nodes, coefficients, strict=True)]
+    return free.on(supports).response(rig.response, rig.force)
 
 
 def errors(state: State, n_draw: int, number: int) -> np.ndarray:
@@ -92,7 +103,7 @@ def errors(state: State, n_draw: int, number: int) -> np.ndarray:
     truth, (n_draw, 2, 3).
     """
     true, known = rigs(state)
-    exact, (depth, angle) = response(true), state[3:5]
+    exact, (depth, angle) = response(true, recorded_films()[number]), state[3:5]
     settings = WearSettings(
         "mendes.yaml", rig=known, start_depths=(depth,), start_angles=(angle,), **priors(state)
     )
@@ -136,10 +147,17 @@ def test_two_independent_films_agree(depth: float) -> None:
         np.testing.assert_allclose(film, other, atol=1.5e-3 * np.abs(other).max())
 
 
+@pytest.mark.long
+def test_recorded_films_are_the_reference_s() -> None:
+    """Of the state whose wear divides the film."""
+    np.testing.assert_allclose(films(rigs(states()[8])[0]), recorded_films()[8], rtol=1e-9)
+
+
 @pytest.fixture(scope="module")
 def drawn_errors() -> np.ndarray:
     """Errors of two draws of every state, (n_state, 2, 2, 3)."""
-    return np.array([errors(state, 2, number) for number, state in enumerate(states())])
+    with without_region():
+        return np.array([errors(state, 2, number) for number, state in enumerate(states())])
 
 
 @pytest.mark.long
@@ -173,3 +191,8 @@ def test_intervals_hold_the_truth_under_noise(drawn_errors: np.ndarray) -> None:
     assert held[0] >= 0.94 and held[1] >= stats.binom.ppf(0.005, 20, 0.95) / 20
     assert rms[0] <= 0.15e-6 and deep_angle <= 0.15
     assert np.all(ratio < 1.2)
+
+
+if __name__ == "__main__":
+    solved = [json.dumps(films(rigs(state)[0]).tolist()) for state in states()]
+    RECORDED.write_text("[\n" + ",\n".join(solved) + "\n]\n", encoding="utf-8")
