@@ -28,8 +28,9 @@ def _driver() -> ModuleType:
     return module
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[object]:
+    """Closed with the last test of this folder: one that waits for the end of all tests takes time until then."""
     driver = _driver()
     path = driver.binary()
     if path is None or os.name != "posix":
