@@ -14,7 +14,7 @@ from labpipe.methods.rotor_system import evaluate
 
 ROOT = Path(__file__).parents[3]
 # Of a rotor as declared: its interval is many times wider than they can move it.
-FEW_DRAWS = 40
+FEW_DRAWS = 100
 
 
 @pytest.fixture(scope="module")
