@@ -52,14 +52,21 @@ def _shipped_entries() -> Mapping[str, Mapping[str, EntryPoint]]:
 
 
 @functools.cache
-def _of_others(kind: str) -> Mapping[str, EntryPoint]:
-    """Entries of other packages.
+def _of_others() -> Mapping[str, Mapping[str, EntryPoint]]:
+    """Group -> name -> entry of other packages.
 
     Cached, since it reads the metadata of every installed package.
     """
-    group = group_of(kind)
-    shipped = _shipped_entries().get(group, {})
-    return {entry.name: entry for entry in entry_points(group=group) if entry.name not in shipped}
+    every, shipped = entry_points(), _shipped_entries()
+    return {
+        group: {
+            entry.name: entry
+            for entry in every.select(group=group)
+            if entry.name not in shipped.get(group, {})
+        }
+        for group in every.groups
+        if group.startswith("labpipe.")
+    }
 
 
 def group_of(kind: str) -> str:
@@ -85,10 +92,13 @@ class Registry:
     def _shipped_entries(self) -> Mapping[str, EntryPoint]:
         return {**self._own, **_shipped_entries().get(group_of(self.kind), {})}
 
+    @property
+    def _of_others(self) -> Mapping[str, EntryPoint]:
+        return _of_others().get(group_of(self.kind), {})
+
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first, in the order of their file."""
-        shipped = self._shipped_entries
-        return (*shipped, *(name for name in _of_others(self.kind) if name not in shipped))
+        return tuple(dict.fromkeys((*self._shipped_entries, *self._of_others)))
 
     def load(self, name: str) -> Any:
         """The object of that name; ConfigError with the nearest known name for an unknown one."""
@@ -97,7 +107,7 @@ class Registry:
         if name in self._shipped_entries:
             # Asked for thousands of times in a study; entries of others may be installed anew.
             return self._loaded.setdefault(name, self._shipped_entries[name].load())
-        entry = _of_others(self.kind).get(name)
+        entry = self._of_others.get(name)
         if entry is None:
             raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))
         return entry.load()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
+from importlib.metadata import EntryPoint, EntryPoints
 
 import pytest
 
@@ -20,7 +20,7 @@ def table(monkeypatch: pytest.MonkeyPatch) -> Registry:
         EntryPoint("more", "math:tau", "labpipe.some_kind"),
         EntryPoint("own", "math:e", "labpipe.some_kind"),
     )
-    monkeypatch.setattr(registry, "entry_points", lambda group: added if group == "labpipe.some_kind" else ())
+    monkeypatch.setattr(registry, "entry_points", lambda: EntryPoints(added))
     registry._of_others.cache_clear()
     yield Registry("some kind", TABLE)
     registry._of_others.cache_clear()
@@ -58,7 +58,7 @@ def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_besi
     others = [
         EntryPoint(name, "elsewhere:x", "labpipe.fit_detail") for name in ("theirs", *reversed(shipped))
     ]
-    monkeypatch.setattr(registry, "entry_points", lambda group: others)
+    monkeypatch.setattr(registry, "entry_points", lambda: EntryPoints(others))
     registry._of_others.cache_clear()
     try:
         table = Registry("fit detail")

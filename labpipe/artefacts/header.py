@@ -51,9 +51,11 @@ def _plug_ins() -> set[str]:
         if group.startswith(PLUG_IN_GROUPS)
         for entry in every.select(group=group)
     )
+    # Whatever is asked of a package's metadata reads them anew.
+    name_of = functools.cache(lambda package: package.name)
     # What labpipe itself adds is source. Its metadata may lie there twice, as an old folder beside the
     # checkout does.
-    others = (entry for entry in added if entry.dist is None or entry.dist.name != "labpipe")
+    others = (entry for entry in added if entry.dist is None or name_of(entry.dist) != "labpipe")
     return {
         f"{entry.value} {entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
         for entry in others

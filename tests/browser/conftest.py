@@ -1,4 +1,4 @@
-"""One headless browser for all tests of this folder, and the pages they open."""
+"""A headless browser for each file of this folder, and the pages they open."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ def _driver() -> ModuleType:
     return module
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[object]:
+    """Closed with the last test of its file: one that waits for the end of all tests takes time until then."""
     driver = _driver()
     path = driver.binary()
     if path is None or os.name != "posix":

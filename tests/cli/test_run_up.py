@@ -20,6 +20,7 @@ def command(root: Path, tmp_path: Path) -> list[object]:
     return ["orders", *files, "--tacho", "n", "-o", tmp_path / "out"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_amplitudes_are_those_of_the_unbalance_on_the_loop(
     command: list[object], root: Path, tmp_path: Path, labpipe
 ) -> None:

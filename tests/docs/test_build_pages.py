@@ -77,5 +77,6 @@ def test_a_mark_that_is_none_ends_the_build(tmp_path: Path, monkeypatch: pytest.
     (tmp_path / "pages").mkdir()
     (tmp_path / "pages/a.md").write_text("# A\n\n{{ figur pedestal | measured }}\n", encoding="utf-8")
     monkeypatch.setattr(build, "DOCS", tmp_path)
+    monkeypatch.setattr(build.api, "modules", dict)
     with pytest.raises(SystemExit, match=r"docs/pages/a.md: '\{\{ figur pedestal"):
         build.write_pages(tmp_path / "out", lambda name, words, up: "")

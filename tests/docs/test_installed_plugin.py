@@ -7,8 +7,11 @@ from __future__ import annotations
 import ast
 import importlib.util
 import json
+import runpy
 import sys
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -66,33 +69,39 @@ def of_own_process(project: Path, monkeypatch: pytest.MonkeyPatch):
     return run
 
 
-@pytest.fixture
-def installed(project: Path, monkeypatch: pytest.MonkeyPatch, labpipe):
-    """Run a labpipe command here, its tables looked up anew with the plug-in.
-
-    Its exit code must be as stated. A process takes a second.
-    """
-    monkeypatch.chdir(project)
-    monkeypatch.syspath_prepend(str(project / "docs/plugin/src"))
-    registry._of_others.cache_clear()
-
-    def run(*words: str, code: int = 0) -> str:
-        ended = labpipe(*words)
-        assert ended.code == code, ended
-        return str(ended.out + ended.err)
-
-    yield run
+@contextmanager
+def with_plugin(project: Path) -> Iterator[None]:
+    """The tables of labpipe in this process, looked up anew with the plug-in: a process takes a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(project / "docs/plugin/src"))
+        registry._of_others.cache_clear()
+        yield
     registry._of_others.cache_clear()
     for name in [name for name in sys.modules if name.partition(".")[0] == "labpipe_example"]:
         del sys.modules[name]
 
 
 @pytest.fixture
-def run_up_table(of_own_process, project: Path) -> Path:
-    """The run-up that the example's script writes."""
+def installed(project: Path, monkeypatch: pytest.MonkeyPatch, labpipe):
+    """Run a labpipe command here with the plug-in; its exit code must be as stated."""
+    monkeypatch.chdir(project)
+
+    def run(*words: str, code: int = 0) -> str:
+        ended = labpipe(*words)
+        assert ended.code == code, ended
+        return str(ended.out + ended.err)
+
+    with with_plugin(project):
+        yield run
+
+
+@pytest.fixture
+def run_up_table(installed, project: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The run-up that the example's script writes; its page runs it as it is shown."""
     path = project / EXAMPLE / "damper.csv"
     if not path.exists():
-        of_own_process("python", f"{EXAMPLE}/make_run_up.py", f"{EXAMPLE}/damper.csv")
+        monkeypatch.setattr(sys, "argv", ["make_run_up.py", str(path)])
+        runpy.run_path(f"{EXAMPLE}/make_run_up.py", run_name="__main__")
     return path
 
 
@@ -311,11 +320,12 @@ def test_faults_of_the_section_have_their_place(installed) -> None:
 
 
 def test_without_the_plugin_its_section_is_unknown_and_its_result_still_reads(
-    of_own_process, labpipe
+    project: Path, monkeypatch: pytest.MonkeyPatch, labpipe
 ) -> None:
-    of_own_process(
-        "labpipe", "run", f"{EXAMPLE}/margins.yaml", "-o", "out/left", "--set", "report.formats=[]"
-    )
+    monkeypatch.chdir(project)
+    with with_plugin(project):
+        left = labpipe("run", f"{EXAMPLE}/margins.yaml", "-o", "out/left", "--set", "report.formats=[]")
+    assert left.code == 0
     refused = labpipe("run", f"{EXAMPLE}/margins.yaml", "-o", "out/no")
     assert refused.code == 2 and "separation: unknown key" in refused.err
     assert "pedestal" in labpipe("list", "out/left", "-p", "k").out

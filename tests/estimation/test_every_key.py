@@ -166,7 +166,7 @@ def repeated(model: str, coverage: float) -> list[float | None]:
     fit's coverage.
     """
     settings = replace(CASES[model][1](), coverage=coverage)
-    fit = identify(data_of(model), settings)[0]
+    fit = identify(data_of(model), settings, judging=False)[0]
     source = RepeatSource("remounting", next(p.name for p in fit.parameters if p.std_error is not None), 0.01)
     return [p.expanded for p in with_repeat_sources(fit, [source], "", {}, settings.coverage).parameters]
 

@@ -85,7 +85,7 @@ def test_every_form_gives_the_same(three_dof_response, form: str) -> None:
         assert own.std_error == pytest.approx(other.std_error, rel=1e-6)
 
 
-@pytest.mark.parametrize("scale", [1e-9, 1e-7, 1e3])
+@pytest.mark.parametrize("scale", [1e-9, 1e3])
 @pytest.mark.parametrize("estimator", ["ls", "iv", "ml"])
 def test_the_size_of_the_receptance_does_not_matter(three_dof_response, scale: float, estimator: str) -> None:
     # H -> s H is K, C, M -> / s: every coefficient and its standard error is divided by s, chi-square stays.

@@ -103,8 +103,9 @@ def test_days_are_the_repeats_where_they_are_named(tmp_path: Path) -> None:
     ],
 )
 def test_groups_that_cannot_be_are_refused(tmp_path: Path, fit: str, what: str) -> None:
+    days = [name for name in DAYS if name.endswith("0")]
     with pytest.raises(LabpipeError, match=what):
-        identified(tmp_path, fit=fit, runs=dict.fromkeys(DAYS, 0.0))
+        identified(tmp_path, fit=fit, runs=dict.fromkeys(days, 0.0))
 
 
 def test_another_word_is_refused_at_its_line(tmp_path: Path) -> None:

@@ -137,16 +137,16 @@ def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(
 def test_processes_that_draw_change_no_byte(
     every_kind: Chart, drawings: dict[str, Drawing], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Five figures in files of two: a page for each in its order, drawn by one process or by two."""
+    """Three figures in files of two: a page for each in its order, drawn by one process or by two."""
     monkeypatch.setattr(pdf, "MOST_TOGETHER", 2)
-    graphics = [every_kind, *list(drawings.values())[:1], every_kind, every_kind, every_kind]
+    graphics = [every_kind, *list(drawings.values())[:1], every_kind]
     figures = tuple(Figure(graphic, f"Caption {n}", "") for n, graphic in enumerate(graphics))
     document = Document("Title", "Subtitle", (Section("S", figures),), ())
     here = pdf.render_pdf(document)
     with shared_out(2):
         assert pdf.render_pdf(document) == here
     names = [name for page in PdfReader(io.BytesIO(here)).pages for name in page["/Resources"]["/XObject"]]
-    assert [name for name in names if "Drawing" in name] == [f"/Drawing{n}" for n in range(5)]
+    assert [name for name in names if "Drawing" in name] == [f"/Drawing{n}" for n in range(3)]
 
 
 def test_heat_maps_are_dots_in_a_pdf_and_curves_are_lines(every_kind: Chart, heat_map: Chart) -> None:

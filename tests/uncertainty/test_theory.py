@@ -12,6 +12,7 @@ import pytest
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
+from labpipe.methods.rolling_bearing import ratio as ratio_module
 from labpipe.methods.rolling_bearing.loads import (
     DOFS,
     RigidShaft,
@@ -138,7 +139,7 @@ def test_log_covariance_carries_the_correlation() -> None:
     np.testing.assert_allclose(log_covariance(fit), [[1e-4, 1e-4], [1e-4, 4e-4]], rtol=1e-12)
 
 
-def test_what_cannot_be_compared_is_said() -> None:
+def test_what_cannot_be_compared_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     response = measured(1.12, BENDING)
     fits = fits_of(response)
     with pytest.raises(ConfigError, match="the tilt by is compared without an arm"):
@@ -161,6 +162,7 @@ def test_what_cannot_be_compared_is_said() -> None:
         fits["x"],
         parameters=tuple(replace(p, value=1e9) if p.name == "k" else p for p in fits["x"].parameters),
     )
+    monkeypatch.setattr(ratio_module, "LOOPS", 3)
     with pytest.raises(FitError, match="no multiple of the theory"):
         match(soft, response, PEAKS, THEORY, BENT)
 

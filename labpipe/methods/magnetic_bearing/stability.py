@@ -18,6 +18,7 @@ from labpipe.methods.magnetic_bearing.loop import (
     controller,
     controller_matrix,
     controller_terms,
+    dynamic_stiffness,
     loop_stiffness,
     stiffness_matrix,
 )
@@ -153,10 +154,12 @@ def unstable_poles(plant: Suspended) -> int:
     if loop.rate is not None:
         return int(np.sum(np.abs(np.linalg.eigvals(sample(plant, loop.rate))) > 1 + MARGINAL))
     omega = 2 * np.pi * np.geomspace(*TURNING)
-    dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega) - plant.mass * omega[
-        :, None, None
-    ] ** 2 * np.eye(2)
-    curve = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
+    inertia = plant.mass * omega**2
+    if loop.cross is None:
+        curve = dynamic_stiffness(loop, plant.negative_stiffness, omega) - inertia
+    else:
+        dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega)
+        curve = np.asarray(np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2)))
     elements = [loop.blocks(*pair) for pair in (["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"])]
     poles = np.array([pole for blocks in elements for pole in in_series(blocks)[0].poles], np.complex128)
     # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones

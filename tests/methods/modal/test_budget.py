@@ -28,7 +28,7 @@ def modal(response: FrequencyResponse, **settings: object) -> Fit:
 
 
 def uncertain(known: bool) -> FrequencyResponse:
-    response = chain_response(np.linspace(5, 120, 200))
+    response = chain_response(np.linspace(5, 120, 100))
     rng = np.random.default_rng(5)
     std = 2e-8
     noise = (
@@ -94,7 +94,7 @@ def oblique(of_force: bool) -> FrequencyResponse:
 
     One sensor or force with an uncertainty of its direction.
     """
-    frequency = np.linspace(15, 80, 400)
+    frequency = np.linspace(15, 80, 200)
     w = 2 * np.pi * frequency
     matrix = np.zeros((w.size, 2, 2), complex)
     for f_n, zeta, mass, angle in ((30.0, 0.02, 2.0, 0.35), (47.0, 0.015, 3.0, 1.22)):

@@ -4,6 +4,7 @@ and reports.
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 
@@ -32,6 +33,12 @@ ONE, TWO = ((40.0, 0.005, 1.0, 0.3),), ((40.0, 0.005, 1.0, 0.3), (41.6, 0.006, 0
 def fitted(decays: FreeDecays, **settings: object) -> Fit:
     (fit,) = identify(decays, FitSettings("decay", **{"name": "ring", **settings}))
     return fit
+
+
+@functools.cache
+def slipped() -> Fit:
+    """Of a decay whose damping depends on its amplitude."""
+    return fitted(record(noisy([slipping(1.0, 0.3)], 1)))
 
 
 def linear(seed: int = 1, modes=ONE) -> FreeDecays:
@@ -228,7 +235,7 @@ def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
     )
     assert len(back.decays) == 2
     np.testing.assert_array_equal(back.decays[1].samples, decays.decays[1].samples)
-    fit = fitted(record(noisy([slipping(1.0, 0.3)], 1)))
+    fit = slipped()
     again = read_fit(json.loads(json.dumps(fit_entry(fit))))
     assert (
         again.parameters == fit.parameters
@@ -238,7 +245,7 @@ def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
 
 
 def test_the_report_shows_decay_residual_and_course_over_amplitude() -> None:
-    fit = fitted(record(noisy([slipping(1.0, 0.3)], 1)))
+    fit = slipped()
     # The decay is on the first page; the correlation of the two estimates is a sentence.
     sections = [
         s for s in build(Identification((fit,), "t")).sections if s.heading in ("Verdict", "Result: ring")

@@ -134,7 +134,7 @@ def test_uncertainties_of_films_make_peaks_uncertain(tmp_path: Path) -> None:
         )
         rig = load_rotor(tmp_path / name)
         found[name] = unbalance_runs(
-            UnbalanceSettings("r", (50.0, 54.0), CASES[1:], 0.5, "bearing 2", rig)
+            UnbalanceSettings("r", (51.0, 53.0), CASES[1:], 0.5, "bearing 2", rig)
         ).cases[0]
     change, step = found["uncertainty"].changes
     assert change.source == "oil" and (step.forward_peak, step.forward_speed) == (
@@ -148,7 +148,7 @@ def test_uncertainties_of_films_make_peaks_uncertain(tmp_path: Path) -> None:
         at = int(np.argmax(radius))
         curve = np.polyfit([-0.5, 0.0, 0.5], radius[at - 1 : at + 2], 2)
         shift = -curve[1] / (2 * curve[0])
-        return float(np.polyval(curve, shift)), 50.0 + 0.5 * at + shift
+        return float(np.polyval(curve, shift)), 51.0 + 0.5 * at + shift
 
     above, below = peak("above"), peak("below")
     assert change.forward_peak == pytest.approx((above[0] - below[0]) / 2, rel=1e-6)

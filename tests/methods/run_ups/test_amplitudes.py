@@ -184,7 +184,7 @@ def test_all_runs_of_a_load_count() -> None:
 @NEWER
 def test_cobyqa_meets_the_same_amplitudes() -> None:
     run = trained("outside")[1]
-    part = slice(4, 7)
+    part = slice(5, 6)
     cut = {name: getattr(run, name)[part] for name in ("speed", "response", "amplitude_error", "phase_error")}
     fit = fit_amplitudes(
         RIG, [dataclasses.replace(run, **cut)], method="cobyqa", limits=SearchLimits(most_evaluations=300)

@@ -22,6 +22,8 @@ from labpipe.records.uncertain import Uncertain
 from tests.methods.wear.worn_cases import COARSE, FINE, LINES, NUISANCES, RIG, wear_settings, worn_rig
 
 BETA = Uncertain(1.6e-4, 2e-5)
+# Of a table whose own numbers are not looked at.
+COARSEST = {"cells_around": 24, "cells_across": 4}
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +113,9 @@ def test_wear_alone_needs_no_table_of_the_other_bearing() -> None:
 
 
 def test_given_parameters_are_taken_as_they_are() -> None:
-    given = worn_model(wear_settings(viscosity=Uncertain(0.11), beta=Uncertain(2e-4), healthy=False), LINES)
+    given = worn_model(
+        wear_settings(viscosity=Uncertain(0.11), beta=Uncertain(2e-4), healthy=False, **COARSEST), LINES
+    )
     assert given.rig.rotor.beta == 2e-4 and {place.bearing.viscosity for place in given.rig.bearings} == {
         0.11
     }
