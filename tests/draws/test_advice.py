@@ -10,6 +10,7 @@ from tests.draws.faults import FAULTS
 FEW = ("response 2 ms late", "column misspelt")
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", FEW)
 def test_the_first_advice_cures(name: str) -> None:

@@ -186,6 +186,7 @@ def test_sound_matrices_keep_their_intervals() -> None:
         assert all(p.interval.discrepancy == 0 and not p.reason for p in fit.parameters)
 
 
+@pytest.mark.long
 def test_causes_are_told_apart() -> None:
     rng = np.random.default_rng(0)
     causes = ((other_modes, "other modes"), (gain_curve, "gain curve"), (drift, "moved frequency"))

@@ -54,6 +54,7 @@ def codes(fit: Fit) -> list[str]:
     return [finding.code for finding in fit.findings]
 
 
+@pytest.mark.long
 def test_right_fits_are_left_alone() -> None:
     """At 1 % each, more than two of twenty come once in 1,000 times; at 25 % they do nine times of ten."""
     assert sum("model-mismatch" in codes(fitted("", seed)) for seed in range(20)) <= 2

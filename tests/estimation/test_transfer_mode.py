@@ -67,6 +67,7 @@ def test_the_same_data_at_a_driving_point_have_an_impossible_mass() -> None:
     assert "m = -1.2" in said and "driving point" in said
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", ["delay", "gain", "both"])
 def test_what_only_turns_the_residue_is_not_cried_over(shape: str) -> None:
     """exp(-j w t) and 1 + a (w - w0), over s - lambda, are constants over s - lambda beside what is smooth:

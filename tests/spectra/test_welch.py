@@ -60,6 +60,7 @@ def test_effective_averages_closed_forms() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("window", "overlap"), [("hann", 0.5), ("hann", 0.75), ("boxcar", 0.5), ("blackman", 0.5)]
 )

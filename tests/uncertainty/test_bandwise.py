@@ -140,6 +140,7 @@ def test_errors_of_fits_that_miss_something_are_enlarged() -> None:
     assert found.amount("p_value").value == pytest.approx(2 * 2 * stats.t.sf(300 / (200 * np.sqrt(2)), 40))
 
 
+@pytest.mark.long
 def test_a_difference_is_found_in_its_bands(rng: np.random.Generator) -> None:
     """The amplifier's bandwidth drops from 1 kHz to 300 Hz: damping falls in the bands around the
     resonance.

@@ -287,6 +287,7 @@ def test_compared_forms_are_chosen_by_bic(bearing, chosen: str) -> None:
     assert not {"no-model", "other-model", "model-mismatch", "collinear"} & {f.code for f in fit.findings}
 
 
+@pytest.mark.long
 def test_a_poor_form_that_is_asked_for_hears_of_a_better_one_and_of_none() -> None:
     spectra = drawn(replace(EVEN, bearing=pads, noise=0.003))
     codes = [f.code for f in fitted(spectra, compare=True, form="kc", **GIVEN).findings]

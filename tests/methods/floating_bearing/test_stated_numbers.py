@@ -97,6 +97,7 @@ def test_a_mass_that_the_data_contradict_is_named_with_the_one_they_ask_for(tmp_
     assert added.ci95[0] <= 6.0 <= added.ci95[1]
 
 
+@pytest.mark.long
 def test_numbers_within_what_was_stated_are_not_named(tmp_path: Path) -> None:
     """10 benches whose mass is off by what was stated: named in none (0.3 % of each by chance); where one in
     five were named, that would be seen in nine of ten.

@@ -38,6 +38,7 @@ def bands(labpipe: Callable[..., Any], root: Path, tmp_path: Path) -> list[dict[
     return fits
 
 
+@pytest.mark.long
 def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(
     bands: list[dict[str, Any]], root: Path
 ) -> None:

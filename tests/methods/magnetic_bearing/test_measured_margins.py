@@ -26,6 +26,7 @@ def of_noise(rng) -> dict[str, tuple[float, float, bool]]:
     return {one.name: (one.value, one.std_error, one.ci95[0] <= 1 / 0.06 <= one.ci95[1]) for one, _ in found}
 
 
+@pytest.mark.long
 def test_a_crossing_that_noise_repeats_is_one(rng) -> None:
     """Im L lies within its noise over a hundred hertz and crosses ten times: the least margin of all these
     would be too small.

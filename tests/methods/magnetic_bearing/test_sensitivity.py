@@ -76,6 +76,7 @@ def test_gain_and_delay_of_the_recorded_excitation_do_not_matter(seen: complex) 
     np.testing.assert_allclose(other.error, plain.error)
 
 
+@pytest.mark.long
 def test_the_peak_is_free_of_bias_and_its_interval_holds_it(rng: np.random.Generator) -> None:
     """100 noises of 5 %: the highest line is too high on average by more than four of the peak's mean errors,
     the peak is not.

@@ -46,6 +46,7 @@ def drawn(lines: np.ndarray, noise: float, rng: np.random.Generator) -> dict[str
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("lines", "noise"), [(SPARSE[::2], 0.003), (SPARSE[::2], 0.02), (np.arange(3, 450), 0.02)]
 )
@@ -67,6 +68,7 @@ def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: flo
         assert np.mean(np.abs(away) < 1.96) >= 33 / 40
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("lines", "noise", "told"), [(SPARSE, 0.003, 0.8), (SPARSE, 0.02, 0.0)])
 def test_no_wrong_gain_margin_is_told_of_noise(lines: np.ndarray, noise: float, told: float) -> None:
     """|L| = 0.048 where Im L = 0; noise of a sixteenth of it, and of two fifths, in either part of a line:
@@ -195,6 +197,7 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
     assert np.mean(coverage) >= 0.95 - 3 * held.mean(axis=1).std() / np.sqrt(len(held))
 
 
+@pytest.mark.long
 def test_gains_within_what_is_stated_move_no_unknown(tmp_path: Path) -> None:
     """Gains of reading and current off by two of their uncertainties, one noise: what the controller and the
     other signals tell of a gain leaves k_n, k_i and the decrement within 0.2 of their uncertainties of those

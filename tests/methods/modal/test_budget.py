@@ -68,6 +68,7 @@ def with_error(response: FrequencyResponse, source: Uncertainty, sign: float) ->
     return replace(response, matrix=matrix)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", [True, False])
 def test_changes_are_those_of_refits(known: bool) -> None:
     """To 2 % of the combined uncertainty (Gauss-Newton's form).
@@ -120,6 +121,7 @@ def oblique(of_force: bool) -> FrequencyResponse:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("of_force", [True, False])
 def test_a_direction_moves_modal_masses_as_refits_say(of_force: bool) -> None:
     """A sensor or force at the angle d sees cos d and sin d of the two directions.

@@ -92,6 +92,7 @@ def _carried_out(
     return plan, fits, words
 
 
+@pytest.mark.long
 def test_a_plan_waits_until_motion_has_died_away(labpipe: Command, tmp_path: Path) -> None:
     plan, fits, words = _carried_out(labpipe, tmp_path, PLAN, 4)
     assert plan.tests[0].skip > 5

@@ -113,6 +113,7 @@ def test_two_modes_that_beat_are_not_taken_for_a_law_that_gains_energy() -> None
     assert "zeta_rest_1" not in [parameter.name for parameter in fit.parameters]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("apart", "ratio", "phase"), [(0.2, 0.2, 0.3), (0.4, 0.5, 2.8)])
 def test_a_missing_mode_is_named_where_it_beats(apart: float, ratio: float, phase: float) -> None:
     """Up to the half-power width of 0.4 Hz apart, 4 s: one mode alone would be said to depend on its

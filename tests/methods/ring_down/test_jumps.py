@@ -97,6 +97,7 @@ def test_a_sound_decay_has_no_jump(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("wind", [0.002, 0.02])
 def test_wind_is_not_damping_over_amplitude(tmp_path: Path, wind: float) -> None:
     """As strong as the noise, and ten times as strong: a law over the amplitude follows a tenth to a third of

@@ -146,6 +146,7 @@ CASES = pytest.mark.parametrize("bits", [0, 8], ids=["exact", "8 bit"])
 PAIRS = pytest.mark.parametrize("modes", [ONE, TWO, APART], ids=["one mode", "1 % apart", "5 % apart"])
 
 
+@pytest.mark.long
 @CASES
 def test_few_draws_reach_the_bound(bits: int) -> None:
     ratios, holds = drawn(ONE, 0.01, bits, 24)

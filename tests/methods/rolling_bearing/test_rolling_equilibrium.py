@@ -41,6 +41,7 @@ def test_clearance_and_interference(clearance: float, mixed_loads, rng) -> None:
     assert misfit(bearing, equilibrium(bearing, loads).load, loads) < 1e-9
 
 
+@pytest.mark.long
 def test_taper_rollers_carry_what_lies_between_their_normals(taper: RollingBearing, rng) -> None:
     """A load is carried exactly when it is a sum of pushes along the rollers' normals: an independent linear
     programme decides.

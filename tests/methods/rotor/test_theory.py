@@ -56,6 +56,7 @@ def test_modes_are_followed_through_a_crossing():
     np.testing.assert_allclose(first, 100 + np.linspace(0, 10, 11))
 
 
+@pytest.mark.long
 def test_a_rotor_on_films_by_theory(labpipe, tmp_path):
     ended = labpipe("rotor", LAVAL, "--json", tmp_path / "r.json", "-o", tmp_path / "r.html", "--steps", 16)
     assert ended.code == 0, ended.err

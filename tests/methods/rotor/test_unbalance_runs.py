@@ -120,6 +120,7 @@ def test_rotor_without_unbalance_unknown_bearing_or_impossible_wear_is_refused(r
         unbalance_runs(UnbalanceSettings("r", (40.0, 50.0), cases=CASES))
 
 
+@pytest.mark.long
 def test_uncertainties_of_films_make_peaks_uncertain(tmp_path: Path) -> None:
     """Half the difference of runs on rotor files with 3 % more and less viscosity.
 

@@ -41,6 +41,7 @@ def result(tmp_path_factory: pytest.TempPathFactory):
     return labpipe.run(folder / "pipeline.yaml", folder / "out"), folder
 
 
+@pytest.mark.long
 def test_unknowns_of_the_raw_recordings_hold_the_truth(result) -> None:
     """The recordings were made with values drawn from what the rotor file declares; 13 unknowns of one rotor
     are within 4 of their errors, and all but the free ones told at least ten times better than declared.
@@ -220,6 +221,7 @@ def test_modes_of_a_modal_fit_are_a_test(tmp_path: Path) -> None:
     assert hammer.n >= 2 and hammer.probability > 1e-4
 
 
+@pytest.mark.long
 def test_a_rotor_as_declared_has_wide_intervals(tmp_path: Path, labpipe, monkeypatch) -> None:
     """Bearings known to 40 % leave the critical speed open to some hundred rpm."""
     monkeypatch.setattr(predictions, "DRAWS", FEW_DRAWS)
@@ -230,6 +232,7 @@ def test_a_rotor_as_declared_has_wide_intervals(tmp_path: Path, labpipe, monkeyp
     assert 60 * (high - low) > 300
 
 
+@pytest.mark.long
 def test_a_rotor_in_oil_films_by_theory(tmp_path: Path, labpipe, monkeypatch) -> None:
     """Its critical speed and the onset of whirl have intervals by clearance and viscosity; stiffness is not
     symmetric there.

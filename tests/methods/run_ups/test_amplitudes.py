@@ -181,6 +181,7 @@ def test_all_runs_of_a_load_count() -> None:
     assert fit.chi2 > 0 and fit.n_datum > fit.n_effective
 
 
+@pytest.mark.long
 @NEWER
 def test_cobyqa_meets_the_same_amplitudes() -> None:
     run = trained("outside")[1]

@@ -98,6 +98,7 @@ def test_the_threshold_is_that_of_an_independent_calculation(load: float, about:
     np.testing.assert_allclose(found / RPM, expected, rtol=1e-4)
 
 
+@pytest.mark.long
 def test_the_shaft_of_the_calculation_converges() -> None:
     """Twelve waves or twenty-four: .01 % of the threshold on a film of 360 x 60 vertices."""
     few, many = (threshold(3.660886, 2814.0, (360, 60), n_wave) for n_wave in (12, 24))

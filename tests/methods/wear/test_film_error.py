@@ -50,6 +50,7 @@ def noise_of(misfit: Misfit, parameters: np.ndarray) -> np.ndarray:
     return np.linalg.inv(jacobian.T @ jacobian)
 
 
+@pytest.mark.long
 def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Minimum]) -> None:
     """Every film moved by its mesh's error and the wear estimated again: outer products of the shifts, 10 %
     for the bend of the model.
@@ -65,6 +66,7 @@ def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Mini
     np.testing.assert_allclose(np.sqrt(np.diag(films)), np.sqrt(np.diag(expected)), rtol=0.1)
 
 
+@pytest.mark.long
 def test_the_mesh_error_is_a_third_of_the_change_from_half_the_cells() -> None:
     """And of the size of the error that a far finer film shows."""
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]

@@ -57,6 +57,7 @@ def rig() -> WornRig:
     return WornRig(standing, worn_bearing, 14, 10)
 
 
+@pytest.mark.long
 def test_real_forces_tie_the_terms_of_the_directional_response(rig: WornRig) -> None:
     """H_bb(w) = conj H_ff(-w): with real coefficients H(-w) = conj H(w), so H_bb is A^-1 conj(H(-w)) A's
     other diagonal.
@@ -69,6 +70,7 @@ def test_real_forces_tie_the_terms_of_the_directional_response(rig: WornRig) -> 
     np.testing.assert_allclose(d[:, 1, 0], negative[:, 0, 1].conj())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("depth", "angle"), WEAR)
 def test_wear_is_found_again_from_at_least_ten_of_twenty_starts(
     rig: WornRig, depth: float, angle: float
