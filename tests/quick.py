@@ -38,8 +38,9 @@ NOTES, SELECTED = "LABPIPE_TEST_NOTES", "LABPIPE_TEST_SELECTION"
 SECONDS = 50.0
 # One case of every other test that takes no longer [s] is chosen besides: it looks at what it reaches.
 CHEAP = 0.03
-# A test is slow beyond so many seconds of the processor, in the mean of its cases.
+# A test is slow beyond so many seconds of the processor, in the mean of its cases; in a large folder sooner.
 SLOW_SECONDS = 0.25
+LARGE_FOLDERS = {"tests/project/": 0.1}
 # A function's lines are noted for its first calls in a test: those in the inner loops of a fit come by the
 # hundred thousand.
 CALLS = 4
@@ -194,11 +195,15 @@ def record() -> None:
 
 
 def slow(tests: Iterable[Noted]) -> list[str]:
-    """Functions whose cases take more than SLOW_SECONDS in the mean."""
+    """Functions whose cases take more than SLOW_SECONDS in the mean, or what is said of their folder."""
+
+    def limit(name: str) -> float:
+        return next((s for folder, s in LARGE_FOLDERS.items() if name.startswith(folder)), SLOW_SECONDS)
+
     seconds: dict[str, list[float]] = {}
     for test in tests:
         seconds.setdefault(test.name.partition("[")[0], []).append(test.seconds)
-    return sorted(name for name, taken in seconds.items() if sum(taken) > SLOW_SECONDS * len(taken))
+    return sorted(name for name, taken in seconds.items() if sum(taken) > limit(name) * len(taken))
 
 
 def write_names(path: Path, names: Iterable[str]) -> None:
