@@ -221,7 +221,7 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
     if not isinstance(model, DynamicModel) or any(term.aliases for term in model.terms):
         return None
     either = {letter: (letter, PER_MASS[letter][0]) for letter in "kc"}
-    names = {letter: next((n for n in both if n in by_name), "") for letter, both in either.items()}
+    names = {letter: next((n for n in pair if n in by_name), "") for letter, pair in either.items()}
     free = "m" in by_name
     if set(by_name) != {*names.values(), *(["m"] if free else [])} or "" in names.values():
         return None

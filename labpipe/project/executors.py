@@ -229,19 +229,19 @@ def _describe(path: Path) -> Any:
     for the number of workers.
     """
     entries = load_marked(path).plain()
-    named = entries.get("class") if isinstance(entries, dict) else None
-    if not isinstance(named, str) or "." not in named:
+    class_path = entries.get("class") if isinstance(entries, dict) else None
+    if not isinstance(class_path, str) or "." not in class_path:
         hint = "begin with class: dask_jobqueue.SLURMCluster"
         raise ConfigError("is not the description of a cluster", path, hint)
     unknown = [key for key in entries if key not in FILE_KEYS]
     if unknown:
         raise ConfigError(f"unknown entry '{unknown[0]}'", path, f"known: {', '.join(FILE_KEYS)}")
-    module, _, name = entries["class"].rpartition(".")
+    module, _, name = class_path.rpartition(".")
     try:
         make = getattr(import_module(module), name)
     except (ImportError, AttributeError):
         hint = f"pip install {module.split('.')[0]}"
-        raise ConfigError(f"class: {entries['class']} is not installed", path, hint) from None
+        raise ConfigError(f"class: {class_path} is not installed", path, hint) from None
     try:
         cluster = make(**(entries.get("arguments") or {}))
         if "adapt" in entries:
@@ -250,7 +250,7 @@ def _describe(path: Path) -> Any:
         if "scale" in entries:
             cluster.scale(int(entries["scale"]))
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{entries['class']} does not take this ({error})", path) from None
+        raise ConfigError(f"{class_path} does not take this ({error})", path) from None
     return cluster
 
 

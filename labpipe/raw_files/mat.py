@@ -66,8 +66,8 @@ def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
     check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
-            own = [n for n in names if isinstance(file.get(n, getlink=True), h5py.HardLink)]
-            return {name: _value(file, file[name]) for name in own if isinstance(file[name], h5py.Dataset)}
+            hard = [n for n in names if isinstance(file.get(n, getlink=True), h5py.HardLink)]
+            return {name: _value(file, file[name]) for name in hard if isinstance(file[name], h5py.Dataset)}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
         raise not_readable(path, "HDF5 file", error) from None
 
@@ -235,16 +235,16 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     ):
         boxed = [(number, item) for number, item in enumerate(value.flat, 1) if hasattr(item, "dtype")]
         if any(item.dtype.names or item.dtype.kind == "O" for _, item in boxed):
-            for number, one in boxed:
-                yield from _fields(f"{name}{{{number}}}", one)
+            for number, item in boxed:
+                yield from _fields(f"{name}{{{number}}}", item)
             return
     if not names or isinstance(value, MatlabOpaque):
         yield name, value
         return
-    for number, one in enumerate(value.flat, 1):
+    for number, element in enumerate(value.flat, 1):
         place = name if value.size == 1 else f"{name}({number})"
         for field in names:
-            yield from _fields(f"{place}.{field}", one[field])
+            yield from _fields(f"{place}.{field}", element[field])
 
 
 # The fields in which programs keep the samples of a channel beside its name and unit (dSPACE:

@@ -279,7 +279,7 @@ class Budget:
         """
         column = self.names.index(name)
         rows = zip(self.sources, self.changes, strict=True)
-        return float(sum(change[column] for by, change in rows if by.source == source))
+        return float(sum(change[column] for entry, change in rows if entry.source == source))
 
 
 # What changes between repeats of a test and is not seen within one: drift between days, remounting.

@@ -81,12 +81,11 @@ def every_kind(evidence: Evidence) -> dict[str, Comparison]:
 
 
 def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(every_kind) -> None:
-    found = every_kind
     # Those over frequency are looked at in test_prediction, test_bandwise and test_sensitivity.
-    assert set(found) == set(VERDICTS) == {*FIGURES, "reciprocity"}
-    assert set(COMPARISONS) == set(EXPLAINED) == {*found, *OVER_FREQUENCY}
+    assert set(every_kind) == set(VERDICTS) == {*FIGURES, "reciprocity"}
+    assert set(COMPARISONS) == set(EXPLAINED) == {*every_kind, *OVER_FREQUENCY}
     page = (Path(__file__).parents[2] / "docs/pages/comparisons.md").read_text()
-    for kind, comparison in found.items():
+    for kind, comparison in every_kind.items():
         assert comparison.kind == kind
         assert comparison.verdict in VERDICTS[kind]
         assert comparison.verdict in comparison.statement or kind == "ratio"
@@ -101,7 +100,6 @@ def test_the_numbers_are_those_of_the_making(every_kind) -> None:
 
     Both ways are alike.
     """
-    found = every_kind
     within = {
         "trend": ("exponent", 1.0),
         "ratio": ("ratio", 1.12),
@@ -110,11 +108,11 @@ def test_the_numbers_are_those_of_the_making(every_kind) -> None:
     }
     within["quotient"] = ("quotient", 1.0)
     for kind, (name, truth) in within.items():
-        amount = found[kind].amount(name)
+        amount = every_kind[kind].amount(name)
         assert abs(amount.value - truth) < 4 * amount.std_error, kind
-    assert found["trend"].verdict == "rising"
-    assert found["ratio"].verdict == "stiffer than theory"
-    assert found["ratio"].amount("beta").std_error is None
+    assert every_kind["trend"].verdict == "rising"
+    assert every_kind["ratio"].verdict == "stiffer than theory"
+    assert every_kind["ratio"].amount("beta").std_error is None
 
 
 def test_a_theory_is_asked_once_per_condition_and_matched_once_per_term(evidence) -> None:

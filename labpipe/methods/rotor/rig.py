@@ -66,13 +66,13 @@ class BearingPlace:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
         uncertainties = [
-            UncertainBearing(one.uncertainty, changed(one.above), changed(one.below), one.value)
-            for one in self.uncertainties
+            UncertainBearing(entry.uncertainty, changed(entry.above), changed(entry.below), entry.value)
+            for entry in self.uncertainties
         ]
         return replace(
             self,
             bearing=changed(self.bearing),
-            uncertainties=tuple(one for one in uncertainties if one.above != one.below),
+            uncertainties=tuple(entry for entry in uncertainties if entry.above != entry.below),
         )
 
     def with_error(self, source: str, sign: int) -> BearingPlace:
@@ -82,9 +82,9 @@ class BearingPlace:
         """
         return next(
             (
-                replace(self, bearing=one.above if sign > 0 else one.below, uncertainties=())
-                for one in self.uncertainties
-                if one.uncertainty.source == source
+                replace(self, bearing=entry.above if sign > 0 else entry.below, uncertainties=())
+                for entry in self.uncertainties
+                if entry.uncertainty.source == source
             ),
             self,
         )

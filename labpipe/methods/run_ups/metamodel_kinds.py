@@ -167,7 +167,7 @@ class ResponseSurface(WithinExtent):
     @property
     def statement(self) -> str:
         kinds = {"R²": self.r2, "adjusted R²": self.r2_adjusted, "predicted R² (PRESS)": self.r2_predicted}
-        ranges = "; ".join(f"{name} {of.min():.3f} to {of.max():.3f}" for name, of in kinds.items())
+        ranges = "; ".join(f"{name} {r2.min():.3f} to {r2.max():.3f}" for name, r2 in kinds.items())
         return f"{self.n_point} points, over the eight coefficients {ranges}"
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:

@@ -41,7 +41,6 @@ def result(tmp_path_factory: pytest.TempPathFactory):
     return labpipe.run(folder / "pipeline.yaml", folder / "out"), folder
 
 
-@pytest.mark.long
 def test_unknowns_of_the_raw_recordings_hold_the_truth(result) -> None:
     """The recordings were made with values drawn from what the rotor file declares; 13 unknowns of one rotor
     are within 4 of their errors, and all but the free ones told at least ten times better than declared.

@@ -56,7 +56,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> RunUpResult:
     return identified(tmp_path_factory.mktemp("run-ups"), runs, methods, further)
 
 
-@pytest.mark.long
 def test_every_method_speaks_of_every_run(whole: RunUpResult) -> None:
     assert [method.name for method in whole.methods] == ["start", "amplitudes", "points", "joint"]
     for method in whole.methods:

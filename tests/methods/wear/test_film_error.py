@@ -50,7 +50,6 @@ def noise_of(misfit: Misfit, parameters: np.ndarray) -> np.ndarray:
     return np.linalg.inv(jacobian.T @ jacobian)
 
 
-@pytest.mark.long
 def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Minimum]) -> None:
     """Every film moved by its mesh's error and the wear estimated again: outer products of the shifts, 10 %
     for the bend of the model.
