@@ -13,8 +13,6 @@ from typing import Any, TypeGuard
 
 import matplotlib as mpl
 from fpdf import FPDF
-from fpdf.enums import TableBordersLayout
-from fpdf.fonts import FontFace
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure as Canvas
 from pypdf import PageObject, PdfReader, PdfWriter
@@ -47,6 +45,8 @@ WIDEST_FIGURE = 165.0
 MANY_FIGURES, HALF, HALF_HEIGHT = 12, 3.25, 3.0
 # What a table needs on the page on which it begins: caption, head and a row [mm].
 TABLE_HEAD = 24.0
+# A line of text in a table [mm], and the most lines of a row on one page.
+ROW, MOST_LINES = 4.2, 45
 # Most that is kept together with a heading [mm].
 HIGHEST = 150.0
 # Drawings of one file that a process makes, with the same fonts; a report of more can be shared out.
@@ -83,6 +83,8 @@ class _Pages(FPDF):
         self.waiting: list[Graphic] = []
         self.files: list[Callable[[], bytes]] = []
         self.pool: Executor | None = None
+        # Widths of words in a font style, over the size of the font [mm/pt].
+        self._widths: dict[tuple[str, str], float] = {}
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         self.add_font(FONT, "", fonts / "DejaVuSans.ttf")
         self.add_font(FONT, "B", fonts / "DejaVuSans-Bold.ttf")
@@ -97,6 +99,50 @@ class _Pages(FPDF):
         self.set_font(FONT, "", 7)
         self.set_text_color(*GREY)
         self.cell(0, 5, f"{self._foot[:90]}   page {self.page_no()} of {{nb}}", align="C")
+
+    def lines_of(self, text: str, width: float) -> list[str]:
+        """A text in lines that fit into a cell of *width* [mm] in the present font.
+
+        fpdf2 breaks lines too, but measures a whole line anew at each of its blanks.
+        """
+        # A column is just as wide as its widest word, but for rounding.
+        room, blank = (width - 2 * self.c_margin) / self.font_size_pt + 1e-6, self.width_of(" ")
+        lines: list[str] = []
+        for paragraph in text.split("\n"):
+            line, used = None, 0.0
+            for word in paragraph.split(" "):
+                wide = self.width_of(word)
+                if line is not None and used + blank + wide <= room:
+                    line, used = f"{line} {word}", used + blank + wide
+                    continue
+                full, rest = self._cut(word, room)
+                lines += full if line is None else [line, *full]
+                line, used = rest, self.width_of(rest)
+            lines.append(line or "")
+        return lines
+
+    def _cut(self, word: str, room: float) -> tuple[list[str], str]:
+        """The lines that a word too long for one fills, and its rest."""
+        full = []
+        while self.width_of(word) > room and len(word) > 1:
+            n = next((n for n in range(len(word) - 1, 1, -1) if self.width_of(word[:n]) <= room), 1)
+            full.append(word[:n])
+            word = word[n:]
+        return full, word
+
+    def width_of(self, word: str) -> float:
+        """The width of a word over the size of the font [mm/pt]."""
+        key = self.font_style, word
+        if key not in self._widths:
+            self._widths[key] = self.get_string_width(word) / self.font_size_pt
+        return self._widths[key]
+
+    def write_lines(self, lines: Sequence[str], width: float, height: float, align: str = "L") -> None:
+        """Lines of *height* below each other, in a cell of *width* [mm] that begins here."""
+        x = self.get_x()
+        for line in lines:
+            self.set_x(x)
+            self.cell(width, height, line, align=align, new_x="LMARGIN", new_y="NEXT")
 
     def begin_drawing(self) -> None:
         """Let a process draw what waits, or draw it when its file is asked for."""
@@ -234,7 +280,7 @@ def _height_of(pages: _Pages, section: Section) -> float:
     if not isinstance(first, Paragraph):
         return 30
     pages.set_font(FONT, "", 9)
-    text: Any = pages.multi_cell(0, 4.5, as_printed(first.text), dry_run=True, output="HEIGHT")
+    text = 4.5 * len(pages.lines_of(as_printed(first.text), pages.epw))
     after = _size(second)[1] if isinstance(second, Figure) else TABLE_HEAD if isinstance(second, Table) else 0
     return min(18 + text + after, HIGHEST)
 
@@ -301,7 +347,8 @@ def _text(
 ) -> None:
     pages.set_font(FONT, "B" if bold else "", size)
     pages.set_text_color(*colour)
-    pages.multi_cell(0, size * 0.5, text, new_x="LMARGIN", new_y="NEXT", align="L")
+    width = pages.w - pages.r_margin - pages.get_x()
+    pages.write_lines(pages.lines_of(text, width), width, size * 0.5)
 
 
 def _put(pages: _Pages, block: Block | tuple[Figure, Figure]) -> None:
@@ -347,7 +394,7 @@ def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
         pages.set_font(FONT, "", 7)
         pages.set_text_color(*GREY)
         caption = as_printed(f"Figure {pages.figures}. {figure.caption}")
-        pages.multi_cell(25.4 * HALF, 3.2, caption, new_x="LMARGIN", new_y="NEXT", align="L")
+        pages.write_lines(pages.lines_of(caption, 25.4 * HALF), 25.4 * HALF, 3.2)
         ends.append(pages.get_y())
     pages.set_y(max(ends))
     pages.ln(2)
@@ -385,20 +432,71 @@ def _table(pages: _Pages, table: Table) -> None:
         if pages.will_page_break(TABLE_HEAD):
             pages.add_page()
         _text(pages, as_printed(table.caption), 8.5, bold=True)
-    pages.set_font(FONT, "", 7)
     pages.set_text_color(*INK)
     pages.set_draw_color(*LINE)
-    rows = [[as_printed(cell) or " " for cell in row] for row in (table.header, *table.rows)]
-    longest = [max(len(row[n]) for row in rows) for n in range(len(table.header))]
-    aligned = tuple("RIGHT" if n in table.numeric else "LEFT" for n in range(len(table.header)))
-    with pages.table(
-        col_widths=[min(max(length, 8), 40) for length in longest],
-        text_align=aligned,
-        line_height=4.2,
-        borders_layout=TableBordersLayout.HORIZONTAL_LINES,
-        headings_style=FontFace(emphasis="BOLD", fill_color=SOFT),
-    ) as drawn:
-        for row in rows:
-            drawn.row(row)
+    pages.set_fill_color(*SOFT)
+    texts = [[as_printed(cell) for cell in row] for row in (table.header, *table.rows)]
+    widths = _column_widths(pages, texts)
+    rows: list[list[list[str]]] = []
+    for row in texts:
+        pages.set_font(FONT, "" if rows else "B", 7)
+        cells = [pages.lines_of(text, width) for text, width in zip(row, widths, strict=True)]
+        # A row higher than a page goes on in the next one.
+        for start in range(0, max(map(len, cells)), MOST_LINES):
+            rows.append([lines[start : start + MOST_LINES] for lines in cells])
+    begin = partial(_row, pages, rows[0], widths, table.numeric, is_head=True)
+    if pages.will_page_break(_height(rows[0]) + _height(rows[1])):
+        pages.add_page()
+    begin()
+    for cells in rows[1:]:
+        if pages.will_page_break(_height(cells)):
+            pages.add_page()
+            begin()
+        _row(pages, cells, widths, table.numeric)
     pages.set_draw_color(0)
     pages.ln(2)
+
+
+def _column_widths(pages: _Pages, rows: Sequence[Sequence[str]]) -> list[float]:
+    """Widths [mm] by the longest text of each column; none is below its widest word, where all have room."""
+    shares, least = [], []
+    pages.set_font(FONT, "B", 7)
+    for column in zip(*rows, strict=True):
+        shares.append(min(max(8, *map(len, column)), 40))
+        least.append(max(pages.width_of(word) for text in column for word in text.split(" ")))
+    least = [width * pages.font_size_pt + 2 * pages.c_margin for width in least]
+    narrow: set[int] = set()
+    while True:
+        room = pages.epw - sum(least[n] for n in narrow)
+        whole = sum(share for n, share in enumerate(shares) if n not in narrow)
+        widths = [least[n] if n in narrow else room * share / whole for n, share in enumerate(shares)]
+        more = {n for n, width in enumerate(widths) if width < least[n]} - narrow
+        if not more or sum(least) > pages.epw:
+            return widths
+        narrow |= more
+
+
+def _height(row: Sequence[Sequence[str]]) -> float:
+    """The height of a row of a table [mm], of which every cell is a list of lines."""
+    return ROW * max(map(len, row))
+
+
+def _row(
+    pages: _Pages,
+    row: Sequence[Sequence[str]],
+    widths: Sequence[float],
+    numeric: Sequence[int],
+    is_head: bool = False,
+) -> None:
+    """A row of a table from margin to margin, columns of *widths* [mm], *numeric* ones to the right."""
+    pages.set_font(FONT, "B" if is_head else "", 7)
+    x, y, height = pages.l_margin, pages.get_y(), _height(row)
+    if is_head:
+        pages.rect(x, y, pages.epw, height, style="F")
+    else:
+        pages.line(x, y, x + pages.epw, y)
+    for number, (lines, width) in enumerate(zip(row, widths, strict=True)):
+        pages.set_xy(x, y + (height - ROW * len(lines)) / 2)
+        pages.write_lines(lines, width, ROW, "R" if number in numeric else "L")
+        x += width
+    pages.set_y(y + height)

@@ -8,9 +8,12 @@ import io
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from fpdf import FPDF
 from pypdf import PdfReader
 from pypdf.generic import StreamObject
 
@@ -22,7 +25,7 @@ from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.report.document import Document, Section, Table
+from labpipe.report.document import Document, Paragraph, Section, Table
 from labpipe.report.figures import response_figure
 from labpipe.report.wording import parameter_row, rounded, significance
 
@@ -225,6 +228,41 @@ def test_drawings_share_a_page_as_streams_in_a_row() -> None:
     ).pages
     parts = page.raw_get("/Contents")
     assert len(parts) == 3 and all(isinstance(part.get_object(), StreamObject) for part in parts)
+
+
+def test_lines_of_a_pdf_break_where_fpdf2_breaks_them() -> None:
+    """fpdf2's multi_cell on its own, in the same font on the same page, says the lines."""
+    rng = np.random.default_rng(1)
+    words = ["".join(rng.choice(list("abcdefgW"), n)) for n in rng.integers(1, 18, 300)]
+    text = " ".join([*words[:200], 400 * "W", *words[200:]])
+    peer = FPDF(format="A4")
+    peer.set_margins(20, 18, 20)
+    peer.add_page()
+    peer.add_font("D", "", Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf")
+    peer.set_font("D", "", 9)
+    expected = peer.multi_cell(0, 4.5, text, dry_run=True, output="LINES", align="L")
+    peer.output()  # closes the file of the font
+    document = Document("T", "", (Section("S", (Paragraph(text),)),), to_sign=False)
+    (page,) = PdfReader(io.BytesIO(render_pdf(document))).pages
+    printed = [line.strip() for line in page.extract_text().split("\n")]
+    first = printed.index(expected[0].strip())
+    assert printed[first : first + len(expected)] == [line.strip() for line in expected]
+
+
+def test_a_table_of_a_pdf_breaks_no_word_and_goes_on_behind_a_full_page() -> None:
+    names = ("fit", "noise", "success", "coverage", "signature", "transmissibility")
+    rows = [tuple(f"{0.0123456789 * n:.8f}" for _ in names) for n in range(1, 3)]
+    long = tuple(" ".join(f"w{n}" for n in range(600)) for _ in names)
+    document = Document("T", "", (Section("S", (Table(names, (*rows, long)),)),), to_sign=False)
+    texts = [page.extract_text() for page in PdfReader(io.BytesIO(render_pdf(document))).pages]
+    assert len(texts) > 1
+    # The head comes again on each page.
+    for text in texts:
+        assert {name: text.split().count(name) for name in names} == dict.fromkeys(names, 1)
+    for row in rows:
+        assert texts[0].split().count(row[0]) == len(names)
+    found = [word for text in texts for word in text.split() if word[0] == "w"]
+    assert sorted(found) == sorted(6 * [f"w{n}" for n in range(600)])
 
 
 def test_the_signs_are_explained_once_and_the_correlation_of_few_in_words() -> None:
