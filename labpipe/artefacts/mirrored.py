@@ -173,8 +173,8 @@ class Mirror:
             if named and name.startswith(home) and name.endswith(SUFFIX) and name not in named
         )
 
-    def _get(self, names: Sequence[str], found: dict[str, Found]) -> None:
-        _at_once(lambda name: get(found[name].path, self.folder / name), names)
+    def _get(self, names: Sequence[str], objects: dict[str, Found]) -> None:
+        _at_once(lambda name: get(objects[name].path, self.folder / name), names)
         for name in names:
             there = (self.folder / name).stat()
             self._same[name] = there.st_ino, there.st_mtime_ns

@@ -118,7 +118,7 @@ def below(path: Path) -> list[Found]:
         for info in infos
         if info.is_file and _is_plain(info.path)
     ]
-    return sorted(objects, key=lambda one: one.path)
+    return sorted(objects, key=lambda entry: entry.path)
 
 
 def get(path: Path, target: Path) -> None:

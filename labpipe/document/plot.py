@@ -34,8 +34,8 @@ def plot(result: Any) -> Canvas:
                 what = f"this {type(result).__name__} has no figure"
                 raise DataError(what, hint="its curve or responses are missing")
             return canvas_of(shown[0].graphic)
-    known = ", ".join(kind.__name__ for kind in FIGURES)
-    raise TypeError(f"no figure of {type(result).__name__}; known: {known}")
+    kinds = ", ".join(kind.__name__ for kind in FIGURES)
+    raise TypeError(f"no figure of {type(result).__name__}; known: {kinds}")
 
 
 def _of_identification(identification: Identification) -> list[Figure]:

@@ -54,10 +54,10 @@ def stated_findings(
     *uncertainties*: source of each pull, in their order; *values* [SI]: numbers by source, where these are
     one number.
     """
-    said: dict[str, list[str]] = {"mass": [], "stated-value": []}
+    text: dict[str, list[str]] = {"mass": [], "stated-value": []}
     for number in map(int, np.flatnonzero(pulls.far)):
         code = "mass" if uncertainties[number].unit == "kg" else "stated-value"
-        said[code].append(_contradiction(uncertainties[number], pulls, number, values))
+        text[code].append(_contradiction(uncertainties[number], pulls, number, values))
     what = (
         "Each is judged with all others within what was stated, and counts in the intervals with its "
         "distance. One of these numbers is "
@@ -65,7 +65,7 @@ def stated_findings(
     )
     return [
         Finding(code, f"the data contradict {'; '.join(named)}. {what}")
-        for code, named in said.items()
+        for code, named in text.items()
         if named
     ]
 
@@ -469,11 +469,11 @@ def drift_findings(
         length = float(np.linalg.norm(shape.values))
         amount, error = _along(change, shape.values) / length, np.sqrt(chance.variance) / length
         by = change_text(100 * amount, 100 * error, "%")
-        said = f"it looks like {shape.name} changed by {by}"
+        text = f"it looks like {shape.name} changed by {by}"
     else:
-        said = _of_parameters(jacobian, model, values, change, chance)
+        text = _of_parameters(jacobian, model, values, change, chance)
     message = (
-        f"the second half of the record differs from the first (p = {p_value:.2g}): {said}. An even drift is "
+        f"the second half of the record differs from the first (p = {p_value:.2g}): {text}. An even drift is "
         "twice that from the beginning to the end. The parameters are means over a changing rig, and their "
         "standard errors do not hold. Wait until temperature and amplifiers have settled, or record in "
         "shorter pieces"

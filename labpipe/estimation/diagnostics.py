@@ -313,15 +313,15 @@ def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     modes.
     """
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
-    said = [
+    text = [
         f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning"
         for p in ratios
         if p.value > 1
     ]
     unstable = ", ".join(p.name for p in ratios if p.is_negative)
     if unstable:
-        said.append(f"{unstable} is negative: the identified system is unstable")
-    return [Finding("unphysical", what) for what in said]
+        text.append(f"{unstable} is negative: the identified system is unstable")
+    return [Finding("unphysical", what) for what in text]
 
 
 def quality_findings(
@@ -395,9 +395,9 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
     beside = [] if setup.closed_loop else _beside(by_name, band)
-    said = "; ".join((*_negative(by_name, driving=not transfer_of(setup)), *beside))
-    what = f"{said}; its numbers are not those of a mode of the structure"
-    return [Finding("unphysical", what)] if said else []
+    text = "; ".join((*_negative(by_name, driving=not transfer_of(setup)), *beside))
+    what = f"{text}; its numbers are not those of a mode of the structure"
+    return [Finding("unphysical", what)] if text else []
 
 
 def narrow_findings(parameters: Sequence[Parameter], spacing: float) -> list[Finding]:
@@ -420,16 +420,16 @@ def narrow_findings(parameters: Sequence[Parameter], spacing: float) -> list[Fin
 
 
 def _negative(by_name: dict[str, Parameter], *, driving: bool) -> list[str]:
-    said = []
+    text = []
     mass, zeta = by_name.get("m"), by_name.get("zeta")
     if driving and mass is not None and mass.value < 0:
-        said.append(
+        text.append(
             f"m = {mass.value:.3g} kg is negative, which no driving point has: check the signs of the "
             "channels, whether force and response are at one point (`dof`), and the band"
         )
     if zeta is not None and zeta.value < 0:
-        said.append(f"zeta = {zeta.value:.3g} is negative: the fitted mode would grow by itself")
-    return said
+        text.append(f"zeta = {zeta.value:.3g} is negative: the fitted mode would grow by itself")
+    return text
 
 
 def _beside(by_name: dict[str, Parameter], band: tuple[float, float]) -> list[str]:

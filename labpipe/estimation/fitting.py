@@ -225,12 +225,12 @@ def _beside_others(
     f_n = float(np.sqrt(max(other.values[0] / other.values[2], 0.0))) / (2 * np.pi)
     if not other.converged or not np.all(other.values[:3] > 0) or not band[0] <= f_n <= band[1]:
         return None
-    said = (
+    text = (
         f"{setup.settings.model}: one mode alone has a mass of {m:.3g} kg and a stiffness of {k:.3g} N/m, "
         "which is no oscillator: other modes are in the FRF. A constant stands for them beside the mode; "
         "`residuals: true` says so beforehand."
     )
-    return DrivingMode(), other, said
+    return DrivingMode(), other, text
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
@@ -261,9 +261,9 @@ def _fit_band(
     dropped: list[str] = []
     beside = None if isinstance(model, TransferMode) else _beside_others(setup, measured, estimate, band)
     if beside is not None:
-        model, estimate, said = beside
+        model, estimate, text = beside
         settings = replace(settings, residuals=True)
-        setup, dropped = replace(setup, settings=settings), [said]
+        setup, dropped = replace(setup, settings=settings), [text]
     if settings.eliminate and isinstance(model, DynamicModel):
         model, estimate, dropped = _eliminate(measured, model, estimate, settings)
     shown = expected(measured, model) if estimator.models_leakage else model

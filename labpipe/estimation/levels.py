@@ -85,12 +85,12 @@ def _difference(low: _Test, high: _Test) -> str:
     p_value = min(1.0, min([together, *p_values.values()]) * (1 + len(p_values)))
     if p_value >= AMPLITUDE_P:
         return ""
-    said = " and ".join(
+    listed = " and ".join(
         f"{kind} by {change_text(100 * amount, 100 * error, '%')}"
         for kind, (amount, error) in amounts.items()
     )
     return (
-        f"between {low.text} (test {low.fit.test}) and {high.text} (this test) {said or 'the parameters'} "
+        f"between {low.text} (test {low.fit.test}) and {high.text} (this test) {listed or 'the parameters'} "
         f"changed on the whole (p = {p_value:.2g}): the rig is not linear, and the coefficients hold for "
         "their level only. Measure at the level of use, or lower it until nothing changes"
     )

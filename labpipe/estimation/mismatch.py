@@ -92,14 +92,14 @@ class _Judge:
     stated: Stated | None
     factor: float | None
 
-    def finding(self, said: str, remedy: str) -> tuple[Finding, ...]:
+    def finding(self, text: str, remedy: str) -> tuple[Finding, ...]:
         """The finding in words: leakage of short blocks looks like a wrong model, and a narrower band would
         not help.
         """
         if self.leaking:
-            said = f"leakage of the short blocks, or a wrong model: {said}"
+            text = f"leakage of the short blocks, or a wrong model: {text}"
             remedy = "Use longer blocks first: a narrower band leaves the leakage as it is"
-        return (Finding("model-mismatch", f"{said}. {remedy}"),)
+        return (Finding("model-mismatch", f"{text}. {remedy}"),)
 
     def minimum(self, model: ReceptanceModel, start: FloatArray) -> _Minimum | None:
         """The minimum from *start* (n_parameter,) [parameter units].
@@ -137,12 +137,12 @@ class _Judge:
             residual = residual - jacobian @ (jacobian.T @ residual)
         return residual_structure(residual, jacobian, size, null)
 
-    def uneven(self, own: _Minimum) -> bool:
+    def uneven(self, best: _Minimum) -> bool:
         """True where noise that grows with the response explains the residual of unknown noise."""
-        if own.structure is None:
+        if best.structure is None:
             return False
         null = Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS)
-        structure = self.structure(own.problem, own.values, null)
+        structure = self.structure(best.problem, best.values, null)
         return structure is not None and structure.p_value >= MISMATCH_P
 
     @cached_property
@@ -206,21 +206,21 @@ def excess(estimate: Estimate) -> float | None:
     return float(np.sqrt(reduced))
 
 
-def _by_bias(judged: _Judge, own: _Minimum) -> Judgement:
+def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
     """The model is right: what another estimator than ml is away from it is its bias."""
     estimate, estimator = judged.estimate, judged.settings.estimator
-    away = own.values - estimate.values
+    away = best.values - estimate.values
     errors = np.sqrt(np.diag(estimate.covariance))
     ratios = np.divide(np.abs(away), errors, out=np.zeros_like(away), where=errors > 0)
     if np.max(ratios) < BIASED:
         return Judgement()
     worst, covariance = int(np.argmax(ratios)), _with_distance(estimate.covariance, away)
-    said = (
+    text = (
         f"{estimator} is biased by the noise of the FRF: {judged.model.names[worst]} is {ratios[worst]:.2g} "
         "standard errors from what the same model gives by ml, whose residual is noise. "
         f"{_growth(estimate, covariance)} since they include the distance"
     )
-    return Judgement(judged.finding(said, "Use the estimator ml"), covariance)
+    return Judgement(judged.finding(text, "Use the estimator ml"), covariance)
 
 
 def by_lines(case: Case) -> Estimate:
@@ -239,39 +239,39 @@ def by_lines(case: Case) -> Estimate:
     return replace(estimate, covariance=measured.shared_noise * scatter.covariance)
 
 
-def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
+def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
-    jacobian, residual = own.problem.jacobian(own.values), own.problem.residual(own.values)
+    jacobian, residual = (best.problem.jacobian(best.values), best.problem.residual(best.values))
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
-    covariance = _with_distance(_not_below(covariance, estimate.covariance), own.values - estimate.values)
-    said = (
-        f"{_wording(own)}; noise that grows with the response explains it, as from gains that scatter from "
+    covariance = _with_distance(_not_below(covariance, estimate.covariance), best.values - estimate.values)
+    text = (
+        f"{_wording(best)}; noise that grows with the response explains it, as from gains that scatter from "
         f"line to line. {_growth(estimate, covariance)} since they come from the scatter of "
         "every line by itself"
     )
     cure = "Look for a gain that is not steady, or a response that is not linear"
-    return Judgement(judged.finding(said, cure), covariance)
+    return Judgement(judged.finding(text, cure), covariance)
 
 
-def _of_one_line(judged: _Judge, own: _Minimum) -> Judgement | None:
+def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
     """One line alone is what the model does not follow, as a hum that repeats with the periods leaves it;
     None where the fit without it is not good either.
     """
     measured, estimate = judged.measured, judged.estimate
     n_line = measured.omega.size
-    if own.structure is not None or measured.covariance is None or measured.noise is not None:
+    if best.structure is not None or measured.covariance is None or measured.noise is not None:
         return None
     if n_line <= FEWEST_LINES:
         return None
-    squares = np.sum(own.problem.residual(own.values).reshape(2, n_line, -1) ** 2, axis=(0, 2))
+    squares = np.sum(best.problem.residual(best.values).reshape(2, n_line, -1) ** 2, axis=(0, 2))
     line = int(np.argmax(squares))
     covariance = np.array(measured.covariance)
     covariance[line] *= OUT
     without = replace(judged, measured=replace(measured, covariance=covariance))
-    other = without.minimum(own.problem.model, own.values)
+    other = without.minimum(best.problem.model, best.values)
     if other is None or other.p_value < MISMATCH_P:
         return None
     frequency = float(measured.omega[line] / (2 * np.pi))
@@ -281,74 +281,74 @@ def _of_one_line(judged: _Judge, own: _Minimum) -> Judgement | None:
     wide = _with_distance(_not_below(other.assessed.covariance, estimate.covariance), away)
     ratios = np.abs(away) / np.sqrt(np.maximum(np.diag(other.assessed.covariance), np.finfo(float).tiny))
     worst = int(np.argmax(ratios))
-    said = (
-        f"{_wording(own)}, and the line at {frequency:.6g} Hz alone makes it so{hum}: something that repeats "
-        "with the periods acts there besides the force. Without it the fit is good (p = "
+    text = (
+        f"{_wording(best)}, and the line at {frequency:.6g} Hz alone makes it so{hum}: something that "
+        "repeats with the periods acts there besides the force. Without it the fit is good (p = "
         f"{other.p_value:.2g}) and {judged.model.names[worst]} is {ratios[worst]:.2g} standard errors away. "
         f"{_growth(estimate, wide)} since they include the distance"
     )
     remedy = f"Leave the line out, `exclude: [{frequency - EITHER:.6g}-{frequency + EITHER:.6g} Hz]`"
-    return Judgement(judged.finding(said, remedy), wide)
+    return Judgement(judged.finding(text, remedy), wide)
 
 
-def _with_model_error(judged: _Judge, own: _Minimum) -> Judgement | None:
+def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
     """The model error of one mode inside the interval; None for other models."""
-    error = model_error(judged.measured, judged.model, own.values, judged.settings)
+    error = model_error(judged.measured, judged.model, best.values, judged.settings)
     if error is None:
         return None
     factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
-    said = (
-        f"{_wording(own)}; most likely {error.reason}. Values and intervals include what the model leaves "
+    text = (
+        f"{_wording(best)}; most likely {error.reason}. Values and intervals include what the model leaves "
         f"unexplained, and are up to {factor:.3g} times as wide as noise alone makes them"
     )
-    return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
+    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), model_error=error)
 
 
-def _with_coefficient_error(judged: _Judge, own: _Minimum) -> Judgement | None:
+def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
     """The model error of several coefficients inside the interval; None where nothing tells the noise."""
-    weights = _noise_weights(judged, own)
+    weights = _noise_weights(judged, best)
     if weights is None:
         return None
     larger = judged.measured.shared_noise
-    if own.assessed.reduced is not None:
-        larger = float(np.max(np.diag(own.assessed.covariance) / np.diag(own.assessed.inverse)))
-    error = coefficient_error(judged.measured, own.problem.model, own.values, weights, larger)
+    if best.assessed.reduced is not None:
+        larger = float(np.max(np.diag(best.assessed.covariance) / np.diag(best.assessed.inverse)))
+    error = coefficient_error(judged.measured, best.problem.model, best.values, weights, larger)
     if error is None:
         return None
-    said = (
-        f"{_wording(own)}; most likely {error.reason}. Intervals include what the model leaves "
+    text = (
+        f"{_wording(best)}; most likely {error.reason}. Intervals include what the model leaves "
         f"unexplained, and are up to {error.growth:.3g} times as wide as noise alone makes them"
     )
-    return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
+    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), model_error=error)
 
 
-def _noise_weights(judged: _Judge, own: _Minimum) -> Weights | None:
+def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
     """Of the measured noise; where it is not known, of that between neighbouring lines of the residual."""
-    if own.structure is None:
-        return own.problem.weights
+    if best.structure is None:
+        return best.problem.weights
     measured = judged.measured
-    residual = measured.matrix - own.problem.model.receptance(own.values, measured.omega)
+    residual = measured.matrix - best.problem.model.receptance(best.values, measured.omega)
     scatter = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0).ravel() / 6
     if not np.all(scatter > 0):
         return None
     return np.broadcast_to(1 / np.sqrt(scatter), (measured.omega.size, scatter.size)).astype(np.complex128)
 
 
-def _by_excess(judged: _Judge, own: _Minimum) -> Judgement:
+def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
     """No model error can be told from the coefficients: the excess over the noise is counted as noise.
 
     Where the noise is not known, it is that of the residual, and neighbours that are alike count as one.
     """
-    away = own.values - judged.estimate.values
-    if own.structure is None:
-        assert own.assessed.reduced is not None
-        return _by_factor(judged, judged.factor or float(np.sqrt(own.assessed.reduced)), away)
-    covariance = _with_distance(judged.measured.omega.size / 2 * own.assessed.covariance, away)
-    said = (
-        f"{_wording(own)}. {_growth(judged.estimate, covariance)} since the lines are too few to tell a "
+    away = best.values - judged.estimate.values
+    if best.structure is None:
+        assert best.assessed.reduced is not None
+        return _by_factor(judged, judged.factor or float(np.sqrt(best.assessed.reduced)), away)
+    covariance = _with_distance(judged.measured.omega.size / 2 * best.assessed.covariance, away)
+    text = (
+        f"{_wording(best)}. {_growth(judged.estimate, covariance)} since the lines are too few to tell a "
         "wrong model from noise, and all of them count as two"
     )
-    return Judgement(judged.finding(said, "Use a model with more modes, or more lines"), covariance)
+    return Judgement(judged.finding(text, "Use a model with more modes, or more lines"), covariance)
 
 
 def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) -> Judgement:
@@ -362,26 +362,26 @@ def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) ->
     # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as
     # well.
     biased = "" if judged.settings.estimates.unbiased else f", or {estimator} is biased"
-    said = (
+    text = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
         f"freedom {estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): the model is "
         f"incomplete{biased}. "
         f"{_growth(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
         "can be worse than that"
     )
-    return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), covariance)
+    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), covariance)
 
 
-def _wording(own: _Minimum) -> str:
+def _wording(best: _Minimum) -> str:
     """What is wrong with the residual."""
-    if own.structure is None:
-        assert own.assessed.reduced is not None
+    if best.structure is None:
+        assert best.assessed.reduced is not None
         return (
-            f"the residual is {np.sqrt(own.assessed.reduced):.3g} times what the measured noise explains "
-            f"(chi-square per degree of freedom {own.assessed.reduced:.3g}, p = {own.p_value:.2g})"
+            f"the residual is {np.sqrt(best.assessed.reduced):.3g} times what the measured noise explains "
+            f"(chi-square per degree of freedom {best.assessed.reduced:.3g}, p = {best.p_value:.2g})"
         )
     return (
-        f"the residual is not noise: {own.structure.said} (p = {own.p_value:.2g} for noise under the "
+        f"the residual is not noise: {best.structure.said} (p = {best.p_value:.2g} for noise under the "
         "same fit)"
     )
 

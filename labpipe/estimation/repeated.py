@@ -125,7 +125,11 @@ def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
 
     values = {parameter.name: parameter.value for parameter in pooled.parameters}
     ours, theirs = (
-        {found[2]: p.value for p in of.parameters if (found := MODE.match(p.name)) and found[1] == "f_n"}
+        {
+            matched[2]: p.value
+            for p in of.parameters
+            if (matched := MODE.match(p.name)) and matched[1] == "f_n"
+        }
         for of in (pooled, fit)
     )
     if ours.keys() == theirs.keys() and len(ours) < 2:

@@ -179,13 +179,13 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
     elements = dict(list(elements.items())[:MOST_ELEMENTS])
     first = next(iter(elements))
     form = next((form for form, pattern in _FORMS if re.search(pattern, first, re.IGNORECASE)), "")
-    said = (f"{form}: by the name {first}",) if form else ()
+    form_text = (f"{form}: by the name {first}",) if form else ()
     frequency = vectors[axis].real if axis else step * np.arange(size)
     values = np.asarray(np.stack([_first(vectors, parts) for parts in elements.values()], axis=1))
     lines = {"frequency": axis} if axis else {"start": "0 Hz", "step": f"{step:.12g} Hz"}
     columns = {**lines, **(elements[first] if len(elements) == 1 else {})}
     listed = {} if len(elements) == 1 else elements
-    return GuessedFrf(columns, "", frequency, values, "variables", listed, form, (*said, *doubts))
+    return GuessedFrf(columns, "", frequency, values, "variables", listed, form, (*form_text, *doubts))
 
 
 def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatArray:
@@ -260,10 +260,10 @@ def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
             stem, (other, wanted) = name[: match.start()], _OTHERS[kind]
             partner = next(
                 (
-                    one
-                    for one in vectors
-                    if re.fullmatch(rf"{re.escape(stem)}_?({wanted})", one, re.IGNORECASE)
-                    and vectors[one].size == vector.size
+                    amplitude
+                    for amplitude in vectors
+                    if re.fullmatch(rf"{re.escape(stem)}_?({wanted})", amplitude, re.IGNORECASE)
+                    and vectors[amplitude].size == vector.size
                 ),
                 "",
             )

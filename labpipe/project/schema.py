@@ -80,8 +80,8 @@ def _recordings() -> dict[str, Any]:
 def _frfs() -> dict[str, Any]:
     """`frfs:`: files of frequency responses, by name or with their layout."""
     described = object_schema(FrfLayout)
-    one = [{"type": "string"}, described]
-    return {"anyOf": [*one, {"type": "array", "items": {"anyOf": one}}]}
+    simple = [{"type": "string"}, described]
+    return {"anyOf": [*simple, {"type": "array", "items": {"anyOf": simple}}]}
 
 
 # What the entries of a test mean.

@@ -35,8 +35,8 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> virtual_rigs.
     if not kind:
         faults.add(tree, "kind", "is missing", f"known: {', '.join(virtual_rigs.VIRTUAL_RIGS.names())}")
     elif kind not in virtual_rigs.VIRTUAL_RIGS.names():
-        known = virtual_rigs.VIRTUAL_RIGS.names()
-        faults.add_at(entries, "", "kind", f"unknown virtual rig '{kind}'", nearest(kind, known))
+        kinds = virtual_rigs.VIRTUAL_RIGS.names()
+        faults.add_at(entries, "", "kind", f"unknown virtual rig '{kind}'", nearest(kind, kinds))
     faults.raise_any()
     chosen: virtual_rigs.VirtualRigKind = virtual_rigs.VIRTUAL_RIGS.load(kind)
     rig: virtual_rigs.VirtualRig | None = read_settings(chosen.settings, tree, "", faults)

@@ -279,10 +279,10 @@ class RecordingReader:
             self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
             return None
         if "channels" not in entry.content:
-            own = "rig" in entry.content
+            rig_of_test = "rig" in entry.content
             return (
                 read_rig(rig_node, self.folder, self.faults, settings_reader.join(key, "rig"))
-                if own
+                if rig_of_test
                 else self.rig
             )
         try:
@@ -479,8 +479,8 @@ class TestReader:
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top else {}
-        own = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
-        both = {**(common if isinstance(common, dict) else {}), **own}
+        rig_of_test = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
+        both = {**(common if isinstance(common, dict) else {}), **rig_of_test}
         whole = {name: node for name, node in both.items() if node.content is not None}
         node = replace(entries["frf"], content=whole)
         return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)

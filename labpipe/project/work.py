@@ -80,9 +80,9 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
         else:
             # A test that failed is named among the failures.
             check_tested(fit, [of_test.name for of_test in (*work.tests, *work.failed)])
-            said = {test.name: test.repeats for test in work.pipeline.tests}
+            stated = {test.name: test.repeats for test in work.pipeline.tests}
             try:
-                made = fits_of(work.tests, _begin(fit, fits, work), work.pipeline.path, said)
+                made = fits_of(work.tests, _begin(fit, fits, work), work.pipeline.path, stated)
             except FitError as error:
                 faults.append(error)
                 work.failed.append(Failed(FIT_PREFIX + fit.name, str(error)))

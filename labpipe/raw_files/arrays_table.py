@@ -121,7 +121,7 @@ def describe(
     A list of as many texts as there are columns is theirs in order, one of as many as a matrix has columns is
     of that matrix; NAME_unit is that of NAME.
     """
-    said: dict[str, dict[str, str]] = {"names": {}, "units": {}, "sensitivities": {}}
+    stated: dict[str, dict[str, str]] = {"names": {}, "units": {}, "sensitivities": {}}
     by_last = {name.rpartition(".")[2].rpartition("/")[2]: name for name in columns}
     matrices: dict[str, list[str]] = {}
     for name in columns:
@@ -130,18 +130,18 @@ def describe(
         last = key.rpartition(".")[2].rpartition("/")[2]
         for name, unit in _SIGNAL.findall("\n".join(entries)):
             if name in by_last:
-                said["units"].setdefault(by_last[name], unit)
+                stated["units"].setdefault(by_last[name], unit)
         kind = next((kind for kind, pattern in _LISTS if pattern.match(last)), "")
         group = next((g for g in (list(columns), *matrices.values()) if len(g) == len(entries) > 1), None)
         if kind and group is not None:
-            said[kind] |= {name: text for name, text in zip(group, entries, strict=True) if text}
+            stated[kind] |= {name: text for name, text in zip(group, entries, strict=True) if text}
         whose, _, word = last.rpartition("_")
         if word.lower() in ("unit", "units") and whose in by_last and len(entries) == 1:
-            said["units"].setdefault(by_last[whose], entries[0])
-    names = said["names"]
+            stated["units"].setdefault(by_last[whose], entries[0])
+    names = stated["names"]
     if len(set(names.values())) < len(names):
         names = {}
-    return names, said["units"], said["sensitivities"]
+    return names, stated["units"], stated["sensitivities"]
 
 
 class ArraysTable:

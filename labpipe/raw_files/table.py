@@ -61,9 +61,9 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def _unreadable(path: Path, error: Exception) -> DataError:
-    said = (str(error).splitlines() or [""])[0].rstrip(".")
+    text = (str(error).splitlines() or [""])[0].rstrip(".")
     return DataError(
-        f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, said))))})", path, DAMAGED
+        f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, text))))})", path, DAMAGED
     )
 
 

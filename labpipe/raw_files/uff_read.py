@@ -369,12 +369,12 @@ def _stated_factor(record: uff.UffRecord, form: str, factor: float | None) -> fl
     """
     _check_directions(record)
     kind, of_force = record.ordinate.kind, record.denominator.kind in _FORCES
-    own = FORMS.get(kind, "") if of_force else ""
-    if own and own != form:
-        raise DataError(f"{record.where} holds {own} by its data types, {form} by the entry under frfs")
+    of_kind = FORMS.get(kind, "") if of_force else ""
+    if of_kind and of_kind != form:
+        raise DataError(f"{record.where} holds {of_kind} by its data types, {form} by the entry under frfs")
     if factor is not None:
         return factor
-    if own:
+    if of_kind:
         return frf_factor(record)
     try:
         return unit_of(record.ordinate.unit, RESPONSE_FORMS[form]).factor if record.ordinate.unit else 1.0

@@ -86,12 +86,12 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
     What holds of several fits in the same words stands with the first of them.
     """
     sections: list[Section] = []
-    said: list[object] = []
+    text: list[object] = []
     for fits in _groups(identification.fits):
         title, blocks = _result(fits)
         general = [block for block in blocks if _is_general(block)]
-        again = [block for block in general if _wording(block) in said]
-        said += map(_wording, general)
+        again = [block for block in general if _wording(block) in text]
+        text += map(_wording, general)
         pointer = (SAID_BEFORE,) if any(block != _EXPLANATION for block in again) else ()
         fresh = tuple(block for block in blocks if not (_is_general(block) and block in again))
         sections.append(Section(f"Result: {title}", (*fresh[:2], *pointer, *fresh[2:])))
@@ -183,9 +183,9 @@ def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
     pairs.sort(key=lambda pair: -abs(fit.correlation[pair]))
-    said = ", ".join(f"{names[i]} and {names[j]}: {fit.correlation[i, j]:.3g}" for i, j in pairs[:MOST_PAIRS])
+    text = ", ".join(f"{names[i]} and {names[j]}: {fit.correlation[i, j]:.3g}" for i, j in pairs[:MOST_PAIRS])
     rest = "" if len(pairs) <= MOST_PAIRS else "; of all others it is smaller"
-    return (Paragraph(f"Correlation between the estimates of {said}{rest}."),)
+    return (Paragraph(f"Correlation between the estimates of {text}{rest}."),)
 
 
 def _description(fit: Fit) -> str:

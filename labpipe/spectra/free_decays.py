@@ -82,9 +82,9 @@ def free_decays(
             findings.append(left_out(source, "it holds no free decay that stands out of its noise"))
             continue
         decays.extend(FreeDecay(source.name, start / rate, samples[start:end]) for start, end in spans)
-        said = ", ".join(f"{start / rate:.4g} s to {end / rate:.4g} s" for start, end in spans)
+        spans_text = ", ".join(f"{start / rate:.4g} s to {end / rate:.4g} s" for start, end in spans)
         whole = f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s"
-        findings.append(note("free-decay", f"{whole}: {len(spans)} free decay(s), {said}"))
+        findings.append(note("free-decay", f"{whole}: {len(spans)} free decay(s), {spans_text}"))
     if not decays:
         raise without[0]
     units = tuple(QUANTITIES[channel.quantity].si_unit for channel in channels)

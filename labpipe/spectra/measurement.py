@@ -97,14 +97,14 @@ def _with_repeats(
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
             return response
         try:
-            one = _measure([source], settings, source.name, None)
+            first_response = _measure([source], settings, source.name, None)
         except (LabpipeError, np.linalg.LinAlgError):
             return response
-        lines = np.isin(one.frequency, response.frequency)
-        of_one = [port.label for port in (*one.outputs, *one.inputs)]
+        lines = np.isin(first_response.frequency, response.frequency)
+        of_one = [port.label for port in (*first_response.outputs, *first_response.inputs)]
         if of_one != ports or lines.sum() != response.frequency.size:
             return response
-        alone.append(one.matrix[lines])
+        alone.append(first_response.matrix[lines])
         names.append(source.name)
         levels.append(_level(source))
     if not alone:

@@ -438,8 +438,8 @@ def _merge(lines: list[Line]) -> list[Line]:
     return [_average(group) for group in groups]
 
 
-def _same(one: Line, other: Line) -> bool:
-    return abs(one.frequency - other.frequency) < SAME_LINE / min(one.duration, other.duration)
+def _same(first: Line, other: Line) -> bool:
+    return abs(first.frequency - other.frequency) < SAME_LINE / min(first.duration, other.duration)
 
 
 def _average(group: list[Line]) -> Line:

@@ -242,7 +242,7 @@ class Balanced:
     """
 
     file: BalanceFile
-    known: Influence
+    knowledge: Influence
     weights: ComplexArray
     masses: dict[str, tuple[tuple[float, float], ...]]
     residual: Residual
@@ -265,14 +265,14 @@ def permissible_unbalance(grade: float, mass: float, speed: float) -> float:
 def balanced(file: BalanceFile) -> Balanced:
     """Weights, what they leave, and what one more run would change; DataError for runs that do not do."""
     try:
-        known = influence(file.runs, file.noise, file.prior)
+        knowledge = influence(file.runs, file.noise, file.prior)
     except DataError as error:
         error.where = error.where or str(file.path)
         raise
-    weights, masses = best_weights(known.square), {}
+    weights, masses = best_weights(knowledge.square), {}
     if any(plane.at.size for plane in file.planes.values()):
         places = [_places(name, plane) for name, plane in file.planes.items()]
-        chosen = placed_weights(known, places)
+        chosen = placed_weights(knowledge, places)
         weights = np.zeros(len(places), np.complex128)
         for number, (name, mass, place) in enumerate(zip(file.planes, chosen, places, strict=True)):
             weights[number] = place.radius * (mass @ np.exp(1j * place.angles))
@@ -285,8 +285,8 @@ def balanced(file: BalanceFile) -> Balanced:
         for number, name in enumerate(file.planes)
     }
     candidates["the weights themselves"] = weights
-    expected = next_runs(known, file.noise, candidates)
-    return Balanced(file, known, weights, masses, residual_of(known, weights, file.noise), expected)
+    expected = next_runs(knowledge, file.noise, candidates)
+    return Balanced(file, knowledge, weights, masses, residual_of(knowledge, weights, file.noise), expected)
 
 
 def _places(name: str, plane: PlaneSettings) -> Places:
@@ -329,6 +329,6 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
             for name, upper in zip(file.planes, residual.unbalance, strict=True)
         ],
         "permissible": result.permissible,
-        "chi2": {"value": result.known.misfit, "dof": result.known.dof},
+        "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
         "next_runs": dict(result.next_runs),
     }

@@ -70,11 +70,11 @@ def sentences(result: Balanced) -> Iterator[str]:
             f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), {word} the permissible "
             f"{1e6 * result.permissible:.3g} g mm of G {1e3 * (file.settings.grade or 0):g}"
         )
-    known = result.known
-    if known.dof and chi2_tail(known.misfit, known.dof) < UNLIKELY:
+    knowledge = result.knowledge
+    if knowledge.dof and chi2_tail(knowledge.misfit, knowledge.dof) < UNLIKELY:
         yield (
-            f"warning: the readings scatter more than was stated (chi-square {known.misfit:.3g} of "
-            f"{known.dof}): the rig is not linear, changed between runs, or repeats less well"
+            f"warning: the readings scatter more than was stated (chi-square {knowledge.misfit:.3g} of "
+            f"{knowledge.dof}): the rig is not linear, changed between runs, or repeats less well"
         )
     best = min(result.next_runs, key=lambda name: result.next_runs[name])
     if result.next_runs[best] < WORTHWHILE * residual.rms:

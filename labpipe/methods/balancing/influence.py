@@ -141,7 +141,7 @@ def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None)
     then: a plane without a trial weight, too few runs.
     """
     if prior is not None:
-        return reduce(lambda known, run: known.after(run, noise), runs, prior)
+        return reduce(lambda knowledge, run: knowledge.after(run, noise), runs, prior)
     design = np.array([np.concatenate([[1.0], run.weights]) for run in runs])
     readings = np.array([run.readings for run in runs])
     n_line, n_unknown = readings.shape[1], design.shape[1]
@@ -205,11 +205,11 @@ class Places:
     largest: float = np.inf
 
 
-def placed_weights(known: Influence, places: Sequence[Places]) -> list[FloatArray]:
+def placed_weights(knowledge: Influence, places: Sequence[Places]) -> list[FloatArray]:
     """Masses [kg] in every place of every plane, (n_place,) each: the least expected square that masses from
     zero to the largest can reach, by as little mass as that takes.
     """
-    square, linear = known.square[1:, 1:], known.square[1:, 0]
+    square, linear = knowledge.square[1:, 1:], knowledge.square[1:, 0]
     directions = [place.radius * np.exp(1j * place.angles) for place in places]
     onto = np.zeros((len(places), sum(d.size for d in directions)), np.complex128)
     ends = np.cumsum([0, *(direction.size for direction in directions)])
@@ -258,24 +258,24 @@ class Residual:
     unbalance: FloatArray
 
 
-def residual_of(known: Influence, weights: ComplexArray, noise: Noise) -> Residual:
+def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Residual:
     """The vibration with *weights* (n_plane,) [kg m] set, as a reading shows it, by draws."""
-    drawn = known.draws()
+    drawn = knowledge.draws()
     whole = np.concatenate([[1.0], weights])
-    left = _drawn_residual(known, drawn, whole)
+    left = _drawn_residual(knowledge, drawn, whole)
     rng = np.random.default_rng(SEED + 1)
     spread = np.sqrt(noise.variance(left) / 2)
     left = left + spread * (rng.standard_normal(left.shape) + 1j * rng.standard_normal(left.shape))
     rms = np.sqrt(np.mean(np.abs(left) ** 2, axis=1))
     low, high = np.percentile(np.abs(left), COVERED, axis=0)
     ends = np.percentile(rms, COVERED)
-    before = float(np.sqrt(np.mean(np.abs(known.mean[:, 0]) ** 2)))
+    before = float(np.sqrt(np.mean(np.abs(knowledge.mean[:, 0]) ** 2)))
     unbalance = _made_by_planes(drawn[:400]) + weights
     upper = np.percentile(np.abs(unbalance), 95, axis=0)
     amplitudes = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
     interval = (float(ends[0]), float(ends[1]))
-    if known.narrow is not None:
-        below = residual_of(known.narrow, weights, noise)
+    if knowledge.narrow is not None:
+        below = residual_of(knowledge.narrow, weights, noise)
         interval, low = (min(interval[0], below.interval[0]), interval[1]), np.minimum(low, below.low)
     return Residual(float(np.sqrt(np.mean(rms**2))), interval, before, amplitudes, low, high, upper)
 
@@ -285,18 +285,18 @@ def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
     return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
 
 
-def _drawn_residual(known: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:
+def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:
     """z_0 + alpha w of the *drawn* z_0 and alpha, (n, n_line) [unit of the readings].
 
     What weights in these planes cannot change of the estimated vibration is noise as far as its size is that
     of noise (empirical Bayes): unbalance in the planes themselves leaves nothing of that kind.
     """
-    middle = known.mean @ whole
+    middle = knowledge.mean @ whole
     errors = drawn @ whole - middle
     n_line, n_plane = middle.size, whole.size - 1
-    if n_line <= n_plane or known.modelled:
+    if n_line <= n_plane or knowledge.modelled:
         return np.asarray(middle + errors)
-    basis = np.linalg.svd(known.mean[:, 1:], full_matrices=False)[0]
+    basis = np.linalg.svd(knowledge.mean[:, 1:], full_matrices=False)[0]
     within = errors @ basis.conj() @ basis.T
     beyond, fixed = errors - within, middle - basis @ (basis.conj().T @ middle)
     # Their common variance, by its posterior under a prior flat in the logarithm.
@@ -307,26 +307,26 @@ def _drawn_residual(known: Influence, drawn: ComplexArray, whole: ComplexArray) 
     return np.asarray(middle - fixed + within + share * fixed + np.sqrt(share) * beyond)
 
 
-def next_runs(known: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
+def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
     """Expected root mean square of what is left [unit of the readings] if one more run were made first, with
     the weights (n_plane,) [kg m] of each candidate, and the weights chosen anew by it.
 
     Over draws of the truth: its readings move the mean and narrow z_0 and alpha (preposterior analysis).
     """
-    n_line = known.mean.shape[0]
+    n_line = knowledge.mean.shape[0]
     rng = np.random.default_rng(SEED + 2)
-    truths = known.draws(TRIED)
-    if not known.modelled:
+    truths = knowledge.draws(TRIED)
+    if not knowledge.modelled:
         # Unbalance in the planes: what they cannot make is no part of the truth.
         truths[..., 0] = (truths[..., 1:] @ _made_by_planes(truths)[..., None])[..., 0]
     scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
     expected = {}
     for name, weights in candidates.items():
         whole = np.concatenate([[1.0], weights])
-        variance = noise.variance(known.mean @ whole)
-        gain, joint, _ = known.gain(weights, variance, np.arange(n_line))
-        means = known.moved(gain, (truths - known.mean) @ whole + np.sqrt(variance) * scatter).mean
-        spread = replace(known, joint=joint).covariance.sum(axis=0).T
+        variance = noise.variance(knowledge.mean @ whole)
+        gain, joint, _ = knowledge.gain(weights, variance, np.arange(n_line))
+        means = knowledge.moved(gain, (truths - knowledge.mean) @ whole + np.sqrt(variance) * scatter).mean
+        spread = replace(knowledge, joint=joint).covariance.sum(axis=0).T
         chosen = best_weights(means.conj().swapaxes(-1, -2) @ means + spread)
         left = (truths[..., 1:] @ chosen[..., None])[..., 0] + truths[..., 0]
         squares = np.sum(np.abs(left) ** 2, axis=-1)

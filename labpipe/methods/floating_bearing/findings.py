@@ -27,35 +27,35 @@ N_DRAWN = 60
 
 def shown_course(
     balance: Balance,
-    found: FittedStiffness,
+    fit: FittedStiffness,
     uncertainties: tuple[GivenUncertainty, ...],
     given: Given,
     sense: float,
 ) -> DynamicStiffness:
     """The record of a fit for figures and for later fits that take it as their baseline."""
-    lines, variance = shown_stiffness(balance, found.model.stiffness(found.values, balance.omega))
+    lines, variance = shown_stiffness(balance, fit.model.stiffness(fit.values, balance.omega))
     omega = np.linspace(balance.omega[0], balance.omega[-1], N_DRAWN)
-    course = effective(found.model, found.values, found.whole, omega, sense)
+    course = effective(fit.model, fit.values, fit.whole, omega, sense)
 
     def ends(value: np.ndarray, error: np.ndarray) -> np.ndarray:
         return np.stack([value, value - LIMIT * error, value + LIMIT * error], axis=-1)
 
     return DynamicStiffness(
-        found.model.form.name,
-        found.model.symmetry,
-        found.values,
-        found.noise,
+        fit.model.form.name,
+        fit.model.symmetry,
+        fit.values,
+        fit.noise,
         uncertainties,
         frequency=lines.omega / (2 * np.pi),
         measured=lines.stiffness,
         variance=variance,
         paired=lines.paired,
         drawn_frequency=omega / (2 * np.pi),
-        fitted=found.model.stiffness(found.values, omega),
+        fitted=fit.model.stiffness(fit.values, omega),
         effective_stiffness=ends(course.stiffness, course.stiffness_error),
         effective_damping=ends(course.damping, course.damping_error),
         baseline=None if given.baseline is None else given.baseline.stiffness(omega),
-        bands=found.model.form.bands,
+        bands=fit.model.form.bands,
         absolute=given.absolute,
     )
 
@@ -92,14 +92,14 @@ def remedy(group: Sequence[str]) -> str:
     )
 
 
-def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
+def noise_findings(fit: Estimate, noise: Noise) -> tuple[Finding, ...]:
     """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few
     periods.
     """
     findings = few_averages(noise)
-    if found.reduced < 1 - SURE * noise.spread(found.dof):
+    if fit.reduced < 1 - SURE * noise.spread(fit.dof):
         message = (
-            f"the residual is only {np.sqrt(found.reduced):.2g} times what the scatter of the channels would "
+            f"the residual is only {np.sqrt(fit.reduced):.2g} times what the scatter of the channels would "
             "leave: something that differs from period to period and averages out, such as runout of a "
             "turning shaft under a probe, counts as noise, and the intervals are too wide. Take it out with "
             "`frf: {remove: {speed: ..., harmonics: 2}}`"
@@ -178,7 +178,7 @@ def effective_forces(stator: Stator) -> bool:
 
 
 def given_notes(
-    given: Given, uncertainties: tuple[GivenUncertainty, ...], found: FittedStiffness
+    given: Given, uncertainties: tuple[GivenUncertainty, ...], fit: FittedStiffness
 ) -> tuple[str, ...]:
     """Which given numbers the intervals hold, and how much of the variance is theirs."""
     if not uncertainties:
@@ -188,11 +188,11 @@ def given_notes(
             return ()
         stated = f"{' and '.join(numbers)} {'counts' if len(numbers) == 1 else 'count'} as exact"
         return (f"dynamic-stiffness: {stated}: give the uncertainty where there is one (60 kg +- 0.6 kg).",)
-    names = found.model.names
+    names = fit.model.names
     lines = []
     for uncertainty in uncertainties:
         share = np.sqrt(
-            np.sum(uncertainty.changes**2, axis=0) / np.maximum(np.diag(found.noise), np.finfo(float).tiny)
+            np.sum(uncertainty.changes**2, axis=0) / np.maximum(np.diag(fit.noise), np.finfo(float).tiny)
         )
         most = int(np.argmax(share))
         size = (

@@ -243,7 +243,7 @@ SHAPES = (("amplitude ~ 1/f", -1), ("amplitude the same at all lines", 0), ("amp
 LETTERS = ("k", "c", "m")
 
 
-def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
+def other_excitations(stator: Stator, estimate: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
     """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter)
     [1/parameter unit] of the Jacobian.
 
@@ -258,7 +258,7 @@ def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> t
     acting = power > QUIET * power.max()
     per_power = information[acting] / power[acting, None, None]
     here = _errors(np.sum(information[acting], axis=0))
-    letters = [name[0] for name in found.model.names]
+    letters = [name[0] for name in estimate.model.names]
     others = []
     for name, exponent in SHAPES:
         shape = stator.omega[acting] ** (2 * exponent)

@@ -272,14 +272,14 @@ class Valued:
     slopes: FloatArray
 
 
-def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
+def coefficients(fitted: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
     """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry
     ties to them.
     """
-    model = found.model
-    names, covariances = model.names[: model.n_linear], (found.noise, found.whole)
-    plain = plain_values(names, model.units, found.values, covariances, found.dof, vifs)
-    shaped = [_shape(found, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
+    model = fitted.model
+    names, covariances = model.names[: model.n_linear], (fitted.noise, fitted.whole)
+    plain = plain_values(names, model.units, fitted.values, covariances, fitted.dof, vifs)
+    shaped = [_shape(fitted, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
     return (*plain, *shaped, *(_tie(valued) for valued in plain if model.symmetry == "seal"))
 
 
@@ -307,18 +307,18 @@ def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
     return widen(parameter, whole / noise) if noise > 0 and whole > SAME * noise else parameter
 
 
-def _shape(found: FittedStiffness, number: int, vif: float) -> Valued:
-    declared, place = found.model.form.shape[number], found.model.n_linear + number
-    inner, slope = float(found.values[place]), declared.slope(float(found.values[place]))
-    noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (found.noise, found.whole))
+def _shape(fitted: FittedStiffness, number: int, vif: float) -> Valued:
+    declared, place = fitted.model.form.shape[number], fitted.model.n_linear + number
+    inner, slope = float(fitted.values[place]), declared.slope(float(fitted.values[place]))
+    noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (fitted.noise, fitted.whole))
     plain = _wide(
-        estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, found.dof, vif),
+        estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, fitted.dof, vif),
         noise,
         whole,
     )
-    reach = student_limit(found.dof) * whole
+    reach = student_limit(fitted.dof) * whole
     shown = replace(plain, ci95=_finite(declared.shown(inner - reach), declared.shown(inner + reach)))
-    return Valued(shown, slope * np.eye(found.values.size)[place])
+    return Valued(shown, slope * np.eye(fitted.values.size)[place])
 
 
 def _finite(low: float, high: float) -> tuple[float, float] | None:
@@ -340,36 +340,36 @@ def _tie(valued: Valued) -> Valued:
 
 
 def derived_values(
-    found: FittedStiffness, omega: FloatArray, shaft: Shaft
+    fitted: FittedStiffness, omega: FloatArray, shaft: Shaft
 ) -> tuple[tuple[Valued, ...], Whirl | None]:
     """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself. Omega
     (n_line,) [rad/s] of the fit.
     """
-    full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
-    turning = whirl(found.model, found.values, found.whole) if full else None
+    full = fitted.model.symmetry != "direct" and fitted.model.form.name in FORMS_WITH_WHIRL
+    turning = whirl(fitted.model, fitted.values, fitted.whole) if full else None
     parts = [
-        *_whirl_values(found, turning, shaft),
-        *_crossover(found, omega, shaft),
-        *_synchronous(found, omega, shaft),
+        *_whirl_values(fitted, turning, shaft),
+        *_crossover(fitted, omega, shaft),
+        *_synchronous(fitted, omega, shaft),
     ]
     return tuple(parts), turning
 
 
-def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
+def _whirl_values(fitted: FittedStiffness, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
     if turning is None or turning.square <= 0 or not shaft.speed:
         return []
     speed = 2 * np.pi * abs(shaft.speed)
     ratio = np.sqrt(turning.square) / speed
     slopes = turning.slopes / (2 * np.sqrt(turning.square) * speed)
     ends = [float(np.sqrt(max(end, 0.0)) / speed) for end in turning.interval]
-    values = [_derive(found, "whirl_frequency_ratio", "1", float(ratio), slopes, _finite(ends[0], ends[1]))]
+    values = [_derive(fitted, "whirl_frequency_ratio", "1", float(ratio), slopes, _finite(ends[0], ends[1]))]
     if shaft.rotor_mass is not None and turning.stiffness > 0:
-        values.append(_onset(found, turning, shaft, float(ratio), slopes))
+        values.append(_onset(fitted, turning, shaft, float(ratio), slopes))
     return values
 
 
 def _onset(
-    found: FittedStiffness, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray
+    fitted: FittedStiffness, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray
 ) -> Valued:
     """Speed [Hz] W = sqrt(k / m) / WFR of whirl of a rotor, k in series with its shaft."""
     mass = shaft.rotor_mass
@@ -378,14 +378,14 @@ def _onset(
     value = np.sqrt(turning.stiffness / softer / mass.value) / ratio / (2 * np.pi)
     slopes = value * (turning.stiffness_slopes / (2 * turning.stiffness * softer) - ratio_slopes / ratio)
     of_mass = mass.std_error / (2 * mass.value)
-    whole = float(np.hypot(found.error(slopes, whole=True), value * of_mass))
+    whole = float(np.hypot(fitted.error(slopes, whole=True), value * of_mass))
     reach = LIMIT * whole / value
     interval = _finite(float(value * np.exp(-reach)), float(value * np.exp(reach)))
-    return _derive(found, "onset_speed", "Hz", float(value), slopes, interval, whole)
+    return _derive(fitted, "onset_speed", "Hz", float(value), slopes, interval, whole)
 
 
 def _derive(
-    found: FittedStiffness,
+    fitted: FittedStiffness,
     name: str,
     unit: str,
     value: float,
@@ -394,48 +394,48 @@ def _derive(
     whole: float | None = None,
 ) -> Valued:
     """With its error in all, by the fitted values unless *whole* is given."""
-    noise = found.error(slopes, whole=False)
-    whole = found.error(slopes, whole=True) if whole is None else whole
+    noise = fitted.error(slopes, whole=False)
+    whole = fitted.error(slopes, whole=True) if whole is None else whole
     inflated = whole if whole > SAME * noise else None
-    plain = derive(name, unit, value, noise, found.dof)
+    plain = derive(name, unit, value, noise, fitted.dof)
     return Valued(replace(plain, ci95=interval, std_error_inflated=inflated), slopes)
 
 
-def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
-    if found.model.symmetry == "direct":
+def _crossover(fitted: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
+    if fitted.model.symmetry == "direct":
         return []
-    found_at = crossover(found.model, found.values, found.whole, omega, shaft.sense)
+    found_at = crossover(fitted.model, fitted.values, fitted.whole, omega, shaft.sense)
     if found_at is None:
         return []
     to_hertz = 1 / (2 * np.pi)
     low, high = (to_hertz * end for end in found_at.interval)
     value = to_hertz * found_at.omega
     return [
-        _derive(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))
+        _derive(fitted, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))
     ]
 
 
-def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
+def _synchronous(fitted: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
     """Re H and Im H / W at the shaft's speed W, where it lies in the band and H is not K and C."""
-    if not shaft.speed or found.model.form.name == "kc":
+    if not shaft.speed or fitted.model.form.name == "kc":
         return []
     speed = 2 * np.pi * abs(shaft.speed)
     if not omega[0] <= speed <= omega[-1]:
         return []
     at = np.array([speed])
-    h, slopes = found.model.stiffness(found.values, at)[0], found.model.jacobian(found.values, at)[:, 0]
+    h, slopes = fitted.model.stiffness(fitted.values, at)[0], fitted.model.jacobian(fitted.values, at)[:, 0]
     values = []
     for letter, unit, factor in (("k", STIFFNESS, 1.0), ("c", DAMPING, 1 / (1j * speed))):
         for i, row in enumerate("xy"):
             for j, column in enumerate("xy"):
-                if found.model.symmetry == "direct" and i != j:
+                if fitted.model.symmetry == "direct" and i != j:
                     continue
                 value, change = (factor * h[i, j]).real, (factor * slopes[:, i, j]).real
-                whole = found.error(change, whole=True)
-                reach = student_limit(found.dof) * whole
+                whole = fitted.error(change, whole=True)
+                reach = student_limit(fitted.dof) * whole
                 values.append(
                     _derive(
-                        found,
+                        fitted,
                         f"{letter}_{row}{column}_synchronous",
                         unit,
                         float(value),

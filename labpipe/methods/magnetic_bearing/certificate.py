@@ -407,8 +407,8 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
     loop = None if model is None else model.trusted
     if loop is None:
-        said = f"log decrement above {own.least_decrement:g} not judged, since {why}"
-        return [Limit("log_decrement", None, said, why)]
+        text = f"log decrement above {own.least_decrement:g} not judged, since {why}"
+        return [Limit("log_decrement", None, text, why)]
     if not loop.modes():
         return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
     least = min(loop.modes(), key=lambda name: loop.amounts[name])
@@ -416,11 +416,11 @@ def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> li
     probability = min(
         below(-loop.amounts[name], loop.error(name), -own.least_decrement) for name in loop.modes()
     )
-    said = (
+    text = (
         f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.least_decrement:g} "
         f"with {words(probability)}"
     )
-    return [Limit("log_decrement", probability, said)]
+    return [Limit("log_decrement", probability, text)]
 
 
 def _curves(

@@ -230,13 +230,13 @@ def _of_ratio(ratio: Parameter) -> Parameter:
 
 def _limit(own: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
     least = min(amounts, key=lambda amount: amount.value)
-    said = f"log decrement {least.value:.3g} ({least.name}) is the least; above {own.least_decrement:g}"
+    text = f"log decrement {least.value:.3g} ({least.name}) is the least; above {own.least_decrement:g}"
     if why:
-        return Limit(DECREMENT, None, f"{said} not judged, since {why}", why)
+        return Limit(DECREMENT, None, f"{text} not judged, since {why}", why)
     probability = min(
         below(-amount.value, amount.full_error or 0.0, -own.least_decrement) for amount in amounts
     )
-    return Limit(DECREMENT, probability, f"{said} with {words(probability)}")
+    return Limit(DECREMENT, probability, f"{text} with {words(probability)}")
 
 
 # Powers of ten by which a signal of a wrong unit or sensitivity is off.

@@ -205,23 +205,23 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
 
 
 def _confirm(
-    found: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float
+    fitted: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float
 ) -> Transfer:
     a, b, c, d = system
     for share in (0.01, 0.3, 3.0):
         point = share * unit * (0.3 + 1j)
         exact = complex((c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d)[0, 0])
         ours = (
-            found.gain
-            * np.prod([point - zero for zero in found.zeros])
-            / np.prod([point - pole for pole in found.poles])
+            fitted.gain
+            * np.prod([point - zero for zero in fitted.zeros])
+            / np.prod([point - pole for pole in fitted.poles])
         )
         if abs(ours - exact) > SAME * abs(exact):
             raise ConfigError(
                 "the zeros of a state space cannot be told from rounding",
                 hint="give zeros, poles and gain, or filters",
             )
-    return found
+    return fitted
 
 
 # Relative distance at which two roots are conjugate.

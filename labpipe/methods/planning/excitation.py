@@ -183,8 +183,8 @@ def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
 
 def _fit(evaluation: Evaluation) -> dict[str, Any]:
     settings = evaluation.settings
-    known = None if settings.mass is None else Uncertain(settings.mass)
-    number = dict(settings.uncertainties).get("mass") or known
+    stated_mass = None if settings.mass is None else Uncertain(settings.mass)
+    number = dict(settings.uncertainties).get("mass") or stated_mass
     if not evaluation.side_by_side:
         return {"model": settings.model, "mass": "estimate" if number is None else uncertain_text(number)}
     entries = {"form": "kcm" if evaluation.with_masses else "kc"}

@@ -187,24 +187,24 @@ def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
     return replace(of_lines, information=of_lines.information + rig.known_rate / float(np.mean(costs)))
 
 
-def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> Design:
+def _design(pool: Candidates, wanted: Wanted, criterion: str, floor: float) -> Design:
     which = np.isfinite(wanted.goals)
     weight = 1 / np.where(which, wanted.goals, 1.0)
-    least = floor * found.cost / found.cost.sum()
-    information = found.information / np.outer(weight, weight)
+    least = floor * pool.cost / pool.cost.sum()
+    information = pool.information / np.outer(weight, weight)
     return optimum(criterion, information, np.eye(which.size)[which], least)
 
 
-def _balance(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
+def _balance(pool: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
     """The optimum for shakers that run at once, with a limit each: the price of a shaker's force rises until
     all do the same.
     """
     price = np.ones(n_shaker)
-    shaker = np.arange(found.line.size) % n_shaker
+    shaker = np.arange(pool.line.size) % n_shaker
     for _ in range(BALANCING):
         factor = price[shaker]
-        information = found.information / factor[:, None, None]
-        priced = replace(found, cost=found.cost * factor, information=information)
+        information = pool.information / factor[:, None, None]
+        priced = replace(pool, cost=pool.cost * factor, information=information)
         design = _design(priced, wanted, criterion, floor)
         done = np.bincount(shaker, design.shares / factor)
         price *= np.sqrt(np.maximum(done, 1e-3 * done.max()))
@@ -233,8 +233,8 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
         yield Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
 
 
-def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
-    return found.power(design.shares).reshape(lines.size, -1)
+def _power(pool: Candidates, design: Design, lines: IntArray) -> FloatArray:
+    return pool.power(design.shares).reshape(lines.size, -1)
 
 
 def _look(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:

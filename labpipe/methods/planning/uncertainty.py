@@ -81,8 +81,8 @@ class Identifiability:
     def words(self) -> str:
         if self.full:
             return f"the excitation determines all {self.n_coefficient} coefficients"
-        told = f"the excitation determines {self.rank} of {self.n_coefficient} coefficients"
-        return f"{told}; not told apart: {', '.join(self.undetermined)}"
+        text = f"the excitation determines {self.rank} of {self.n_coefficient} coefficients"
+        return f"{text}; not told apart: {', '.join(self.undetermined)}"
 
     @property
     def remedy(self) -> str:

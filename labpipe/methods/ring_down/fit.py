@@ -185,8 +185,10 @@ def with_course(
             continue
         of_f, of_zeta = POWERS[name]
         model = float(np.hypot(of_f * spread[0], of_zeta * spread[1]))
-        known = float(np.log(parameter.ci95[1] / parameter.ci95[0])) / 2 if parameter.ci95[0] > 0 else np.inf
-        reach = float(np.hypot(known, student_limit(spread[2]) * model))
+        half_width = (
+            float(np.log(parameter.ci95[1] / parameter.ci95[0])) / 2 if parameter.ci95[0] > 0 else np.inf
+        )
+        reach = float(np.hypot(half_width, student_limit(spread[2]) * model))
         parts = parameter.interval or IntervalParts(parameter.std_error or 0.0)
         widened.append(
             replace(

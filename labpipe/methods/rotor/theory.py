@@ -128,12 +128,12 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     ]
     order = follow(at_speeds)
     frequency, decrement, whirl = (np.full(order.shape, np.nan) for _ in range(3))
-    for number, found in enumerate(at_speeds):
+    for number, solution in enumerate(at_speeds):
         there = order[number] >= 0
-        roots = found.eigenvalues[order[number, there]]
+        roots = solution.eigenvalues[order[number, there]]
         frequency[number, there] = roots.imag / (2 * np.pi)
         decrement[number, there] = -2 * np.pi * roots.real / roots.imag
-        whirl[number, there] = found.whirl[order[number, there]]
+        whirl[number, there] = solution.whirl[order[number, there]]
     at = _supports_between(speeds, supports)
     try:
         onset = response.onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)

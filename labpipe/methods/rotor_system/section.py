@@ -340,19 +340,21 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
 
 def unknown_figure(result: RotorSystemResult) -> Figure:
     """How far each unknown has moved from what was declared, in units of that uncertainty."""
-    own = [unknown for unknown in result.unknowns if not unknown.group]
-    place = np.arange(len(own), dtype=float)
+    ungrouped = [unknown for unknown in result.unknowns if not unknown.group]
+    place = np.arange(len(ungrouped), dtype=float)
     moved, error = np.array(
         [
             ((unknown.value - unknown.prior) / unknown.prior_error, unknown.error / unknown.prior_error)
-            for unknown in own
+            for unknown in ungrouped
         ]
     ).T
     bars = (moved - NORMAL * error, moved + NORMAL * error)
     series = (curve("all tests", place, moved, 0, "", marker="o", bars=bars), level(0.0))
-    ticks = tuple((float(n), unknown.name) for n, unknown in enumerate(own))
+    ticks = tuple((float(n), unknown.name) for n, unknown in enumerate(ungrouped))
     panel = Panel(
-        Axis("", ticks=ticks, low=-0.7, high=len(own) - 0.3), Axis("moved by, in declared errors"), series
+        Axis("", ticks=ticks, low=-0.7, high=len(ungrouped) - 0.3),
+        Axis("moved by, in declared errors"),
+        series,
     )
     caption = "How far the tests move the unknowns, in declared standard uncertainties; bars: 95 %."
     return Figure(stack([panel], 3.4), caption, "Unknowns relative to their declared values")

@@ -92,9 +92,9 @@ class GaussianProcess(metamodel_kinds.WithinExtent):
                 kernel, alpha=JITTER, optimizer=search, normalize_y=True
             )
             regressors.append(regressor.fit(coded, eight))
-        found = np.exp([regressor.kernel_.theta for regressor in regressors])
+        scales = np.exp([regressor.kernel_.theta for regressor in regressors])
         # The first and the last of scikit-learn are variances.
-        return cls(grid, extent, np.sqrt(found) ** [1, 2, 2, 1] if search else hyper, tuple(regressors))
+        return cls(grid, extent, np.sqrt(scales) ** [1, 2, 2, 1] if search else hyper, tuple(regressors))
 
     @property
     def statement(self) -> str:

@@ -88,7 +88,7 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
         return None
     (entry, place), *_ = bearings
     if place.uncertainties:
-        names = ", ".join(one.uncertainty.source for one in place.uncertainties)
+        names = ", ".join(uncertain.uncertainty.source for uncertain in place.uncertainties)
         hint = (
             "leave it out: clearance, viscosity and the film's other numbers are estimated about the "
             "value that is given here"
