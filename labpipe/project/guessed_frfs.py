@@ -48,6 +48,7 @@ class GuessedFrf:
     word: what the entry calls the columns, '' for records that need none. elements: the columns of each
     element of a matrix by its name. form: where a name says it. doubts: what is a guess. label: what records
     say of their numbers that is no unit of an FRF. conjugate: *values* are conjugates of the file's numbers.
+    reference: the force, where the file names it; elements then have the names of their responses.
     """
 
     columns: dict[str, str]
@@ -60,6 +61,7 @@ class GuessedFrf:
     doubts: tuple[str, ...] = ()
     label: str = ""
     conjugate: bool = False
+    reference: str = ""
 
 
 def guessed_frf(path: Path) -> GuessedFrf | None:
@@ -169,8 +171,8 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
         name: parts for name, parts in elements.items() if vectors[next(iter(parts.values()))].size == size
     }
     axis = _axis_of(vectors, size, elements)
-    step = 0.0 if axis else _step_by_scalars(source, size)
-    if not elements or not (axis or step):
+    lines, frequency = ({"frequency": axis}, vectors[axis].real) if axis else _equal_steps(source, size)
+    if not elements or not lines:
         return None
     real = [name for name, part in vectors.items() if part.size == size and not np.iscomplexobj(part)]
     coherences = [name for name in real if re.search(r"coh", name, re.IGNORECASE) and name != axis]
@@ -180,17 +182,46 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
     first = next(iter(elements))
     form = next((form for form, pattern in _FORMS if re.search(pattern, first, re.IGNORECASE)), "")
     form_text = (f"{form}: by the name {first}",) if form else ()
-    frequency = vectors[axis].real if axis else step * np.arange(size)
     values = np.asarray(np.stack([_first(vectors, parts) for parts in elements.values()], axis=1))
-    lines = {"frequency": axis} if axis else {"start": "0 Hz", "step": f"{step:.12g} Hz"}
+    unit = _unit_of_frf(source.unit(next(iter(elements[first].values()))))
     columns = {**lines, **(elements[first] if len(elements) == 1 else {})}
-    listed = {} if len(elements) == 1 else elements
-    return GuessedFrf(columns, "", frequency, values, "variables", listed, form, (*form_text, *doubts))
+    listed, reference = ({}, "") if len(elements) == 1 else _by_labels(source, elements)
+    notes = (*form_text, *doubts)
+    return GuessedFrf(columns, unit, frequency, values, "variables", listed, form, notes, reference=reference)
 
 
 def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatArray:
     """The first part (n,) of an element: its complex numbers, amplitude or real part."""
     return vectors[next(iter(parts.values()))]
+
+
+def _equal_steps(source: DescribedColumns, size: int) -> tuple[dict[str, str], FloatArray]:
+    """What an entry says of *size* lines of equal distance, and their frequencies [Hz]; nothing where the
+    file does not tell it.
+    """
+    for part in source.signals:
+        if part.axis == "Hz" and max(source.values(part.values).shape) == size:
+            start, step = (f"{part.place}.x_values.{name}" for name in ("start_value", "increment"))
+            first = float(source.real(start).item())
+            return {"start": start, "step": step}, first + part.step * np.arange(size)
+    spacing = _step_by_scalars(source, size)
+    lines = {"start": "0 Hz", "step": f"{spacing:.12g} Hz"} if spacing else {}
+    return lines, spacing * np.arange(size)
+
+
+def _by_labels(source: DescribedColumns, elements: Elements) -> tuple[Elements, str]:
+    """The elements by the labels of their responses, and the label of their one reference, where the file has
+    these.
+    """
+    labels: dict[str, str] = {}
+    references: set[str] = set()
+    for part in source.signals:
+        labels |= {f"{part.values}_{n}": label for n, label in enumerate(part.labels, 1)}
+        references.update(part.references)
+    named = [labels.get(name, "") for name in elements]
+    if len(references) != 1 or "" in (*named, *references) or len(set(named)) < len(named):
+        return elements, ""
+    return dict(zip(named, elements.values(), strict=True)), references.pop()
 
 
 def _step_by_scalars(source: DescribedColumns, size: int) -> float:

@@ -385,23 +385,23 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     if guessed.conjugate:
         lines.append(_remark("  conjugate: true", "the phase rises through the highest peak"))
     lines += _unit_lines(guessed)
-    outputs, force = ["y"], "f"
+    outputs, force = ["y"], _quoted(guessed.reference) if guessed.reference else "f"
     if guessed.elements:
-        outputs = _labels(guessed.elements)
+        outputs = list(guessed.elements) if guessed.reference else _labels(guessed.elements)
         lines.append("  elements:                    # the dof of each response: any name, such as 3.z")
         pairs = zip(outputs, guessed.elements.values(), strict=True)
         lines += [f"    {_quoted(name)}: {_flow(parts)}" for name, parts in pairs]
     elif len(paths) == 1:
         lines.append(_remark("  output: y", "the dof of the response: any name, such as 3.z"))
     if len(paths) == 1 or pattern:
-        lines.append(_remark("  input: f", "the dof of the force"))
+        lines.append(_remark(f"  input: {force}", "the dof of the force"))
     lines.append("identify:")
     if pattern:
         return "\n".join([*lines, *_mode_lines(files, guessed)]) + "\n"
     if len(paths) > 1:
         outputs = [f"{DECIDE}    {MARK} the dof of a response"]
         force = f"{DECIDE}    {MARK} the dof of the force"
-    fits = _fits_of(guessed, outputs)
+    fits = _fits_of(guessed, [*map(_quoted, outputs)] if guessed.reference else outputs)
     return "\n".join([*lines, *_all_fit_lines(force, fits, "ls")]) + "\n"
 
 

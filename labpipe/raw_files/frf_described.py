@@ -16,6 +16,7 @@ from labpipe.quantities import UnitError, parse_unit, parse_value, readings, uni
 from labpipe.raw_files.arrays_table import load_arrays
 from labpipe.raw_files.frf_csv import cube, port_of
 from labpipe.raw_files.mat import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
+from labpipe.raw_files.simcenter import Signals, signals_of
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
 from labpipe.raw_files.text_table import fields_of, find_layout, open_text, plain_suffix
 from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout
@@ -100,7 +101,7 @@ VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf", ".npz")
 
 class DescribedColumns:
     """*names* of columns or variables, their *units* where the file states them, and what reads one by its
-    place among the names.
+    place among the names; *signals*: structures of Simcenter Test.Lab among the variables.
     """
 
     def __init__(
@@ -111,8 +112,9 @@ class DescribedColumns:
         read: Callable[[int], Any],
         place: Callable[[int], str],
         word: str = "column",
+        signals: Sequence[Signals] = (),
     ) -> None:
-        self.path, self.names, self.word = path, tuple(names), word
+        self.path, self.names, self.word, self.signals = path, tuple(names), word, signals
         self.place = place
         self._units, self._read = units, read
 
@@ -151,7 +153,8 @@ class DescribedColumns:
 
     def unit(self, described: str) -> str:
         """The unit that the file states, '' for none or an unknown one."""
-        unit = "" if self._number(described) else self._units.get(self.names[self._index(described)], "")
+        numbered = self._number(described)
+        unit = self._units.get(numbered[0] if numbered else self.names[self._index(described)], "")
         try:
             parse_unit(unit) if unit else None
         except UnitError:
@@ -210,6 +213,7 @@ def columns_of_variables(path: Path) -> DescribedColumns:
     if plain_suffix(path) not in VARIABLE_SUFFIXES:
         what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
         raise DataError(what, path, "write 'columns' in place of 'variables'")
+    signals: list[Signals] = []
     if plain_suffix(path) == ".npz":
         arrays = load_arrays(path)
         names = list(arrays)
@@ -226,12 +230,13 @@ def columns_of_variables(path: Path) -> DescribedColumns:
 
     else:
         fields = load_fields(path)
-        names = list(fields)
+        names, signals = list(fields), signals_of(fields)
 
         def read(index: int) -> Any:
             return fields[names[index]]
 
-    return DescribedColumns(path, names, {}, read, lambda _row: str(path), "variable")
+    units = {part.values: part.unit for part in signals}
+    return DescribedColumns(path, names, units, read, lambda _row: str(path), "variable", signals)
 
 
 @dataclass(frozen=True)

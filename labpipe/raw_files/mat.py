@@ -21,6 +21,7 @@ from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from labpipe.errors import DataError
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
+from labpipe.raw_files.simcenter import labels_and_units, signals_of
 from labpipe.raw_files.table import check_in_child
 from labpipe.raw_files.text_table import check_filled, not_readable
 from labpipe.records.recording import Recording
@@ -300,10 +301,13 @@ def mat_table(path: Path) -> ArraysTable:
     }
     units |= {named.get(key, key): unit for key, unit in stated.items()}
     numeric = {named.get(name, name): value for name, value in arrays.items() if is_numeric(value)}
-    columns = {
-        name: column for key, value in numeric.items() for name, column in columns_of(key, value).items()
-    }
-    rate = rate_of({name: value.item() for name, value in numeric.items() if value.size == 1}, path)
+    parts = {key: columns_of(key, value) for key, value in numeric.items()}
+    scalars = {name: value.item() for name, value in numeric.items() if value.size == 1}
+    signals = [part for part in signals_of(arrays) if part.axis == "s" and part.values in parts]
+    labels, of_signals = labels_and_units(signals, parts)
+    columns = {labels.get(name, name): column for part in parts.values() for name, column in part.items()}
+    units |= {labels.get(name, name): unit for name, unit in of_signals.items()}
+    rate = rate_of(scalars | {f"{part.place}.dt": part.step for part in signals}, path)
     texts = {name: lines for name, value in arrays.items() if (lines := lines_of(value))}
     return ArraysTable(path, columns, units, rate, texts)
 
