@@ -19,6 +19,7 @@ from labpipe.raw_files.frf_described import (
     DescribedColumns,
     TextColumns,
     columns_of_variables,
+    equal_steps,
 )
 from labpipe.raw_files.table import TEXT_SUFFIXES
 from labpipe.raw_files.text_table import plain_suffix
@@ -171,7 +172,7 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
         name: parts for name, parts in elements.items() if vectors[next(iter(parts.values()))].size == size
     }
     axis = _axis_of(vectors, size, elements)
-    lines, frequency = ({"frequency": axis}, vectors[axis].real) if axis else _equal_steps(source, size)
+    lines, frequency = ({"frequency": axis}, vectors[axis].real) if axis else equal_steps(source, size)
     if not elements or not lines:
         return None
     real = [name for name, part in vectors.items() if part.size == size and not np.iscomplexobj(part)]
@@ -195,20 +196,6 @@ def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatAr
     return vectors[next(iter(parts.values()))]
 
 
-def _equal_steps(source: DescribedColumns, size: int) -> tuple[dict[str, str], FloatArray]:
-    """What an entry says of *size* lines of equal distance, and their frequencies [Hz]; nothing where the
-    file does not tell it.
-    """
-    for part in source.signals:
-        if part.axis == "Hz" and max(source.values(part.values).shape) == size:
-            start, step = (f"{part.place}.x_values.{name}" for name in ("start_value", "increment"))
-            first = float(source.real(start).item())
-            return {"start": start, "step": step}, first + part.step * np.arange(size)
-    spacing = _step_by_scalars(source, size)
-    lines = {"start": "0 Hz", "step": f"{spacing:.12g} Hz"} if spacing else {}
-    return lines, spacing * np.arange(size)
-
-
 def _by_labels(source: DescribedColumns, elements: Elements) -> tuple[Elements, str]:
     """The elements by the labels of their responses, and the label of their one reference, where the file has
     these.
@@ -222,25 +209,6 @@ def _by_labels(source: DescribedColumns, elements: Elements) -> tuple[Elements, 
     if len(references) != 1 or "" in (*named, *references) or len(set(named)) < len(named):
         return elements, ""
     return dict(zip(named, elements.values(), strict=True)), references.pop()
-
-
-def _step_by_scalars(source: DescribedColumns, size: int) -> float:
-    """The distance of *size* lines [Hz] where two numbers of the file are the samples of a block and their
-    rate; 0 where none are.
-    """
-    scalars: dict[str, float] = {}
-    for name in source.names:
-        try:
-            values = source.values(name)
-        except DataError:
-            continue
-        if values.size == 1:
-            scalars[name.rpartition(".")[2].lower()] = float(values.real.flat[0])
-    for block in ("npts", "nfft", "n_fft", "blocksize"):
-        for rate in ("fs", "freq", "rate", "fsamp", "sample_rate"):
-            if scalars.get(block, 0) // 2 + 1 == size and scalars.get(rate, 0) > 0:
-                return scalars[rate] / scalars[block]
-    return 0.0
 
 
 def _vectors(source: DescribedColumns) -> dict[str, ComplexArray | FloatArray]:

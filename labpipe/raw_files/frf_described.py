@@ -239,6 +239,39 @@ def columns_of_variables(path: Path) -> DescribedColumns:
     return DescribedColumns(path, names, units, read, lambda _row: str(path), "variable", signals)
 
 
+def equal_steps(source: DescribedColumns, size: int) -> tuple[dict[str, str], FloatArray]:
+    """What an entry says of *size* lines of equal distance, and their frequencies (n_line,) [Hz]; nothing
+    where the file does not tell it.
+    """
+    for part in source.signals:
+        if part.axis == "Hz" and max(source.values(part.values).shape) == size:
+            start, step = (f"{part.place}.x_values.{name}" for name in ("start_value", "increment"))
+            first = float(source.real(start).item())
+            return {"start": start, "step": step}, first + part.step * np.arange(size)
+    spacing = _step_by_scalars(source, size)
+    lines = {"start": "0 Hz", "step": f"{spacing:.12g} Hz"} if spacing else {}
+    return lines, spacing * np.arange(size)
+
+
+def _step_by_scalars(source: DescribedColumns, size: int) -> float:
+    """The distance of *size* lines [Hz] where two numbers of the file are the samples of a block and their
+    rate; 0 where none are.
+    """
+    scalars: dict[str, float] = {}
+    for name in source.names:
+        try:
+            values = source.values(name)
+        except DataError:
+            continue
+        if values.size == 1:
+            scalars[name.rpartition(".")[2].lower()] = float(values.real.flat[0])
+    for block in ("npts", "nfft", "n_fft", "blocksize"):
+        for rate in ("fs", "freq", "rate", "fsamp", "sample_rate"):
+            if scalars.get(block, 0) // 2 + 1 == size and scalars.get(rate, 0) > 0:
+                return scalars[rate] / scalars[block]
+    return 0.0
+
+
 @dataclass(frozen=True)
 class Dofs:
     """Dofs of one file's rows and columns, from its name or from the entry."""
