@@ -259,6 +259,13 @@ class FoundSweep:
         """
         return self.growth * (1.0 if self.law == "linear" else frequency)
 
+    def frequency_at(self, sample: float) -> float:
+        """The frequency [periods per sample] at a *sample*, that of the nearer end before and after."""
+        passed = min(max((sample - self.start) / (self.stop - self.start), 0.0), 1.0)
+        if self.law == "linear":
+            return self.first + passed * (self.last - self.first)
+        return self.first * (self.last / self.first) ** passed
+
 
 def find_sweeps(force: FloatArray) -> list[FoundSweep]:
     """The sweeps in a force (n_sample,) [N], in their order in time.
@@ -489,6 +496,9 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
 # With half as many, the damping of a record cut in full motion was off by up to half its standard error
 # (tests/spectra/test_sweep_coverage.py has 8 and 16).
 FEWEST_LINES, LEAKING_LINES = 4.0, 8.0
+# Coherence, the median of so many lines to either side, below which the highest line of an FRF is no peak
+# whose width says anything: noise of a seventh makes narrow ones.
+CLEAR_PEAK, CLEAR_LINES = 0.98, 5
 
 
 def largest_rate(frequency: float, damping_ratio: float) -> float:
@@ -508,6 +518,7 @@ def rate_findings(
     sweeps: Sequence[FoundSweep],
     rate: float,
     n_sample: int,
+    coherence: FloatArray,
     *,
     leaking: bool,
 ) -> tuple[Finding, ...]:
@@ -516,9 +527,9 @@ def rate_findings(
     A note where the record holds all that rings, for then the transforms give the FRF whatever the rate; a
     warning where the lines are too coarse for the resonance, or, when *leaking*, for the leakage that was
     taken out. frequency (n_line,) [Hz], matrix (n_line, n_output, n_input) [any unit]; *rate* of sampling
-    [Hz]; *n_sample* of a block.
+    [Hz]; *n_sample* of a block; *coherence* (n_line, n_output) [1]: a peak of noise is none.
     """
-    peaks = _peaks(frequency, matrix)
+    peaks = _peaks(frequency, matrix, coherence)
     if not peaks:
         return ()
     allowed = [largest_rate(p.frequency, p.damping_ratio) for p in peaks]
@@ -545,13 +556,17 @@ def rate_findings(
     return (Finding("sweep-rate", f"{message}; {needed}"),)
 
 
-def _peaks(frequency: FloatArray, matrix: ComplexArray) -> list[HalfPower]:
+def _peaks(frequency: FloatArray, matrix: ComplexArray, coherence: FloatArray) -> list[HalfPower]:
     """The highest peak of every FRF that has one with its half-power points in the band."""
     peaks = []
     band = float(frequency[0]), float(frequency[-1])
-    for column in matrix.reshape(frequency.size, -1).T:
-        try:
-            peaks.append(half_power(frequency, column, band))
-        except (DataError, np.linalg.LinAlgError):
-            continue
+    for output, explained in enumerate(coherence.T):
+        for column in matrix[:, output].T:
+            peak = int(np.argmax(np.abs(column)))
+            if np.median(explained[max(peak - CLEAR_LINES, 0) : peak + CLEAR_LINES + 1]) < CLEAR_PEAK:
+                continue
+            try:
+                peaks.append(half_power(frequency, column, band))
+            except (DataError, np.linalg.LinAlgError):
+                continue
     return [peak for peak in peaks if peak.damping_ratio > 0]

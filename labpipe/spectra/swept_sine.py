@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy
@@ -45,6 +46,13 @@ LEAST_SHARE, AROUND = 0.1, 101
 # Share of the widest band of a recording's sweeps below which a sweep is left out: the record begins or ends
 # within it, and its band would be that of all.
 WHOLE = 0.9
+
+
+# Parts of a block; a burst is one that holds this share of a block's noise, and this many times the usual
+# power. Noise below this share of a response hides nothing, and what is left beside a smooth FRF is noise up
+# to this many times that of the local fit. White noise gives 1.2 times the usual power, a rotor that touches
+# its stop at a resonance 35 to 60 times, and half of all.
+PARTS, BURST_SHARE, BURST_POWER, LEAST_NOISE, MOST_EXCESS = 32, 0.3, 8.0, 0.05, 3.0
 
 
 @dataclass(frozen=True)
@@ -119,8 +127,20 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
         spectra, leakage = _without_leakage(spectra, n_input, _ends(swept, rate))
     parts = _with_repeats(_parts(spectra, layout), spectra, n_input)
-    rates = rate_findings(spectra.frequency, parts.matrix, sweeps, rate, n_sample, leaking=spectra.leaking)
-    return replace(parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *rates))
+    assert parts.multiple_coherence is not None
+    rates = rate_findings(
+        spectra.frequency,
+        parts.matrix,
+        sweeps,
+        rate,
+        n_sample,
+        parts.multiple_coherence,
+        leaking=spectra.leaking,
+    )
+    bursts = _bursts(spectra, swept, layout, n_sample, rate)
+    return replace(
+        parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *bursts, *rates)
+    )
 
 
 def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
@@ -390,6 +410,50 @@ def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[Com
     # What was taken out as leakage holds its share of the noise.
     left = 1 - float(np.mean(local.spread)) if spectra.leaking else 1.0
     return residual @ hermitian(residual) / ((n_block - n_input) * left), (n_block - n_input) * left, 1
+
+
+def _bursts(
+    spectra: _Spectra, swept: Sequence[_Swept], layout: Layout, n_sample: int, rate: float
+) -> tuple[Finding, ...]:
+    """A warning where most of what one force does not explain in a response comes in one short part of a
+    sweep, such as a contact while it passes a resonance: other resonances ring then, and are masked.
+    """
+    force, responses = spectra.blocks[:, :, 0], spectra.blocks[:, :, 1:]
+    noise = spectra.blocks.shape[0] * np.einsum("loo->o", spectra.local.noise).real
+    if len(layout.inputs) > 1 or not np.any(
+        noise > LEAST_NOISE * np.sum(np.abs(responses) ** 2, axis=(0, 1))
+    ):
+        return ()
+    ratio = np.einsum("blo,bl->lo", responses, force.conj()) / np.sum(np.abs(force) ** 2, axis=0)[:, None]
+    smooth = partial(
+        scipy.signal.savgol_filter, window_length=2 * spectra.local.width + 1, polyorder=3, axis=0
+    )
+    rest = responses - (smooth(ratio.real) + 1j * smooth(ratio.imag)) * force[:, :, None]
+    # Beside a sharp resonance a smooth FRF leaves more than noise.
+    excess = np.sum(np.abs(rest) ** 2, axis=(0, 1)) / noise
+    lines = np.rint(spectra.frequency * n_sample / rate).astype(int)
+    spectrum = np.zeros((rest.shape[0], n_sample // 2 + 1, rest.shape[2]), np.complex128)
+    spectrum[:, lines] = rest
+    length = n_sample // PARTS
+    motion = fft.irfft(spectrum, n=n_sample, axis=1)[:, : PARTS * length]
+    power = np.sum(motion.reshape(rest.shape[0], PARTS, length, -1) ** 2, axis=2)
+    share = power / np.sum(power, axis=1, keepdims=True)
+    share[(power < BURST_POWER * np.median(power, axis=1, keepdims=True)) | (excess > MOST_EXCESS)] = 0.0
+    block, part, output = np.unravel_index(np.argmax(share), share.shape)
+    if share[block, part, output] < BURST_SHARE:
+        return ()
+    sweeps = [pair for run in swept for pair in zip(run.sweeps, run.cuts, strict=True)]
+    sweep, (begin, _) = sweeps[block]
+    ends = [begin + int(part + n) * length for n in range(2)]
+    low, high = sorted(rate * sweep.frequency_at(end) for end in ends)
+    label, percent = layout.outputs[output].label, 100 * share[block, part, output]
+    what = (
+        f"response {label}: {percent:.0f} % of the power that the force does not explain comes from "
+        f"{ends[0] / rate:.4g} to {ends[1] / rate:.4g} s, while the force passes {low:.3g} to {high:.3g} Hz: "
+        "a contact, a knock or a limit reached there makes other frequencies ring, and hides their "
+        "resonances; lower the force there, or sweep the others alone"
+    )
+    return (Finding("burst", what),)
 
 
 def _lines_averaged(width: int, half_width: int) -> float:

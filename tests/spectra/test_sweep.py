@@ -4,6 +4,7 @@ solver in time.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -238,6 +239,33 @@ def test_the_rate_is_held_against_the_standard() -> None:
         and codes(fast)["sweep-rate"] == "note"
         and codes(cut)["sweep-rate"] == "warning"
     )
+    # The highest line of noise is no resonance, and a narrow one least of all.
+    assert "sweep-rate" not in codes(measure([record(1, replace(UP, duration=30.0), noise=(0.0, 3.0))], SWEEP))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_burst_while_the_force_passes_a_resonance_is_named(count: int) -> None:
+    """A contact at 40 Hz of the first sweep, 6.7 s after its begin at 20 Hz by 3 Hz/s, excites all the band:
+    noise for 0.6 s. The same power of noise all the time is none, and neither is the resonance without it.
+    """
+    clean = record(1, UP, count, noise=(0.0, 0.001))
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=clean.samples.shape[0])
+    burst = noise * (np.abs(np.arange(noise.size) / RATE - 6.7) < 0.3)
+    level = clean.samples[:, 1].std()
+    both = [
+        replace(clean, samples=clean.samples + np.column_stack([np.zeros(noise.size), part]))
+        for part in (6 * level * burst, 6 * level * noise * burst.std() / noise.std())
+    ]
+    named, steady = (measure([recording], SWEEP) for recording in both)
+    (message,) = (finding.message for finding in named.findings if finding.code == "burst")
+    times, passed = (
+        [float(number) for number in re.search(pattern, message).groups()]  # type: ignore[union-attr]
+        for pattern in (r"from (\S+) to (\S+) s", r"passes (\S+) to (\S+) Hz")
+    )
+    assert times[0] < 7.0 and times[1] > 6.4 and times[1] - times[0] < 1.0
+    assert passed[0] < 42.0 and passed[1] > 38.0
+    assert "burst" not in codes(steady) and "burst" not in codes(measure([clean], SWEEP))
 
 
 @pytest.mark.parametrize(
