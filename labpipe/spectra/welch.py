@@ -3,7 +3,7 @@
 Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments
 at a time.
 
-Three ways of one job. Blocks that stay in the cache: LineProducts, whose small real matrices BLAS multiplies
+Three ways of one job. Blocks that stay in the cache: LineProducts, whose small matrices BLAS multiplies
 line by line, many segments at once. Longer blocks of a few pairs of channels: PackedProducts, in which two
 real channels share one complex transform and lines stand last in memory, so that every operation runs over a
 long row; half the memory, and in place. Longer blocks of other channels: RowProducts, in which every channel
@@ -121,34 +121,31 @@ def segment_products(
 
 
 class LineProducts(SegmentProducts):
-    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, for blocks of few lines."""
+    """Products of matrices line by line, for blocks of few lines."""
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
         n_together = max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel))
         super().__init__(window, lines, n_channel, trend, n_together)
         self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
         self._tapered = np.empty((self._room, self._n, n_channel))
-        self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
+        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
         np.multiply(segments, self._taper, out=self._tapered[place])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
         amplitude = fft.rfft(self._tapered[:n_segment], axis=1)
-        first, n_line = self._lines[0], len(self._lines)
-        disturbed = slice(first, first + self._trend.shape[1])
+        kept = amplitude[:, self._lines[0] : self._lines[-1] + 1]
         for number, trend in enumerate(self._trend):
-            amplitude[:, disturbed] -= trend[None, :, None] * coefficients[:, number, None, :]
-        n_row = 2 * self._n_channel
-        flat = amplitude.reshape(n_segment, -1).view(np.float64)[:, (first - 1) * n_row :]
-        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
+            kept[:, : trend.size] -= trend[None, :, None] * coefficients[:, number, None, :]
+        _add_matrices(kept.swapaxes(0, 1), self._sum)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
 
         Of all b, or of *columns*.
         """
-        return _fold(self._sum[:, :, 1:], columns, scale)
+        return _matrix_of(self._sum, columns, scale)
 
 
 class PackedProducts(SegmentProducts):
@@ -224,8 +221,7 @@ class PackedProducts(SegmentProducts):
 
 
 class RowProducts(SegmentProducts):
-    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, of transforms of two segments each, z
-    = x_1 + i x_2.
+    """Products of matrices line by line, of transforms of two segments each, z = x_1 + i x_2.
 
     X_1a(f) X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
     """
@@ -241,9 +237,9 @@ class RowProducts(SegmentProducts):
         # Samples of a pair of segments, in rows of channels.
         self._rows = np.empty((n_channel, window.size + step))
         self._pair = np.empty((n_channel, window.size), np.complex128)
-        # Positive frequencies of every pair, then negative ones, with a line more in front.
-        self._amplitude = np.zeros((n_pair, 2, len(lines) + 1, n_channel), np.complex128)
-        self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
+        # Positive frequencies of every pair, and conjugates of negative ones.
+        self._amplitude = np.zeros((n_pair, 2, len(lines), n_channel), np.complex128)
+        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
         for number, segment in enumerate(segments, place.start):
@@ -260,7 +256,7 @@ class RowProducts(SegmentProducts):
 
     def _transform(self, number: int) -> None:
         transformed = fft.fft(self._pair, axis=1, overwrite_x=True).T
-        n, lines, kept = self._n, self._lines, self._amplitude[number, :, 1:]
+        n, lines, kept = self._n, self._lines, self._amplitude[number]
         positive = transformed[lines[0] : lines[-1] + 1]
         negative = transformed[n - lines[-1] : n - lines[0] + 1][::-1]
         for start in range(0, len(lines), CACHED_ROWS):
@@ -269,50 +265,37 @@ class RowProducts(SegmentProducts):
             np.conjugate(negative[chunk], out=kept[1, chunk])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        n_pair, n_row, n_line = (n_segment + 1) // 2, 2 * self._n_channel, len(self._lines)
+        n_pair = (n_segment + 1) // 2
         if n_segment % 2:
             self._pair.imag = 0.0
             self._transform(n_pair - 1)
-        disturbed = self._amplitude[:n_pair, :, 1 : self._trend.shape[1] + 1]
         for number, trend in enumerate(self._trend):
             weight = coefficients[0::2, number].astype(np.complex128)
             weight[: n_segment // 2] += 1j * coefficients[1::2, number]
-            disturbed -= np.stack([weight, weight.conj()], axis=1)[:, :, None] * trend[:, None]
-        flat = self._amplitude[:n_pair].reshape(2 * n_pair, -1).view(np.float64)
-        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
+            both = np.stack([weight, weight.conj()], axis=1)
+            self._amplitude[:n_pair, :, : trend.size] -= both[:, :, None] * trend[:, None]
+        kept = self._amplitude[:n_pair].reshape(2 * n_pair, len(self._lines), -1)
+        _add_matrices(kept.swapaxes(0, 1), self._sum)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
 
         Of all b, or of *columns*.
         """
-        return _fold(self._sum[:, :, 1:], columns, 0.5 * scale)
+        return _matrix_of(self._sum, columns, 0.5 * scale)
 
 
-def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, FloatArray]:
-    """(n_line, n_row, n_segment) and (n_line, n_segment, n_row + 1) of *flat* (n_segment, (n_line + 1)
-    n_row), the first line left out.
-
-    One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own
-    transpose at half the speed of two that differ.
+def _add_matrices(amplitude: ComplexArray, sums: ComplexArray) -> None:
+    """Add to *sums* (n_line, n, n) the products sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), as many
+    lines at a time as stay in the cache.
     """
-    rows = flat[:, n_row : (n_line + 1) * n_row].reshape(flat.shape[0], n_line, n_row)
-    wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][
-        :, :n_line
-    ]
-    return rows.transpose(1, 2, 0), wide.swapaxes(0, 1)
-
-
-def _add_matrices(rows: FloatArray, wide: FloatArray, sums: FloatArray) -> None:
-    """Add to *sums* (n_line, n_row, n_row + 1) the products of *rows* and *wide*, as many lines at a time as
-    stay in the cache.
-    """
-    n_line, n_row = sums.shape[:2]
-    n_chunk = max(1, CACHED_NUMBERS // (n_row * (n_row + 1)))
-    product = np.empty((n_chunk, n_row, n_row + 1))
+    n_line, n = sums.shape[:2]
+    n_chunk = max(1, CACHED_NUMBERS // (n * (n + 2 * amplitude.shape[1])))
+    product = np.empty((n_chunk, n, n), np.complex128)
     for start in range(0, n_line, n_chunk):
         chunk = slice(start, min(start + n_chunk, n_line))
-        sums[chunk] += np.matmul(rows[chunk], wide[chunk], out=product[: chunk.stop - start])
+        part = amplitude[chunk]
+        sums[chunk] += np.matmul(part.swapaxes(1, 2), part.conj(), out=product[: chunk.stop - start])
 
 
 def _add_products(
@@ -340,29 +323,23 @@ def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale:
     return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)
 
 
-def _fold(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """*scale* sum X_a X_b* from sums of products of [re_0 im_0 ...] (n_line, 2 n, 2 n), as (n_line, n, n) or
-    its *columns*.
+def _matrix_of(sums: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """*scale* times *sums* (n_line, n, n), or their *columns*, Hermitian to the last digit.
 
-    Re = re_a re_b + im_a im_b, Im = im_a re_b - re_a im_b, a few lines at a time, which stay in the cache;
-    lines are last in memory.
+    X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row. A few lines at
+    a time, which stay in the cache; lines are last in memory.
     """
-    n_line, n = sums.shape[0], sums.shape[1] // 2
+    n_line, n = sums.shape[:2]
     chosen = range(n) if columns is None else columns
     matrix = np.empty((n, len(chosen), n_line), np.complex128)
     n_chunk = max(1, CACHED_NUMBERS // n**2)
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
-        parts = sums[lines].reshape(-1, n, 2, n, 2)
-        folded = np.empty((parts.shape[0], n, n), np.complex128)
-        np.add(parts[:, :, 0, :, 0], parts[:, :, 1, :, 1], out=folded.real)
-        np.subtract(parts[:, :, 1, :, 0], parts[:, :, 0, :, 1], out=folded.imag)
-        np.einsum("laa->la", folded).imag[...] = 0.0
-        folded *= scale
-        # X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row.
+        part = sums[lines] * scale
+        np.einsum("laa->la", part).imag[...] = 0.0
         for number, column in enumerate(chosen):
-            matrix[column:, number, lines] = folded[:, column:, column].T
-            np.conjugate(folded[:, column, :column].T, out=matrix[:column, number, lines])
+            matrix[column:, number, lines] = part[:, column:, column].T
+            np.conjugate(part[:, column, :column].T, out=matrix[:column, number, lines])
     return matrix.transpose(2, 0, 1)
 
 
