@@ -263,12 +263,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     )
     if modal.structure is not None:
         modal.structure.check([port.dof for port in sides.points])
-    highest = _highest_order(sides.lines, modal)
-    equations = normal_equations(sides.lines.omega, sides.lines.matrix, highest)
-    edges = float(sides.lines.omega[0]), float(sides.lines.omega[-1])
-    diagram = stabilisation(equations, edges, highest)
-    start = _by_hand(equations, modal, edges, highest) if modal.poles else diagram.modes
-    _check_start(start, sides.lines, highest)
+    diagram, start = _first_modes(sides.lines, modal)
     refined, terms = refine_with_terms(sides.lines, start.values, start.participation)
     refined, terms, dropped = kept_modes(sides.lines, refined, terms)
     # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
@@ -380,10 +375,35 @@ def _turn(measured: Measured) -> Measured:
     )
 
 
-def _highest_order(lines: Lines, modal: ModalSettings) -> int:
-    highest = min(modal.order, lines.omega.size // LINES_PER_ORDER)
+def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[Diagram, Poles]:
+    """The stabilisation diagram and the modes to begin with, as it shows them or as they are named.
+
+    Where the noise of single lines hides every mode, the means of 2, 4, ... neighbouring ones are looked at.
+    """
+    edges = float(lines.omega[0]), float(lines.omega[-1])
+    omega, matrix, highest = lines.omega, lines.matrix, _highest_order(lines.omega.size, modal)
+    looks: list[tuple[Diagram, Poles]] = []
+    while omega.size >= LINES_PER_ORDER * LEAST_ORDER:
+        order = _highest_order(omega.size, modal)
+        equations = normal_equations(omega, matrix, order)
+        diagram = stabilisation(equations, edges, order)
+        looks.append((diagram, _by_hand(equations, modal, edges, order) if modal.poles else diagram.modes))
+        if diagram.modes.values.size:
+            break
+        half = omega.size // 2
+        omega, matrix = (
+            np.mean(values[: 2 * half].reshape(half, 2, *values.shape[1:]), axis=1)
+            for values in (omega, matrix)
+        )
+    diagram, start = looks[-1] if looks[-1][0].modes.values.size else looks[0]
+    _check_start(start, lines, highest, modal)
+    return diagram, start
+
+
+def _highest_order(n_line: int, modal: ModalSettings) -> int:
+    highest = min(modal.order, n_line // LINES_PER_ORDER)
     if highest < LEAST_ORDER:
-        what = f"{lines.omega.size} lines are too few for a stabilisation diagram"
+        what = f"{n_line} lines are too few for a stabilisation diagram"
         raise FitError(what, "", f"widen the band to {LINES_PER_ORDER * LEAST_ORDER} lines or more")
     return highest
 
@@ -400,10 +420,12 @@ def _by_hand(
     return nearest_modes(equations, frequencies, highest)
 
 
-def _check_start(start: Poles, lines: Lines, highest: int) -> None:
+def _check_start(start: Poles, lines: Lines, highest: int, modal: ModalSettings) -> None:
     if not start.values.size:
-        what = f"no pole returns in a quarter of the orders up to {highest}"
-        hint = "choose another band, or name `poles` by hand"
+        what, hint = f"no order up to {highest} has a pole", "choose another band"
+        if not modal.poles:
+            what = f"no pole returns in a quarter of the orders up to {highest}"
+            hint = f"{hint}, or name `poles` by hand"
         raise FitError(f"{what}: no mode stands out of the noise of this band", hint=hint)
     if np.unique(start.values).size < start.values.size:
         what = "two of the named poles are one and the same pole of the data"

@@ -222,14 +222,12 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
     """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower
     order where that has none. Frequencies that are APART have poles of their own.
 
-    FitError where no order has a pole.
+    None of them where no order has a pole.
     """
-
     of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
     poles = next((poles for poles in of_orders if poles.values.size), None)
     if poles is None:
-        what = f"no order up to {order} has a pole: no mode stands out of the noise of this band"
-        raise FitError(what, hint="choose another band")
+        return equations.poles(order)
     distance = np.abs(np.abs(poles.values) - frequencies[:, None])
     index = np.argmin(distance, axis=1)
     apart = frequencies.size <= poles.values.size and np.all(np.diff(np.log(np.sort(frequencies))) > APART)
