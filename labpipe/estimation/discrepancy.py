@@ -158,7 +158,7 @@ def evidence(
     theta, as_it_is = start if begin is None else begin, None
     for step in range(steps):
         value, jacobian, _ = fit.at_minimum if begin is None and step == 0 else model.at(theta)
-        r, j = of.rotate @ (model.curve.values - value), of.rotate @ jacobian
+        r, j = of.rotate @ (model.curve.values - value), of.rotate @ jacobian.T
         scale = np.sqrt(np.sum(np.abs(j) ** 2, axis=0))
         if not np.all(np.isfinite(scale)) or not np.all(scale > 0) or not np.all(np.isfinite(r)):
             raise FitError("a component of the discrepancy has run away")
