@@ -13,10 +13,12 @@ O'Hagan, Inverse Problems 30 (2014) 114007).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, special
 
 from labpipe.arrays import ComplexArray, FloatArray
@@ -57,7 +59,7 @@ FEWEST_LINES, FEWEST_WIDTHS = 20, 3.0
 class Course:
     """One type and length [Hz] of a discrepancy beside noise S (I + a^2 K) S: eigenvalues (n_line,) of K,
     which has trace n_line, and *rotate*, the rotated whitening (n_line, n_line) [1 / unit]; *before*: ln det
-    of what else the noise holds.
+    of what else the noise holds; *amplitudes* a (n_amplitude,) [1].
     """
 
     kind: str
@@ -65,12 +67,25 @@ class Course:
     eigenvalues: FloatArray
     rotate: ComplexArray
     before: float = 0.0
+    amplitudes: FloatArray = field(default_factory=lambda: AMPLITUDES)
+
+    @cached_property
+    def damped(self) -> FloatArray:
+        """d = 1 / (1 + a^2 L) of rotated lines, (n_amplitude, n_line) [1]."""
+        return 1 / (1 + np.outer(self.amplitudes**2, self.eigenvalues))
+
+    @cached_property
+    def volume(self) -> FloatArray:
+        """ln det of all noise (n_amplitude,) [1]."""
+        return self.before - np.sum(np.log(self.damped), axis=1)
 
 
 def matern(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
     """kappa(|f_i - f_j| / l), (n_first, n_second) [1], of frequencies and a *length* l [Hz]."""
     u = np.sqrt(3) * np.abs(first[:, None] - second) / length
-    return np.asarray((1 + u) * np.exp(-u))
+    falling = np.exp(-u)
+    u += 1
+    return u * falling
 
 
 def _shape(base: Fitted, kind: str) -> ComplexArray:
@@ -96,10 +111,10 @@ def course(base: Fitted, kind: str, length: float) -> Course:
     """
     curve, b = base.model.curve, _shape(base, kind)
     size = np.abs(b) / curve.std
-    matrix = size[:, None] * matern(curve.frequency, curve.frequency, length) * size
-    values, vectors = linalg.eigh(
-        matrix * (curve.frequency.size / np.trace(matrix)), driver="evd", check_finite=False
-    )
+    matrix = matern(curve.frequency, curve.frequency, length) * size * size[:, None]
+    matrix *= curve.frequency.size / np.trace(matrix)
+    # In LAPACK's order of columns, without a copy.
+    values, vectors = linalg.eigh(matrix.T, driver="evd", check_finite=False, overwrite_a=True)
     turned = np.conj(b / np.maximum(np.abs(b), np.finfo(float).tiny)) / curve.std
     return Course(kind, length, np.maximum(values, 0.0), vectors.T * turned)
 
@@ -110,24 +125,38 @@ def larger_noise(base: Fitted) -> Course:
     return Course(WHITE, 0.0, np.ones(size), np.diag(1 / base.model.curve.std).astype(np.complex128))
 
 
-def course_beside(base: Fitted, first: Course, amplitude: float, kind: str, length: float) -> Course:
-    """A course beside the noise and a first one of that *amplitude* [1]."""
-    curve, b = base.model.curve, _shape(base, kind)
+def courses_beside(
+    base: Fitted, first: Course, amplitude: float, tried: Sequence[tuple[str, float]]
+) -> list[Course]:
+    """Courses of types and lengths [Hz] as *tried*, but for those like the first one, beside the noise and
+    this one of *amplitude* [1].
+    """
+    curve = base.model.curve
     # Whitening of noise and first course: (I + a^2 L)^-1/2 of the rotated, whitened lines.
     whitening = (first.rotate.T / np.sqrt(1 + amplitude**2 * first.eigenvalues)).T
-    matrix = (whitening * b) @ matern(curve.frequency, curve.frequency, length) @ (whitening * b).conj().T
-    # Relative to the measured noise, as a first course is.
-    scale = curve.frequency.size / float(np.sum(np.abs(b / curve.std) ** 2))
-    values, vectors = linalg.eigh(matrix * scale, driver="evd", check_finite=False)
     before = float(np.sum(np.log1p(amplitude**2 * first.eigenvalues)))
-    return Course(kind, length, np.maximum(values, 0.0), vectors.conj().T @ whitening, before)
+    courses = []
+    for kind, length in tried:
+        if kind == first.kind and abs(length - first.length) < 0.3 * first.length:
+            continue
+        b = _shape(base, kind)
+        white = whitening * b
+        matrix = white @ matern(curve.frequency, curve.frequency, length) @ white.conj().T
+        # Relative to the measured noise, as a first course is.
+        matrix *= curve.frequency.size / float(np.sum(np.abs(b / curve.std) ** 2))
+        values, vectors = linalg.eigh(matrix, driver="evd", check_finite=False)
+        rotate = vectors.conj().T @ whitening
+        name, values = f"+{first.kind}{kind}", np.maximum(values, 0.0)
+        courses.append(Course(name, length, values, rotate, before, first.amplitudes[1:]))
+    return courses
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the data say of a member with a course at all amplitudes (n_amplitude,): ln of the restricted
-    marginal likelihood [1], mean (n_amplitude, n_kept) and covariance (n_amplitude, n_kept, n_kept) of what
-    the model keeps; *theta* (n,) [1]: where it ended.
+    """What the data say of a member with each course at all amplitudes: ln of the restricted marginal
+    likelihood (n_course, n_amplitude) [1], minus infinity where there is no solution; mean (n_course,
+    n_amplitude, n_kept) and covariance (n_course, n_amplitude, n_kept, n_kept) of what the model keeps;
+    *theta* (n_course, n) [1]: where each ended.
     """
 
     log: FloatArray
@@ -137,12 +166,7 @@ class Evidence:
 
 
 def evidence(
-    fit: Fitted,
-    of: Course,
-    amplitudes: FloatArray,
-    rows: FloatArray,
-    steps: int,
-    begin: FloatArray | None = None,
+    fit: Fitted, courses: Sequence[Course], rows: FloatArray, steps: int, begin: FloatArray | None = None
 ) -> Evidence:
     """Linear-Gaussian evidence around the fit, or *begin* (n,), linearised again up to *steps* times where it
     is greatest.
@@ -151,76 +175,84 @@ def evidence(
     T^T T of the prior's *rows* T (n_row, n) [1]; ln E = -sum ln(1 + a^2 L) - r^H d r - (theta_0 - theta)^T P
     (theta_0 - theta) / 2 + g^T F^-1 g / 2 - ln det F / 2.
     """
-    model, start, n, kept = fit.model, fit.theta, fit.model.n_interest, fit.model.kept
-    prior = rows.T @ rows
-    damped = 1 / (1 + np.outer(amplitudes**2, of.eigenvalues))
-    volume = of.before - np.sum(np.log(damped), axis=1)
-    theta, as_it_is = start if begin is None else begin, None
+    model, n, kept, prior = fit.model, fit.model.n_interest, fit.model.kept, rows.T @ rows
+    theta = np.tile(fit.theta if begin is None else begin, (len(courses), 1))
+    log = np.full((len(courses), courses[0].amplitudes.size), -np.inf)
+    mean = np.zeros((*log.shape, len(kept)))
+    covariance = np.zeros((*mean.shape, len(kept)))
+    going, start = np.arange(len(courses)), fit.at_minimum if begin is None else model.at(begin)
     for step in range(steps):
-        value, jacobian, _ = fit.at_minimum if begin is None and step == 0 else model.at(theta)
-        r, j = of.rotate @ (model.curve.values - value), of.rotate @ jacobian
-        scale = np.sqrt(np.sum(np.abs(j) ** 2, axis=0))
-        if not np.all(np.isfinite(scale)) or not np.all(scale > 0) or not np.all(np.isfinite(r)):
-            raise FitError("a component of the discrepancy has run away")
-        j = j / scale
-        products = (j.conj()[:, :, None] * j[:, None, :]).real.reshape(r.size, -1)
-        away = start - theta
-        f = 2 * (damped @ products).reshape(-1, scale.size, scale.size)
-        f += prior * np.outer(1 / scale, 1 / scale)
-        g = 2 * (damped @ (j.conj() * r[:, None]).real) + (prior @ away) / scale
-        try:
-            inverse = np.linalg.inv(f)
-        except np.linalg.LinAlgError:
-            raise FitError("a component of the discrepancy has no solution") from None
-        move = np.einsum("apq,aq->ap", inverse, g)
+        linear = (
+            _linearised(courses[i], fit, theta[i], model.at(theta[i]) if step else start, prior)
+            for i in going.tolist()
+        )
+        scale, f, g, marginal = (np.array(part) for part in zip(*linear, strict=True))
         sign, log_det = np.linalg.slogdet(f)
-        log = -volume - damped @ np.abs(r) ** 2 - 0.5 * away @ prior @ away
-        log += 0.5 * np.sum(g * move, axis=1) - 0.5 * log_det
-        log = np.where(sign > 0, log - np.sum(np.log(scale)), -np.inf)
-        covariance = inverse[:, kept][:, :, kept] / np.outer(scale[kept], scale[kept])
-        result = Evidence(log, theta[kept] + move[:, kept] / scale[kept], covariance, theta)
-        if begin is None and amplitudes[0] == 0:
-            # Without a course the fit is the minimum: seen from anywhere else it is off, and looks likelier.
-            as_it_is = as_it_is or result
-            result.log[0], result.mean[0] = as_it_is.log[0], as_it_is.mean[0]
-            covariance[0] = as_it_is.covariance[0]
-        best = int(np.argmax(log))
-        change = move[best] / scale
-        change = change * min(1.0, LARGEST_STEP / max(float(np.max(np.abs(change[:n]))), 1e-300))
-        result = replace(result, theta=theta + change)
-        deviation = np.sqrt(np.diag(covariance[best])[:n])
-        if np.max(np.abs(change[:n])) < SMALL_STEP * np.min(deviation):
+        # What has run away, or has no solution, is no component.
+        usable = np.all(np.isfinite(scale), axis=1) & np.all(sign != 0, axis=1)
+        log[going[~usable]] = -np.inf
+        going, scale, f, g, marginal, sign, log_det = (
+            part[usable] for part in (going, scale, f, g, marginal, sign, log_det)
+        )
+        inverse = np.linalg.inv(f)
+        move = np.einsum("capq,caq->cap", inverse, g)
+        marginal += 0.5 * np.sum(g * move, axis=2) - 0.5 * log_det
+        marginal = np.where(sign > 0, marginal - np.sum(np.log(scale), axis=1)[:, None], -np.inf)
+        move /= scale[:, None]
+        inverse /= (scale[:, :, None] * scale[:, None])[:, None]
+        # Without a course the fit is the minimum: seen from anywhere else it is off, and looks likelier.
+        new = slice(int(step > 0 and begin is None and courses[0].amplitudes[0] == 0), None)
+        log[going, new] = marginal[:, new]
+        mean[going, new] = (theta[going, None] + move)[:, new, kept]
+        covariance[going, new] = inverse[:, new, kept][..., kept]
+        best = np.argmax(log[going], axis=1)
+        change = move[np.arange(going.size), best]
+        largest = np.max(np.abs(change[:, :n]), axis=1)
+        change *= np.minimum(1.0, LARGEST_STEP / np.maximum(largest, 1e-300))[:, None]
+        theta[going] += change
+        variance = np.diagonal(covariance[going, best], axis1=1, axis2=2)[:, :n]
+        small = np.max(np.abs(change[:, :n]), axis=1) < SMALL_STEP * np.sqrt(np.min(variance, axis=1))
+        going = going[~small]
+        if not going.size:
             break
-        theta = theta + change
-    return result
+    return Evidence(log, mean, covariance, theta)
 
 
-@dataclass(frozen=True)
-class Component:
-    """A member with a course at one amplitude: ln of its weight, mean (n_kept,) and covariance (n_kept,
-    n_kept) of what is kept [1].
+def _linearised(
+    of: Course, fit: Fitted, theta: FloatArray, at: tuple[ComplexArray, ...], prior: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Lengths of the columns of J (n,), not finite where these have run away, and of columns over them F
+    (n_amplitude, n, n) and g (n_amplitude, n), with what of ln E needs no solution (n_amplitude,) [1].
     """
-
-    member: str
-    kind: str
-    amplitude: float
-    log_weight: float
-    mean: FloatArray
-    covariance: FloatArray
-    theta: FloatArray
+    r, j = of.rotate @ (fit.model.curve.values - at[0]), of.rotate @ at[1].T
+    scale, away = np.sqrt(np.sum(np.abs(j) ** 2, axis=0)), fit.theta - theta
+    if not np.all(scale > 0) or not np.all(np.isfinite(r)):
+        scale = np.full(scale.size, np.nan)
+    columns = np.ascontiguousarray((j / scale).T)
+    turned = columns.conj()
+    products = (turned[:, None] * columns).real.reshape(-1, r.size)
+    f = 2 * (of.damped @ products.T).reshape(-1, scale.size, scale.size) + prior * np.outer(
+        1 / scale, 1 / scale
+    )
+    g = 2 * (of.damped @ (turned * r).real.T) + (prior @ away) / scale
+    return scale, f, g, -of.volume - of.damped @ np.abs(r) ** 2 - 0.5 * away @ prior @ away
 
 
 @dataclass(frozen=True)
 class Mixture:
     """The parameters of interest with noise and model error, as a mixture of normal distributions.
 
-    components with *weights* (n_component,) [1]; *noise*: covariance (n_kept, n_kept) by noise alone; at: the
-    ordinary fit; second: frequency of a second mode [Hz], motion: relative rms motion of the resonance, each
-    where its member has weight.
+    Components of these *names* (member and type, "+" beside a second course, "" for the model as it is) with
+    *weights* (n_component,) [1], means (n_component, n_kept) and covariances (n_component, n_kept, n_kept)
+    [1] of what is kept; *noise*: covariance (n_kept, n_kept) by noise alone; at: the ordinary fit; second:
+    frequency of a second mode [Hz], motion: relative rms motion of the resonance, each where its member has
+    weight.
     """
 
-    components: tuple[Component, ...]
+    names: Sequence[str]
     weights: FloatArray
+    means: FloatArray
+    covariances: FloatArray
     noise: FloatArray
     base: Fitted
     second: float | None = None
@@ -230,8 +262,7 @@ class Mixture:
         """Mean, lower and upper end of *row* (n_kept,) [any unit] times what is kept: 2.5 and 97.5 % of the
         mixture.
         """
-        means = np.array([component.mean @ row for component in self.components])
-        deviations = np.sqrt([row @ component.covariance @ row for component in self.components])
+        means, deviations = np.vecdot(self.means, row), np.sqrt(np.vecdot(row @ self.covariances, row))
         return float(self.weights @ means), *mixture_interval(self.weights, means, deviations)
 
     @property
@@ -253,13 +284,9 @@ class Mixture:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Posterior weight by member and type: "J" with "a", "+" beside a second course.
-
-        Amplitude 0 is "none".
-        """
+        """Posterior weight by the names of components, "none" for the model as it is."""
         shares: dict[str, float] = {}
-        for component, weight in zip(self.components, self.weights, strict=True):
-            name = component.member + (component.kind if component.amplitude else "")
+        for name, weight in zip(self.names, self.weights, strict=True):
             shares[name or "none"] = shares.get(name or "none", 0.0) + float(weight)
         return shares
 
@@ -299,125 +326,98 @@ def mixture(base: Fitted) -> Mixture:
     b = half_width(model, base.theta)
     if model.curve.frequency.size < FEWEST_LINES or model.curve.width < FEWEST_WIDTHS * b:
         raise FitError("the band is too narrow to tell a model error from the resonance")
-    by_kind = lengths_of(base)
-    courses = [larger_noise(base)]
-    courses += [course(base, kind, float(length)) for kind, of_kind in by_kind.items() for length in of_kind]
-    counts = {WHITE: 1} | {kind: len(lengths) for kind, lengths in by_kind.items()}
+    courses, priors = [larger_noise(base)], [np.log(3)]
+    for kind, lengths in lengths_of(base).items():
+        courses += [course(base, kind, float(length)) for length in lengths]
+        priors += [np.log(3 * lengths.size)] * lengths.size
     amplitude_prior = np.where(AMPLITUDES == 0, np.log(SOUND), np.log((1 - SOUND) / (AMPLITUDES.size - 1)))
     fits = {base.model.member: base} | {fit.model.member: fit for fit in extensions(base)}
     ladder = {member: LADDER[member] / sum(LADDER[other] for other in fits) for member in fits}
-    components: list[Component] = []
-    sources: list[tuple[Fitted, Course]] = []
 
-    def add(member: str, fit: Fitted) -> None:
-        rows = model.prior_rows(base.theta, fit.theta.size)
-        for of in courses:
-            prior = np.log(ladder[member]) + fit.occam - np.log(3 * counts[of.kind])
-            parts = _components(
-                member, of.kind, fit, of, AMPLITUDES, rows, prior + amplitude_prior, LINEARISATIONS, base
-            )
-            components.extend(parts)
-            sources.extend([(fit, of)] * len(parts))
+    def scan(fit: Fitted, prior: float) -> _Scan:
+        priors_of = (np.log(prior) + fit.occam - np.array(priors))[:, None] + amplitude_prior
+        return _scan(base, fit, courses, priors_of)
 
-    for member, fit in fits.items():
-        add(member, fit)
-    if not components:
+    scans = [scan(fit, ladder[member]) for member, fit in fits.items()]
+    best = max(scans, key=lambda scan: np.max(scan.log))
+    if not np.isfinite(np.max(best.log)):
         raise FitError("no course of a model error continues the fit")
-    best = int(np.argmax([component.log_weight for component in components]))
-    explained = components[best].amplitude > 0 or components[best].member
-    together = second_beside_moving(base, fits) if explained else None
+    together = second_beside_moving(base, fits) if best.likeliest[1] or best.fit.model.member else None
     if together is not None:
-        ladder[together.model.member] = LADDER[SECOND] ** 2
-        add(together.model.member, together)
-        best = int(np.argmax([component.log_weight for component in components]))
-    if components[best].amplitude > 0:
-        components.extend(
-            _second_courses(base, *sources[best], components[best], float(amplitude_prior[1]), ladder)
-        )
-    logs = np.array([component.log_weight for component in components])
+        scans.append(scan(together, LADDER[SECOND] ** 2))
+        best = max(scans, key=lambda scan: np.max(scan.log))
+    if best.likeliest[1]:
+        scans.append(_second_scan(base, best))
+    names, logs, means, covariances = (
+        np.concatenate(parts) for parts in zip(*(scan.components for scan in scans), strict=True)
+    )
     weights = np.exp(logs - special.logsumexp(logs))
     keep = weights > 1e-9
-    kept = tuple(component for component, chosen in zip(components, keep, strict=True) if chosen)
-    weights = weights[keep] / np.sum(weights[keep])
-    second = float(np.exp(fits[SECOND].theta[model.n_interest])) if SECOND in fits else None
-    members = np.array([component.member for component in kept])
-    by_law = {law: float(np.sum(weights[members == law])) for law in MOVED if law in fits}
-    likely = max(by_law, key=lambda law: by_law[law], default="")
-    motion = float(np.exp(fits[likely].theta[model.n_interest])) if likely else None
-    return Mixture(kept, weights, base.covariance, base, second, motion)
-
-
-def _components(
-    member: str,
-    kind: str,
-    fit: Fitted,
-    of: Course,
-    amplitudes: FloatArray,
-    rows: FloatArray,
-    priors: FloatArray,
-    steps: int,
-    base: Fitted,
-    begin: FloatArray | None = None,
-) -> list[Component]:
-    """The components of a member with a course.
-
-    None where it has no solution, and without those far from the ordinary fit.
-    """
-    try:
-        # What runs away is sorted out below.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            judged = evidence(fit, of, amplitudes, rows, steps, begin)
-            # What an extension adds may vanish, or leave its range: its volume is no evidence then.
-            if not is_extension(base, fit.model, judged.theta):
-                return []
-    except FitError:
-        return []
-    n = base.model.n_interest
-    away = np.abs((judged.mean[:, :n] - base.theta[:n]) @ rows[:, :n].T)
-    usable = (
-        np.isfinite(judged.log)
-        & np.all(away <= FARTHEST, axis=1)
-        & np.all(np.einsum("aii->ai", judged.covariance) > 0, axis=1)
+    weights, names = weights[keep] / np.sum(weights[keep]), names[keep].tolist()
+    members = np.array([name[:1] for name in names])
+    laws = [law for law in MOVED if law in fits]
+    likely = max(laws, key=lambda law: float(np.sum(weights[members == law])), default=None)
+    second, motion = (
+        float(np.exp(fits[member].theta[model.n_interest])) if member in fits else None
+        for member in (SECOND, likely)
     )
-    return [
-        Component(
-            member,
-            kind,
-            float(amplitudes[i]),
-            float(judged.log[i] + priors[i]),
-            judged.mean[i],
-            judged.covariance[i],
-            judged.theta,
+    return Mixture(names, weights, means[keep], covariances[keep], base.covariance, base, second, motion)
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """What the data say of a *fit* with *courses*: ln *prior* and ln of the weights of the components
+    (n_course, n_amplitude) [1], minus infinity where there is none.
+    """
+
+    fit: Fitted
+    courses: Sequence[Course]
+    prior: FloatArray
+    evidence: Evidence
+    log: FloatArray
+
+    @property
+    def likeliest(self) -> tuple[int, float]:
+        """Course and amplitude [1] of the greatest weight."""
+        place, number = np.unravel_index(np.argmax(self.log), self.log.shape)
+        return int(place), float(self.courses[0].amplitudes[number])
+
+    @property
+    def components(self) -> tuple[NDArray[np.str_], FloatArray, FloatArray, FloatArray]:
+        """Names, ln of weights [1], means and covariances of the components, as of Mixture."""
+        member, chosen = self.fit.model.member, self.log > -np.inf
+        names = [[member + of.kind] for of in self.courses]
+        names_of_all = np.where(self.courses[0].amplitudes > 0, names, member)
+        return (
+            names_of_all[chosen],
+            self.log[chosen],
+            self.evidence.mean[chosen],
+            self.evidence.covariance[chosen],
         )
-        for i in np.flatnonzero(usable)
-    ]
 
 
-def _second_courses(
-    base: Fitted,
-    fit: Fitted,
-    first: Course,
-    best: Component,
-    amplitude_prior: float,
-    ladder: Mapping[str, float],
-) -> list[Component]:
+def _scan(
+    base: Fitted, fit: Fitted, courses: Sequence[Course], prior: FloatArray, begin: FloatArray | None = None
+) -> _Scan:
+    """A *fit* with *courses*, without components that have no solution or are far from the ordinary one."""
+    n, rows = base.model.n_interest, base.model.prior_rows(base.theta, fit.theta.size)
+    # What runs away is sorted out below.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        judged = evidence(fit, courses, rows, LINEARISATIONS if begin is None else 2, begin)
+        away = np.abs((judged.mean[..., :n] - base.theta[:n]) @ rows[:, :n].T)
+        # What an extension adds may vanish, or leave its range: its volume is no evidence then.
+        inside = np.array([is_extension(base, fit.model, theta) for theta in judged.theta])
+    usable = inside[:, None] & np.isfinite(judged.log) & np.all(away <= FARTHEST, axis=2)
+    usable &= np.all(np.diagonal(judged.covariance, axis1=2, axis2=3) > 0, axis=2)
+    return _Scan(fit, courses, prior, judged, np.where(usable, judged.log + prior, -np.inf))
+
+
+def _second_scan(base: Fitted, best: _Scan) -> _Scan:
     """A second course beside the best one, which is frozen."""
     b, w = half_width(base.model, base.theta), base.model.curve.width
     of_modes = [("a", b), ("a", np.sqrt(2 * b * w)), ("a", 2 * w)]
     tried = [*of_modes, ("m", 0.5 * w), ("m", 2 * w), ("z", b), ("z", 3 * b)]
-    counts = {WHITE: 1} | {kind: len(lengths) for kind, lengths in lengths_of(base).items()}
-    prior = np.log(ladder[fit.model.member]) + fit.occam - np.log(3 * counts[first.kind]) + amplitude_prior
-    prior += np.log(3 / 7 / 7 / (AMPLITUDES.size - 1))
-    rows = base.model.prior_rows(base.theta, fit.theta.size)
-    components: list[Component] = []
-    begin = best.theta
-    for kind, length in tried:
-        if kind == first.kind and abs(length - first.length) < 0.3 * first.length:
-            continue
-        of = course_beside(base, first, best.amplitude, kind, float(length))
-        priors = np.full(AMPLITUDES.size - 1, prior)
-        name = f"+{first.kind}{kind}"
-        components.extend(
-            _components(fit.model.member, name, fit, of, AMPLITUDES[1:], rows, priors, 2, base, begin)
-        )
-    return components
+    place, amplitude = best.likeliest
+    courses = courses_beside(base, best.courses[place], amplitude, tried)
+    prior = best.prior[place, -1:] + np.log(3 / 7 / 7 / (AMPLITUDES.size - 1))
+    return _scan(base, best.fit, courses, prior, best.evidence.theta[place])

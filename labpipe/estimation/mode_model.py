@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -21,6 +21,8 @@ MOVED = ("L", "G", "U", "C")
 PLACES, LIKE_DAMPING = 25, 5.0
 # Weak prior around the ordinary fit, which stops run-away: ln zeta, level.
 PRIOR_DAMPING, PRIOR_LEVEL = 0.7, 0.5
+# Of a minimum, relative: chi-square, theta, and the slope of chi-square.
+TOLERANCES = {"ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-8}
 _HERMITE = np.polynomial.hermite_e.hermegauss(7)
 _LEGENDRE = np.polynomial.legendre.leggauss(7)
 # Nodes x and weights of the laws of motion, of unit variance.
@@ -46,6 +48,11 @@ class Curve:
     def s(self) -> ComplexArray:
         """j omega (n_line,) [rad/s]."""
         return 2j * np.pi * self.frequency
+
+    def weighted(self, rows: ComplexArray) -> FloatArray:
+        """sqrt(2) *rows* (..., n_line) / std, real before imaginary parts: (..., 2 n_line) [1]."""
+        weight = 1 / self.std
+        return np.sqrt(2) * np.concatenate([rows.real * weight, rows.imag * weight], axis=-1)
 
     @property
     def width(self) -> float:
@@ -112,15 +119,17 @@ class ModeModel:
 
     @cached_property
     def _factors(self) -> ComplexArray:
-        """Columns (n_line, 2 n_term) [1] of the terms by the real and the imaginary part of their factors."""
-        return np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
+        """Rows (2 n_term, n_line) [1] of the terms by the real and the imaginary part of their factors."""
+        terms = self.terms.T
+        # Without zeros of negative sign: a QR would follow it.
+        return np.stack([terms, 1j * terms], axis=1).reshape(-1, self.curve.frequency.size) + 0
 
     def frequency_and_damping(self, q: FloatArray) -> tuple[float, float]:
         """f_n [Hz] and zeta [1] at *q* (n,) [1]."""
         rows = self.to_resonance @ q[: self.n_interest] + self.offset
         return float(np.exp(rows[0])), float(np.exp(rows[1]))
 
-    @property
+    @cached_property
     def to_resonance(self) -> FloatArray:
         """ln f_n and ln zeta of the parameters of interest but for a constant, (2, n_interest) [1]."""
         if not self.coefficients:
@@ -128,7 +137,7 @@ class ModeModel:
         rows = np.array([[0.5, 0.0, -0.5], [-0.5, 1.0, -0.5]])
         return rows if self.mass is None else rows[:, :2]
 
-    @property
+    @cached_property
     def offset(self) -> FloatArray:
         """The constants of ln f_n and ln zeta, (2,) [1]."""
         if not self.coefficients:
@@ -148,88 +157,89 @@ class ModeModel:
             rows[2, [0, 2]] = 0.5 / PRIOR_LEVEL
         return rows
 
-    def _motion(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Nodes x (n_node,) of the relative motion of the resonance and their weights (n_node,) [1]."""
+    def _motion(self, q: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
+        """Nodes x (n_node,) of the relative motion of the resonance and their weights (n_node,) [1]; 0 and 1
+        of one that stands.
+        """
         if not self.law:
-            return np.zeros(1), np.ones(1)
+            return 0.0, 1.0
         nodes, weights = NODES[self.law]
         return np.exp(q[self.n_interest]) * nodes, weights
 
-    def _as_columns(self, slopes: ComplexArray) -> ComplexArray:
-        """Columns (n_line, n_shape) of derivatives (n_interest + 1, n_line) by what the resonance depends on,
-        zero of a second mode.
-        """
-        columns = np.zeros((slopes.shape[1], self.n_shape), np.complex128)
-        by = self.n_interest + bool(self.law)
-        columns[:, :by] = slopes[:by].T
-        return columns
+    @cached_property
+    def _plain(self) -> ModeModel:
+        """A second mode by itself."""
+        return ModeModel(self.curve)
 
-    def _with_conjugate(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-        """a, da/dq, b, db/dq of A a + A^* b: the mean of 1 / (s - lambda) over the motion, (n_line,), and of
-        the conjugate pole, with their derivatives (n_line, n_shape) by *q* (n_shape,) [1].
+    def _with_conjugate(self, q: FloatArray) -> ComplexArray:
+        """Of A a + A^* b: a, the mean of 1 / (s - lambda) over the motion, and b, that of the conjugate pole,
+        each with its derivatives by *q* (n_shape,) [1] but for those of a second mode, (2, n + 1, n_line).
         """
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
         x, weights = self._motion(q)
         if self.law == "L":
             root = np.sqrt(max(1 - zeta**2, 1e-12))
-            imaginary, by_motion, lost = root + x, 1j * w * x, np.zeros_like(x)
+            imaginary, ratio, by_motion, lost = root + x, zeta / root, 1j * w * x, 0 * x
         else:
             # 1 / ((1 + x) (s - lambda)), the square of whose frequency moves.
-            root = imaginary = np.sqrt(np.maximum((1 + x) ** 2 - zeta**2, 1e-12))
-            by_motion, lost, weights = 1j * w * (1 + x) * x / root, -x / (1 + x), weights / (1 + x)
-        pole, by_damping = w * (-zeta + 1j * imaginary), -w * zeta * (1 + 1j * zeta / root) + 0 * x
-        none = np.zeros_like(x)
-        # What 1 / (s - lambda) and its square count in the value and its derivatives, (4, n_node).
-        single = weights * np.array([none + 1, none, none, lost], np.complex128)
-        square = weights * np.array([none, pole, by_damping, by_motion])
-        inverse = 1 / (self.curve.s - np.concatenate([pole, pole.conj()])[:, None])
-        above, below = inverse[: x.size], inverse[x.size :]
-        upper = single @ above + square @ above**2
-        lower = single @ below + square.conj() @ below**2
-        return upper[0], self._as_columns(upper[1:]), lower[0], self._as_columns(lower[1:])
+            imaginary = np.sqrt(np.maximum((1 + x) ** 2 - zeta**2, 1e-12))
+            ratio, by_motion = zeta * (1 / imaginary), 1j * w * (1 + x) * x * (1 / imaginary)
+            lost, weights = -x / (1 + x), weights / (1 + x)
+        pole, by_damping = w * (-zeta + 1j * imaginary), -w * zeta * (1 + 1j * ratio) + 0 * x
+        # What 1 / (s - lambda) and its square count in the value and its derivatives, (n + 1, n_node).
+        n = 3 + bool(self.law)
+        single = (weights * np.array([0 * x + 1, 0 * x, 0 * x, lost][:n], np.complex128)).reshape(n, -1)
+        square = (weights * np.array([0 * x, pole, by_damping, by_motion][:n])).reshape(n, -1)
+        inverse = 1 / (self.curve.s - np.array([pole, np.conj(pole)]).reshape(2, -1, 1))
+        return single @ inverse + np.array([square, square.conj()]) @ inverse**2
 
-    def _coefficients_at(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """The mean of 1 / (k + c s + m s^2) over the motion, (n_line,), and its derivatives (n_line, n_shape)
-        by *q* (n_shape,) [1].
+    def _coefficients_at(self, q: FloatArray) -> ComplexArray:
+        """The mean of 1 / (k + c s + m s^2) over the motion and its derivatives by *q* (n_shape,) [1] but for
+        those of a second mode, (n + 1, n_line).
         """
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
-        x, weights = self._motion(q)
-        x, s = x[:, None], self.curve.s
+        # Complex as all that they meet.
+        x, weights = (np.asarray(part, np.complex128) for part in self._motion(q))
+        x, s, stiffness = x[..., None], self.curve.s, k
         if self.law == "L":
-            w = np.sqrt(k / m)
-            s = s - 1j * w * x
-            value = 1 / (k + c * s + m * s**2)
-            square = -(value**2)
-            by_motion = square * (c + 2 * m * s) * (-1j * w * x)
-            by_shape = [square * k + by_motion / 2, square * c * s, square * m * s**2 - by_motion / 2]
+            shift = -1j * np.sqrt(k / m) * x
+            s = s + shift
         else:
             stiffness = k * (1 + x) ** 2
-            value = 1 / (stiffness + c * s + m * s**2)
-            square = -(value**2)
-            by_motion = square * 2 * k * (1 + x) * x
-            by_shape = [square * stiffness, square * c * s, square * m * s**2]
-        slopes = np.array([weights @ slope for slope in (*by_shape[: self.n_interest], by_motion)])
-        return weights @ value, self._as_columns(slopes)
+        s_squared = s**2
+        value = 1 / (stiffness + c * s + m * s_squared)
+        square = -(value**2)
+        rows = [value, square * stiffness, square * c * s, square * m * s_squared][: 1 + self.n_interest]
+        if self.law == "L":
+            rows.append(square * (c + 2 * m * s) * shift)
+            rows[1] += rows[-1] / 2
+            if self.mass is None:
+                rows[3] -= rows[-1] / 2
+        elif self.law:
+            rows.append(square * (2 * k) * (1 + x) * x)
+        return np.array([weights @ row for row in rows] if self.law else rows)
 
     def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """h (n_line,) [any unit], its derivatives (n_line, n) by *theta* (n,), and the resonance of the upper
+        """h (n_line,) [any unit], its derivatives (n, n_line) by *theta* (n,), and the resonance of the upper
         pole alone (n_line,).
         """
-        q, amplitudes = theta[: self.n_shape], theta[self.n_shape :: 2] + 1j * theta[self.n_shape + 1 :: 2]
+        n = self.n_shape
         if self.coefficients:
-            main, slopes = self._coefficients_at(q)
-            columns = [self._factors]
+            rows = self._coefficients_at(theta)
+            main, slopes, linear = rows[0], [rows[1:]], [self._factors]
         else:
-            a, da, b, db = self._with_conjugate(q)
-            slopes = amplitudes[0] * da + np.conj(amplitudes[0]) * db
-            main, columns = amplitudes[0] * a, [_pair(a, b), self._factors]
+            amplitude = theta[n] + 1j * theta[n + 1]
+            a, b = self._with_conjugate(theta)
+            main, slopes = amplitude * a[0], [amplitude * a[1:] + np.conj(amplitude) * b[1:]]
+            linear = [_pair(a[0], b[0]), self._factors]
         if self.has_second:
-            a, da, b, db = ModeModel(self.curve)._with_conjugate(q[-2:])
-            columns.append(_pair(a, b))
-            slopes[:, -2:] = amplitudes[-1] * da + np.conj(amplitudes[-1]) * db
-        jacobian = np.hstack([slopes, *columns])
-        value = jacobian[:, self.n_shape :] @ theta[self.n_shape :] + (main if self.coefficients else 0.0)
+            amplitude = theta[-2] + 1j * theta[-1]
+            a, b = self._plain._with_conjugate(theta[n - 2 : n])
+            slopes.append(amplitude * a[1:] + np.conj(amplitude) * b[1:])
+            linear.append(_pair(a[0], b[0]))
+        jacobian = np.concatenate(slopes + linear)
+        value = jacobian[n:].T.copy() @ theta[n:] + (main if self.coefficients else 0.0)
         return value, jacobian, main
 
     def started(self, q: FloatArray) -> FloatArray:
@@ -237,53 +247,44 @@ class ModeModel:
         n_amplitude = self.residual + (not self.coefficients) + self.has_second
         theta = np.concatenate([q, np.zeros(2 * n_amplitude)])
         value, jacobian, _ = self.at(theta)
-        rows, side = (
-            _real(part, self.curve.std) for part in (jacobian[:, self.n_shape :], self.curve.values - value)
-        )
-        return np.concatenate([q, np.linalg.lstsq(rows, side, rcond=None)[0]]) if n_amplitude else theta
+        weighted = self.curve.weighted
+        rows, side = weighted(jacobian[self.n_shape :]), weighted(self.curve.values - value)
+        return np.concatenate([q, np.linalg.lstsq(rows.T, side, rcond=None)[0]]) if n_amplitude else theta
 
     def fitted(self, theta: FloatArray) -> Fitted:
         """The ordinary fit, chi2 = 2 sum |y - h|^2 / s^2 [1], from *theta* (n,).
 
         FitError where there is no minimum.
         """
+        weighted, values = self.curve.weighted, self.curve.values
 
         # The derivatives are asked for where the residual was asked for last.
-        last: dict[bytes, tuple[ComplexArray, ComplexArray, ComplexArray]] = {}
-
-        def at(x: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-            if x.tobytes() not in last:
-                last.clear()
-                last[x.tobytes()] = self.at(x)
-            return last[x.tobytes()]
+        @lru_cache(1)
+        def at(x: bytes) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+            return self.at(np.frombuffer(x))
 
         def residual(x: FloatArray) -> FloatArray:
-            return _real(self.curve.values - at(x)[0], self.curve.std)
+            return weighted(values - at(x.tobytes())[0])
 
-        def jacobian(x: FloatArray) -> FloatArray:
-            return -_real(at(x)[1], self.curve.std)
+        def slopes(x: FloatArray) -> FloatArray:
+            return -weighted(at(x.tobytes())[1])
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            try:
-                minimum = scipy.optimize.least_squares(
-                    residual, theta, jac=jacobian, x_scale="jac", method="lm", max_nfev=60
-                )
-            except (ValueError, np.linalg.LinAlgError) as error:
-                raise FitError(f"the fit has no minimum ({error})") from None
-        if not np.all(np.isfinite(minimum.x)):
+            # Where there are no numbers, the descent would end as well.
+            first = residual(theta)
+            if first.size < theta.size or not np.all(np.isfinite(first)):
+                raise FitError("the fit has no minimum")
+            end, _, more, *_ = scipy.optimize.leastsq(
+                residual, theta, Dfun=slopes, full_output=True, col_deriv=True, maxfev=60, **TOLERANCES
+            )
+        if not np.all(np.isfinite(end)):
             raise FitError("the fit has no minimum")
-        return Fitted(self, np.asarray(minimum.x), float(2 * minimum.cost))
+        return Fitted(self, end, float(more["fvec"] @ more["fvec"]))
 
 
 def _pair(a: ComplexArray, b: ComplexArray) -> ComplexArray:
-    """Columns (n_line, 2) of A a + A^* b by the real and the imaginary part of A."""
-    return np.column_stack([a + b, 1j * (a - b)])
-
-
-def _real(values: ComplexArray, std: FloatArray) -> FloatArray:
-    """sqrt(2) values / std as real rows (2 n_line, ...) [1]."""
-    scaled = np.sqrt(2) * (values.T / std).T
-    return np.concatenate([scaled.real, scaled.imag])
+    """Rows (2, n_line) of A a + A^* b by the real and the imaginary part of A."""
+    return np.array([a + b, 1j * (a - b)])
 
 
 @dataclass(frozen=True)
@@ -299,7 +300,7 @@ class Fitted:
 
     @cached_property
     def at_minimum(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """h (n_line,) [any unit], derivatives (n_line, n) and the resonance there, as of ModeModel.at."""
+        """h (n_line,) [any unit], derivatives (n, n_line) and the resonance there, as of ModeModel.at."""
         return self.model.at(self.theta)
 
     @property
@@ -310,7 +311,7 @@ class Fitted:
     @property
     def covariance(self) -> FloatArray:
         """Of noise alone, of what the model keeps, (n_kept, n_kept) [1]: (2 Re J^H S^-2 J)^-1."""
-        rows = _real(self.at_minimum[1], self.model.curve.std)
+        rows = self.model.curve.weighted(self.at_minimum[1]).T.copy()
         scale = np.linalg.norm(rows, axis=0)
         inverse = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
         return np.asarray(inverse[np.ix_(self.model.kept, self.model.kept)])
@@ -392,16 +393,17 @@ def second_mode(base: Fitted) -> Fitted | None:
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
     value, jacobian, _ = base.at_minimum
-    std = base.model.curve.std
-    rows, side = _real(jacobian, std), _real(base.model.curve.values - value, std)
+    weighted = base.model.curve.weighted
+    rows, side = weighted(jacobian).T, weighted(base.model.curve.values - value)
     basis = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
     places = np.linspace(frequency[0], frequency[-1], PLACES)
-    gains = []
-    for place in places:
-        a, _, b_, _ = ModeModel(base.model.curve)._with_conjugate(np.log([place, zeta]))
-        pair = _real(_pair(a, b_), std)
-        pair = pair - basis @ (basis.T @ pair)
-        gains.append(float(side @ pair @ np.linalg.lstsq(pair.T @ pair, pair.T @ side, rcond=None)[0]))
+    poles = 2 * np.pi * places * (-zeta + 1j * np.sqrt(max(1 - zeta**2, 1e-12)))
+    a, b_ = 1 / (base.model.curve.s - np.array([poles, poles.conj()])[..., None])
+    # Of every place two real rows, without what the model has of them: (PLACES, 2, 2 n_line).
+    pairs = weighted(_pair(a, b_)).swapaxes(0, 1)
+    pairs = pairs - pairs @ basis @ basis.T
+    along = pairs @ side
+    gains = np.einsum("pi,pij,pj->p", along, np.linalg.pinv(pairs @ pairs.mT), along)
     order = np.argsort(gains)[::-1]
     chosen = [order[0], *[i for i in order if abs(places[i] - places[order[0]]) >= b][:1]]
     fits = []

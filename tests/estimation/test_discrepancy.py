@@ -7,12 +7,14 @@ The golden values come from a separate program (two seeded sets, a minimal-stand
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.errors import FitError
 from labpipe.estimation import discrepancy
-from labpipe.estimation.discrepancy import course, evidence, mixture
+from labpipe.estimation.discrepancy import course, evidence, larger_noise, mixture
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel, extensions
 from labpipe.estimation.statistics import mixture_interval
 
@@ -81,9 +83,9 @@ def test_single_components_are_those_of_the_independent_calculation() -> None:
     none = np.zeros((1, base.theta.size))
     for (kind, length, amplitude), (mean, variance, largest) in OF_POLE.items():
         of = course(base, kind, length)
-        told = evidence(base, of, np.array([amplitude]), none, 1)
-        assert told.mean[0, :2] == pytest.approx(mean, abs=1e-6)
-        assert np.diag(told.covariance[0])[:2] == pytest.approx(variance, rel=1e-4)
+        told = evidence(base, [replace(of, amplitudes=np.array([amplitude]))], none, 1)
+        assert told.mean[0, 0, :2] == pytest.approx(mean, abs=1e-6)
+        assert np.diag(told.covariance[0, 0])[:2] == pytest.approx(variance, rel=1e-4)
         assert np.max(of.eigenvalues) == pytest.approx(largest, rel=1e-6)
 
 
@@ -91,9 +93,10 @@ def test_evidence_of_coefficients_is_that_of_the_independent_calculation() -> No
     base = gain_curve()
     assert base.chi2 == pytest.approx(1181.8970971395224, rel=1e-9)
     none = np.zeros((1, base.theta.size))
-    told = evidence(base, course(base, "a", 2.0), np.array([0.0, 1.0, 10.0]), none, 1)
-    assert told.log == pytest.approx([-618.1869633339944, -120.3043113415938, -128.649540675033], rel=1e-7)
-    assert told.mean[2] == pytest.approx(
+    of = replace(course(base, "a", 2.0), amplitudes=np.array([0.0, 1.0, 10.0]))
+    told = evidence(base, [of], none, 1)
+    assert told.log[0] == pytest.approx([-618.1869633339944, -120.3043113415938, -128.649540675033], rel=1e-7)
+    assert told.mean[0, 2] == pytest.approx(
         [-0.016377408554240424, -10.188753689397554, -12.90244685266657], abs=1e-6
     )
 
@@ -195,9 +198,7 @@ def test_slopes_of_every_member_are_central_differences() -> None:
                     * max(1.0, abs(theta[number]) if number >= model.n_shape else 1.0)
                 )
                 slope = (model.at(theta + step)[0] - model.at(theta - step)[0]) / (2 * step[number])
-                np.testing.assert_allclose(
-                    jacobian[:, number], slope, atol=2e-6 * np.max(np.abs(slope)) + 1e-7
-                )
+                np.testing.assert_allclose(jacobian[number], slope, atol=2e-6 * np.max(np.abs(slope)) + 1e-7)
 
 
 @pytest.mark.long
@@ -241,10 +242,25 @@ def test_without_a_course_the_evidence_is_that_of_the_ordinary_fit() -> None:
     """However far the courses draw the linearisation, amplitude 0 is the minimum itself."""
     base = hidden_mode()
     rows = base.model.prior_rows(base.theta, base.theta.size)
-    for kind, length in (("a", 2.0), ("m", 4.5), ("z", 4.0)):
-        of = course(base, kind, length)
-        told = evidence(base, of, np.array([0.0, 10.0, 100.0]), rows, 3)
-        deviation = np.sqrt(np.diag(base.covariance)[: told.mean.shape[1]])
-        assert np.all(np.abs(told.mean[0] - base.theta[base.model.kept]) < 1e-3 * deviation)
-        assert told.log[0] == pytest.approx(evidence(base, of, np.array([0.0]), rows, 1).log[0], abs=1e-9)
-        assert np.any(np.abs(told.theta - base.theta)[:2] > deviation[:2])
+    courses = [course(base, kind, length) for kind, length in (("a", 2.0), ("m", 4.5), ("z", 4.0))]
+    told = evidence(base, [replace(of, amplitudes=np.array([0.0, 10.0, 100.0])) for of in courses], rows, 3)
+    alone = evidence(base, [replace(of, amplitudes=np.zeros(1)) for of in courses], rows, 1)
+    deviation = np.sqrt(np.diag(base.covariance))
+    assert np.all(np.abs(told.mean[:, 0] - base.theta[base.model.kept]) < 1e-3 * deviation)
+    assert told.log[:, 0] == pytest.approx(alone.log[:, 0], abs=1e-9)
+    assert np.all(np.any(np.abs(told.theta - base.theta)[:, :2] > deviation[:2], axis=1))
+
+
+def test_courses_beside_each_other_tell_what_each_tells_alone() -> None:
+    """Each ends where it would alone, after one linearisation or three; one that sees no line is left out."""
+    base = hidden_mode()
+    rows = base.model.prior_rows(base.theta, base.theta.size)
+    courses = [larger_noise(base), course(base, "a", 2.0), course(base, "z", 8.0)]
+    blind = replace(courses[1], rotate=0 * courses[1].rotate)
+    with np.errstate(invalid="ignore"):
+        together = evidence(base, [courses[0], blind, *courses[1:]], rows, 3)
+    assert np.all(together.log[1] == -np.inf)
+    for number, of in zip((0, 2, 3), courses, strict=True):
+        alone = evidence(base, [of], rows, 3)
+        for part in ("log", "mean", "covariance", "theta"):
+            np.testing.assert_allclose(getattr(together, part)[number], getattr(alone, part)[0], rtol=1e-12)
