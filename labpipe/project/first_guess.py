@@ -34,7 +34,7 @@ _RECORDED = (
     "moment",
 )  # fmt: skip
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
-_POINT = re.compile(r"^(\d+)[+-][XYZ](?:_\d+)?$")
+_POINT = re.compile(r"^(?:[^\d:]*|[^:]*:)(\d+):?([+-])[XYZ](?:_\d+)?$")
 _BY_NAME = (
     ("tacho", r"tacho|keyphasor|key.?phasor|trigger|rpm|drehzahl"),
     (
@@ -199,12 +199,15 @@ def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[G
     }
     if not lengths or any(channel.role == "input" for channel in channels):
         return tuple(channels)
-    shortest = min(lengths, key=lengths.__getitem__)
-    sensitivity = DECIDE if _measured_in(channels[shortest].unit) == "voltage" else ""
-    guess = "a force by its hits, which is a guess"
-    hammer = replace(channels[shortest], quantity="force", role="input", sensitivity=sensitivity, guess=guess)
-    outputs = [channel for channel in channels if channel.role == "output"]
-    return tuple(_along(hammer, outputs) if n == shortest else c for n, c in enumerate(channels))
+    return as_force(channels, min(lengths, key=lengths.__getitem__), "a force by its hits, which is a guess")
+
+
+def as_force(channels: Sequence[GuessedChannel], number: int, guess: str) -> tuple[GuessedChannel, ...]:
+    """The channels with the one of that *number* as a force, and why it is a *guess*."""
+    sensitivity = DECIDE if _measured_in(channels[number].unit) == "voltage" else ""
+    force = replace(channels[number], quantity="force", role="input", sensitivity=sensitivity, guess=guess)
+    outputs = [c for n, c in enumerate(channels) if c.role == "output" and n != number]
+    return tuple(_along(force, outputs) if n == number else c for n, c in enumerate(channels))
 
 
 def _guess(name: str, key: str, unit: str) -> GuessedChannel:
@@ -224,7 +227,8 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
         quantity, unit = "tacho", unit or "V"
     quantity = quantity or DECIDE
     role = DEFAULT_ROLES.get(quantity, "" if quantity == DECIDE else "reference")
-    invert = bool(_node(name)) and "-" in name
+    point = _POINT.match(name)
+    invert = point is not None and point[2] == "-"
     return GuessedChannel(
         key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity, invert, guess
     )
@@ -265,7 +269,9 @@ def _measured_in(unit: str) -> str:
 
 
 def _node(name: str) -> str:
-    """The node of a point and direction such as "12-Z" of a universal file, '' for other names."""
+    """The node of a point and direction such as "12-Z" of a universal file or "shaft:12:-Z" of Test.Lab, ''
+    for other names.
+    """
     match = _POINT.match(name)
     return match[1] if match else ""
 

@@ -22,6 +22,8 @@ from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.sweeps import find_sweeps
 
+# Largest over rms of a sweep of one level, the square root of two and some noise.
+STEADY_CREST = 1.9
 # Share of a record that sweeps take where they are its excitation.
 SWEPT = 0.4
 
@@ -70,7 +72,31 @@ def first_look(table: Table) -> FirstLook:
     channels = first_guess.guess_channels(
         [names[n] for n in chosen], table.units, getattr(table, "sensitivities", {})
     )
-    return FirstLook(first_guess.with_hammer(channels, rows[:, chosen]), rate, time, rows[:, chosen], unused)
+    signals = rows[:, chosen]
+    guessed = _with_sweep(first_guess.with_hammer(channels, signals), signals, rate)
+    return FirstLook(guessed, rate, time, signals, unused)
+
+
+def _with_sweep(
+    channels: tuple[first_guess.GuessedChannel, ...], rows: FloatArray, rate: float
+) -> tuple[first_guess.GuessedChannel, ...]:
+    """The channels, where none is a force the steadiest sweep of volts without a stated sensor as one.
+
+    *rows* (n_sample, n_channel) [recorded units]. Responses follow a sweep, too, but not at one level.
+    """
+    if any(channel.role == "input" for channel in channels):
+        return channels
+    crests: dict[int, float] = {}
+    for n, channel in enumerate(channels):
+        signal = rows[:, n] - np.mean(rows[:, n])
+        crest = float(np.max(np.abs(signal)) / max(np.std(signal), np.finfo(float).tiny))
+        may_be = DECIDE in (channel.quantity, channel.sensitivity) or channel.quantity == "voltage"
+        if may_be and crest < STEADY_CREST and excitation_of(signal, rate or 1.0).kind == "sweep":
+            crests[n] = crest
+    if not crests:
+        return channels
+    steadiest = min(crests, key=crests.__getitem__)
+    return first_guess.as_force(channels, steadiest, "a force by its sweep, which is a guess")
 
 
 def excitation_of(force: FloatArray, rate: float) -> Excitation:

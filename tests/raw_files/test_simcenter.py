@@ -16,6 +16,7 @@ from scipy.io import savemat
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.cli.main import run_command
 from labpipe.errors import DataError
+from labpipe.raw_files.excitation import Sweep
 from labpipe.raw_files.table import open_table
 
 BASES = ["LENGTH", "ANGLE", "MASS", "TIME", "CURRENT", "LIGHT", "TEMPERATURE", "MOLCULAR_AMOUNT"]
@@ -75,6 +76,30 @@ def test_channels_have_their_labels_their_rate_and_si_units(tmp_path: Path, rng:
     assert table.columns == ("shaft:1:+X", "shaft:2:+X", "shaft:1:-X") and table.sample_rate == 2048
     assert table.units == {"shaft:1:+X": "m/s^2", "shaft:2:+X": "m/s^2", "shaft:1:-X": "V"}
     np.testing.assert_array_equal(np.concatenate(list(table.chunks(table.columns))), np.hstack([a, u]))
+
+
+def test_init_takes_the_swept_volts_for_the_force_and_labels_for_points(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Volts of 20 to 200 Hz in 8 s, and two points that follow through a mode at 60 Hz."""
+    volts = Sweep((20.0, 200.0), 8.0, 1.0).samples(1024.0, 1)
+    omega = 2 * np.pi * np.fft.rfftfreq(volts.size, 1 / 1024)
+    course = -(omega**2) / ((2 * np.pi * 60) ** 2 - omega**2 + 0.04j * 2 * np.pi * 60 * omega)
+    motion = np.fft.irfft(np.fft.rfft(volts) * course, volts.size)
+    motions = np.column_stack([motion, -0.4 * motion]) + 0.01 * rng.normal(size=(volts.size, 2))
+    content = {
+        "Signal_0": structure(motions, 1 / 1024, "g", ACCELERATION, ("shaft:1:+X", "shaft:2:-X")),
+        "Signal_1": structure(volts[:, None], 1 / 1024, "V", VOLTAGE, ("amplifier",)),
+    }
+    savemat(tmp_path / "run.mat", content)
+    project = tmp_path / "lab"
+    assert run_command(["init", str(project), str(tmp_path / "run.mat")]) == 0
+    rig = yaml.safe_load((project / "rig.yaml").read_text("utf-8"))
+    assert "sample_rate" not in rig
+    one, two, force = rig["channels"].values()
+    assert (one["dof"], two["dof"], two["invert"]) == ("1.x", "2.x", True) and one["unit"] == "m/s^2"
+    assert (force["quantity"], force["role"], force["unit"]) == ("force", "input", "V")
+    assert yaml.safe_load((project / "pipeline.yaml").read_text("utf-8"))["frf"]["excitation"] == "sweep"
 
 
 def test_labels_that_two_channels_share_are_no_names(tmp_path: Path, rng: np.random.Generator) -> None:
