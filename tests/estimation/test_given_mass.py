@@ -122,6 +122,26 @@ def test_a_mass_of_two_directions(coupled_response) -> None:
     assert not findings(right, "mass") and findings(wrong, "mass")
 
 
+@pytest.mark.parametrize(
+    ("place", "said", "tau"),
+    [((slice(1, 2), slice(None)), "y is late", 0.0404), ((slice(None), slice(1)), "fx is early", -3e-3)],
+)
+def test_a_channel_of_a_matrix_that_is_late_or_early_is_named(coupled_response, place, said, tau) -> None:
+    """H exp(-j w tau) in a row or a column, 4.85 periods of the highest line late or a third of one early."""
+    response = coupled_response(2e-8, np.random.default_rng(1))
+    matrix = np.array(response.matrix)
+    matrix[:, *place] *= np.exp(-2j * np.pi * response.frequency * tau)[:, None, None]
+    (fit,) = identify(replace(response, matrix=matrix), FitSettings("rotor-2dof", mass=0.92))
+    assert not findings(fit, "mass")
+    (finding,) = findings(fit, "delay")
+    value, error = re.match(rf"{said} by ([\d.]+) \+- ([\d.]+) ms: ", finding.message).groups()
+    assert abs(float(value) - 1e3 * abs(tau)) < 4 * float(error) < 0.01
+    stiffness, error = re.search(r"k_xx = ([\d.]+) \+- ([\d.]+) kN/m", finding.message).groups()
+    assert abs(float(stiffness) - 180) < 4 * float(error) < 1
+    before, after = re.search(r"of freedom is ([\d.e+]+) instead of ([\d.e+]+)", finding.message).groups()
+    assert float(before) == pytest.approx(1, abs=0.2) and float(after) > 100
+
+
 def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
     """Only the masses of the dofs are freed, three whatever the matrix, and a coupling that is not there is a
     contradiction too.

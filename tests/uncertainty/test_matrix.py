@@ -141,7 +141,8 @@ def test_what_tests_do_not_have_is_named(settings, message) -> None:
 
 
 @pytest.mark.parametrize(
-    "entries", [{"over": ()}, {"over": ("speed", "speed")}, {"tolerance": 1.5}, {"level": 0.0}]
+    "entries",
+    [{"over": ()}, {"over": ("speed", "speed")}, {"tolerance": 1.0}, {"tolerance": -0.01}, {"level": 0.0}],
 )
 def test_settings_that_cannot_be_are_refused(entries) -> None:
     with pytest.raises(ConfigError):

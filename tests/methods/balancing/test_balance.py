@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,24 @@ def test_two_planes_of_a_textbook(labpipe, tmp_path):
         assert weight["size"] == pytest.approx(1e-6 * size, rel=1e-5)
         assert np.degrees(weight["angle"]) == pytest.approx(degrees, abs=1e-3)
     assert ended.code == 0 and "plane left: 10.06 g mm at 325.6 deg" in ended.out
+
+
+def test_the_lines_say_what_the_file_has(labpipe, tmp_path):
+    """To three digits, in um or nm; as found the rms of 8.5 and 6.5 um, (8.5^2 / 2 + 6.5^2 / 2)^.5."""
+    ended = labpipe("balance", EXAMPLE, "--json", tmp_path / "b.json", "--set", "repeatability=4 %")
+    file = json.loads((tmp_path / "b.json").read_text())
+    left = [file["residual"], *file["readings"]]
+    expected = [one.get("rms", one.get("expected")) for one in left]
+    ends = [value for one, middle in zip(left, expected, strict=True) for value in (middle, *one["ci95"])]
+    said = re.findall(r"(\S+) (um|nm)(?= expected|\)| to | \(95)", ended.out.partition("as found, ")[2])
+    scale = {"um": 1e6, "nm": 1e9}
+    assert [size for size, _ in said] == [
+        f"{scale[unit] * end:.3g}" for (_, unit), end in zip(said, ends, strict=True)
+    ]
+    assert f"of 2 readings): {np.hypot(8.5, 6.5) / 2**0.5:.3g} um as found" in ended.out
+    name, least = min(file["next_runs"].items(), key=lambda run: run[1])
+    share = 100 * least / file["residual"]["rms"]
+    assert f"one more run with {name} first" in ended.out and f", {share:.0f} % of that" in ended.out
 
 
 def test_one_plane_is_the_vector_triangle():
@@ -289,13 +308,24 @@ def test_too_few_runs_and_readings_of_another_kind_are_refused(labpipe, tmp_path
     assert ended.code == 2 and "runs.2.readings.A" in ended.err
 
 
-def test_a_grade_and_masses_in_places_are_said(labpipe):
-    ended = labpipe(
-        "balance", EXAMPLE, "--set", "mass=3 kg", "--set", "speed=3000 rpm", "--set", "grade=2.5 mm/s",
+def test_a_grade_and_masses_in_places_are_said(labpipe, tmp_path):
+    given = (
+        "balance", EXAMPLE, "--set", "speed=3000 rpm", "--set", "grade=2.5 mm/s",
         "--set", "planes={left: {radius: 40 mm, places: 12}, right: {radius: 40 mm, places: 12}}",
     )  # fmt: skip
+    ended = labpipe(*given, "--set", "mass=3 kg", "--json", tmp_path / "b.json")
     # G m / Omega = 2.5 mm/s x 3 kg / (2 pi 50 /s) = 23.9 g mm.
-    assert "within the permissible 23.9 g mm of G 2.5" in ended.out and " g at 330.0 deg" in ended.out
+    left = sum(
+        1e6 * one["upper95"] for one in json.loads((tmp_path / "b.json").read_text())["unbalance_left"]
+    )
+    assert f"at most {left:.3g} g mm (95 %), within the permissible 23.9 g mm of G 2.5" in ended.out
+    # The textbook's 10.06 g mm at 325.55 deg by masses at 40 mm: (10.06 / 40) g sin(25.55 deg) / sin(30 deg)
+    # at 330 deg and sin(4.45 deg) at 300 deg.
+    ended = labpipe(*given, "--set", "mass=30 g", "--set", "repeatability=0.0001 %")
+    assert "0.217 g at 330.0 deg" in ended.out and "0.039 g at 300.0 deg" in ended.out
+    assert "within the permissible 0.239 g mm" in ended.out
+    ended = labpipe(*given, "--set", "mass=30 g")
+    assert f"at most {left:.3g} g mm (95 %), beyond the permissible 0.239 g mm" in ended.out
 
 
 def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:
