@@ -56,7 +56,11 @@ def test_the_report_sums_up(lab: Path) -> None:
 
 def test_a_report_of_nothing_new_is_not_drawn_again(lab: Path, labpipe) -> None:
     before = (lab / "out/dataset/report.html").stat().st_mtime_ns
-    assert labpipe("run", lab / "dataset.yaml", "-o", lab / "out/dataset").code == 0
+    ended = labpipe("run", lab / "dataset.yaml", "-o", lab / "out/dataset")
+    n_row = duckdb.sql(f"from '{lab}/out/dataset/dataset/**/*.parquet'").shape[0]
+    assert ended.code == 0 and ended.out.startswith(
+        f"12 tests evaluated; fits: 12 of direct, 12 of plain; {n_row} rows in dataset/\n"
+    )
     assert (lab / "out/dataset/report.html").stat().st_mtime_ns == before
 
 

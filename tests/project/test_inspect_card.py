@@ -13,6 +13,8 @@ import pytest
 
 from labpipe.project.inspect import inspect
 from labpipe.records.recording import Overview
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.report.card import phase_figure
 
 RIG = """name: Test rig
 channels:
@@ -99,6 +101,17 @@ def test_the_card_of_a_response_shows_magnitude_phase_and_uncertainty(
     assert (
         "Phase of the receptance" in page and "signal-to-noise ratio" in page and "receptance [m/N]" in page
     )
+
+
+def test_phases_stand_between_half_turns_with_a_mark_at_every_quarter() -> None:
+    """-1, i and 1: 180, 90 and 0 deg."""
+    port, shares = (Port("a", "a", "a"),), np.array([-1, 1j, 1])
+    response = FrequencyResponse(np.array([1.0, 2.0, 3.0]), shares[:, None, None], port, port)
+    (panel,) = phase_figure(response).graphic.panels
+    np.testing.assert_allclose(np.abs(panel.series[0].y), [180, 90, 0])
+    assert (panel.series[0].name, panel.y.unit, panel.x.unit) == ("a/a", "deg", "Hz")
+    assert [tick for tick, _ in panel.y.ticks] == [-180, -90, 0, 90, 180]
+    assert panel.y.ticks[0][1] == "-180" and -190 < panel.y.low < -180 and panel.y.high == -panel.y.low
 
 
 def test_calibrated_recordings_have_cards(tmp_path: Path, labpipe, root: Path) -> None:

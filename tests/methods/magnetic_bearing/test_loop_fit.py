@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, identifiability_findings
+from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, goodness, identifiability_findings
 from labpipe.methods.magnetic_bearing.loop_fit import loop_fit as fit_of_all
 from labpipe.methods.magnetic_bearing.loop_problem import View, unknown, with_unknowns
 from tests.methods.magnetic_bearing.loop_cases import bearing, measured
@@ -104,7 +104,12 @@ def test_several_tests_give_one_value(rng: np.random.Generator) -> None:
         assert (
             two.std_error is not None and one.std_error is not None and two.std_error < 0.75 * one.std_error
         )
-    assert both.correlations[0][:2] == ("gap", "delay")
+    ((*names, between),) = both.correlations
+    chi2, chance, condition = goodness(both)
+    assert names == ["gap", "delay"] and (chi2.name, chance.name) == ("chi2_reduced", "chi2_p")
+    # Two columns of an angle acos(r) have the least condition number, ((1 + r) / (1 - r))^.5, at one length.
+    assert condition.name == "condition_number" and condition.value < 100
+    assert condition.value >= np.sqrt((1 + abs(between)) / (1 - abs(between)))
 
 
 def test_what_acts_only_as_a_product_cannot_be_told_apart(rng: np.random.Generator) -> None:
