@@ -201,3 +201,60 @@ def test_one_test_is_no_campaign(evidence) -> None:
         Evidence(evidence.fits[:3], evidence.responses, (PEAKS,)).campaign(
             CompareSettings(kind="trend", **SERIES)
         )
+
+
+PAIR = {"kind": "difference", "fit": "a", "groups": ("up", "down")}
+OF_LOOP = {"kind": "prediction", "fit": "a", "over": ("gain",)}
+
+
+@pytest.mark.parametrize(
+    ("entries", "message", "hint"),
+    [
+        ({"kind": "trend", "fit": "a"}, "'over' is missing", "a comparison of kind trend needs it"),
+        ({**PAIR, "groups": ("up",)}, "two groups are compared, not 1", "[up, down]"),
+        ({**PAIR, "over": ("a", "b", "c")}, "goes over 2 condition(s), not 3", "two: trend, difference"),
+        ({**PAIR, "over": ("a", "a")}, "'over' names 'a' twice", ""),
+        ({**PAIR, "tolerance": 1.0}, "at least 0 and below 100 %", ""),
+        ({**PAIR, "tolerance": -0.1}, "at least 0 and below 100 %", ""),
+        ({**PAIR, "level": 1.0}, "between 0 and 100 %", ""),
+        ({**PAIR, "level": 0.0}, "between 0 and 100 %", ""),
+        ({**PAIR, "setting_error": -0.1}, "must not be negative", ""),
+        ({**PAIR, "theory": {}}, "'theory' is not for the kind difference", "ratio, rayleigh, prediction"),
+        ({"kind": "sensitivity", "estimate": ("gap",)}, "no loop whose unknowns", "theory: {bearing: FILE}"),
+        ({**OF_LOOP, "theory": {}, "estimate": ("gap", "gap")}, "names an unknown twice", "gap"),
+        ({**OF_LOOP, "theory": {}}, "'theory.entry' is missing", "entry: loop.proportional"),
+        ({**OF_LOOP, "theory": {"shaft": Uncertain(1e3)}}, "'theory.shaft' is not for the kind pred", "out"),
+        (
+            {**OF_LOOP, "theory": {"entry": ("a", "b")}},
+            "names 2 entries for 1 conditions",
+            "[speed, loads.z]",
+        ),
+        (
+            {**OF_LOOP, "theory": {"entry": ("loop.gap",)}, "estimate": ("gap",)},
+            "'loop.gap' is set by 'gain', so it is not estimated",
+            "leave one of them out",
+        ),
+        ({"kind": "rayleigh", "fit": "a", "over": ("x",), "theory": {"arm": 0.0}}, "'arm' must be above", ""),
+        ({**PAIR, "theory": {"shaft": Uncertain(0.0)}}, "'shaft' must be above zero", ""),
+        (
+            {"kind": "trend", "fit": "a", "over": ("x",), "kind_settings": 1},
+            "not those of the kind trend",
+            "out",
+        ),
+    ],
+)
+def test_settings_that_contradict_themselves_are_refused(entries, message: str, hint: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        theory = {"theory": TheorySettings("b.yaml", **entries["theory"])} if "theory" in entries else {}
+        CompareSettings(**{**entries, **theory})
+    assert message in refused.value.what and hint in refused.value.hint
+
+
+def test_settings_at_their_limits_are_taken() -> None:
+    assert (
+        CompareSettings(**PAIR, over=("a", "b"), tolerance=0.0, level=0.999, setting_error=0.0).second == "b"
+    )
+    theory = TheorySettings("b.yaml", entry=("loop.gap",))
+    settings = CompareSettings(**OF_LOOP, theory=theory, estimate=("delay",))
+    assert (settings.condition, settings.second) == ("gain", "")
+    assert CompareSettings(kind="certificate").kind_settings is not None

@@ -14,7 +14,7 @@ from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.report.condition_matrix import coefficient_figures
 from labpipe.uncertainty.matrix import condition_matrix, repeat
-from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
+from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, MatrixTheorySettings, levels_of
 from tests.uncertainty.conftest import a_fit
 
 SETTINGS = MatrixSettings(fit="axial", over=("speed", "load"), name="tm")
@@ -140,13 +140,41 @@ def test_what_tests_do_not_have_is_named(settings, message) -> None:
         a_matrix([({"k": (1e6, 1e3)}, at("50 Hz", "1 kN"))], settings)
 
 
+PATH = {"load": "load", "x": "x", "y": "y"}
+
+
 @pytest.mark.parametrize(
-    "entries",
-    [{"over": ()}, {"over": ("speed", "speed")}, {"tolerance": 1.0}, {"tolerance": -0.01}, {"level": 0.0}],
+    ("entries", "message"),
+    [
+        ({"over": ()}, "names no condition"),
+        ({"over": ("speed", "speed")}, "'over' names 'speed' twice"),
+        ({"beside": ("speed", "leak", "leak")}, "'beside' names 'leak' twice"),
+        ({"parameters": ("k_xx", "k_xx")}, "'parameters' names 'k_xx' twice"),
+        ({"tolerance": 1.0}, "at least 0 and below 100 %"),
+        ({"tolerance": -0.01}, "at least 0 and below 100 %"),
+        ({"level": 0.0}, "between 0 and 100 %"),
+        ({"level": 1.0}, "between 0 and 100 %"),
+        ({"path": PATH}, "the load 'load' of the path is none of 'over'"),
+        ({"path": {**PATH, "clearance": 0.0}, "over": ("load",)}, "'clearance' must be positive"),
+        ({"path": {**PATH, "centre": (0.0,)}, "over": ("load",)}, "two coordinates"),
+        ({"theory": {}}, "one of 'bearing' and 'table' is needed"),
+        ({"theory": {"bearing": "b.yaml", "table": "t.csv"}}, "one of 'bearing' and 'table' is needed"),
+        ({"theory": {"table": "t.csv", "axes": ("x", "y")}}, "belong to a bearing file"),
+        ({"theory": {"bearing": "b.yaml", "entries": ("speed",), "axes": ("x", "-x")}}, "names two dofs"),
+        ({"theory": {"bearing": "b.yaml"}}, "one entry for each of 1 conditions"),
+    ],
 )
-def test_settings_that_cannot_be_are_refused(entries) -> None:
-    with pytest.raises(ConfigError):
-        MatrixSettings(**{"fit": "axial", "over": ("speed",), **entries})
+def test_settings_that_cannot_be_are_refused(entries, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parts = {"path": EquilibriumSettings, "theory": MatrixTheorySettings}
+        made = {name: parts[name](**entry) if name in parts else entry for name, entry in entries.items()}
+        MatrixSettings(**{"fit": "axial", "over": ("speed",), **made})
+
+
+def test_settings_at_their_limits_are_taken() -> None:
+    assert MatrixSettings(fit="axial", over=("speed",), tolerance=0.0, level=0.999).theory is None
+    theory = MatrixTheorySettings(bearing="b.yaml", entries=("speed",), axes=("-z", "y"))
+    assert MatrixSettings(fit="axial", over=("speed",), theory=theory).theory == theory
 
 
 STIFFNESS = np.array([[8e6, 3e6], [-4e6, 1.2e7]])
