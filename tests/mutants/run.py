@@ -3,8 +3,8 @@
 python -m tests.mutants.run [--count N] [--seed S] [--modules labpipe/project/rules.py ...]
 
 A mutant is made in a copy of the checkout; the tests that are named after its module run on it first, then
-those of its folder that import it, those of its folder, and others that import it, up to the first that
-fails, in a process that has the libraries from its parent: a few seconds each. With --whole the short suite
+those of its folder that import it, others that import it, and all of its folder, up to the first that fails,
+in a process that has the libraries from its parent: a few seconds each. With --whole the short suite
 follows where all of them pass; with --quick those tests of the selection of `python -m tests.quick` that
 reach the module run on every mutant as well, and it is counted too how many they notice. Prints every mutant
 with its outcome; a survivor is a missing test, or a change without effect. The same seed makes the same
@@ -131,8 +131,8 @@ def imported(source: str) -> set[str]:
 
 
 def tests_of(module: str) -> Iterator[list[str]]:
-    """The files of tests that look at a module, the closest first: of its folder those named after it, those
-    that import it, all of them; then others that import it.
+    """The files of tests that look at a module, the closest first: of its folder those named after it and those
+    import it, others that import it, then all of its folder.
     """
     relative, dotted = Path(module).relative_to("labpipe"), module.removesuffix(".py").replace("/", ".")
     # What is drawn is tested with what is said.
@@ -144,8 +144,8 @@ def tests_of(module: str) -> Iterator[list[str]]:
         [name for name in own if Path(name).stem == f"test_{relative.stem}"],
         [name for name in own if Path(name).stem.startswith(f"test_{relative.stem}")],
         [name for name in own if name in users],
-        own,
         users,
+        own,
     )
     done: set[str] = set()
     for stage in stages:

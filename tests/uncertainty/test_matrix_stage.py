@@ -149,6 +149,11 @@ def test_rotor_tables_give_k_and_c_at_the_whirl_frequency(result: Path) -> None:
     assert "frequency" not in synchronous and "speed" not in sheets["1 1501 rpm"]
     assert synchronous["kxx"][0] == pytest.approx(first.value("k_xx").parameter.value, rel=1e-9)
     assert synchronous["cyy"][0] == pytest.approx(first.value("c_yy").parameter.value, rel=1e-9)
+    whirl = sheets["1 1501 rpm"]
+    np.testing.assert_allclose(
+        whirl["frequency"].iloc[[0, -1]], 2 * np.pi * np.array(identification.fits[0].band_hz)
+    )
+    assert np.ptp(whirl["kxy"]) < 1e-6 * whirl["kxx"][0] and whirl["kyx"][0] == synchronous["kyx"][0]
 
 
 def test_ross_reads_the_rotor_table(result: Path, tmp_path: Path) -> None:
