@@ -131,13 +131,17 @@ def imported(source: str) -> set[str]:
 
 
 def tests_of(module: str) -> Iterator[list[str]]:
-    """The files of tests that look at a module, the closest first: of its folder those named after it and those
-    import it, others that import it, then all of its folder.
+    """The files of tests that look at a module, the closest first: of its folder those that are named after
+    it or import it, others that do, then all of its folder; no ratios of speed, which chance moves.
     """
     relative, dotted = Path(module).relative_to("labpipe"), module.removesuffix(".py").replace("/", ".")
     # What is drawn is tested with what is said.
     folder = f"tests/{relative.parent.as_posix().replace('document', 'report')}/".replace("/./", "/")
-    every = {path.relative_to(ROOT).as_posix(): path for path in sorted((ROOT / "tests").rglob("test_*.py"))}
+    every = {
+        path.relative_to(ROOT).as_posix(): path
+        for path in sorted((ROOT / "tests").rglob("test_*.py"))
+        if path.parent.name != "benchmarks"
+    }
     own = [name for name in every if Path(name).parent == Path(folder)]
     users = [name for name, path in every.items() if dotted in imported(path.read_text("utf-8"))]
     stages = (
