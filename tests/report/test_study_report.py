@@ -131,6 +131,16 @@ def test_candidates_best_first() -> None:
     assert candidate_blocks(FIT) == ()
 
 
+def test_candidates_by_bic_have_their_own_chi_square() -> None:
+    found = (
+        Candidate("free", 3, 440.0, 400, 446.0, bic=458.0, chi2_p=0.081),
+        Candidate("clamped", 2, 900.0, 401, 904.0, bic=912.04, chi2_p=1e-40),
+    )
+    table, explained = candidate_blocks(replace(FIT, candidates=found))
+    assert table.rows == (("free", "3", "1.1", "0.081", "0.0"), ("clamped", "2", "2.244", "1e-40", "454.0"))
+    assert "BIC = chi² + parameters ln(equations)" in explained.text
+
+
 def test_enlarged_standard_errors_are_said() -> None:
     parameter = Parameter("c", 3.7, "N.s/m", std_error=0.02, std_error_inflated=0.04)
     assert "those of noise alone times: c 2." in interval_text(replace(FIT, parameters=(parameter,)))
