@@ -173,6 +173,19 @@ def test_a_missing_pedestal_is_the_most_probable_alternative() -> None:
     assert with_them.ln_evidence > without.ln_evidence + 10
 
 
+def test_what_is_known_exactly_has_a_critical_speed_without_width(fitted) -> None:
+    """Draws that do not scatter find the peak again, on a finer grid about it; files count nodes from 1."""
+    of, _, found = fitted
+    (critical, *_) = critical_speeds(
+        replace(found, widened=0.0), of, (20.0, 90.0), 100.0, [dof("4 z")], n_draw=2
+    )
+    assert (critical.place, critical.missing) == ("5 z", 0) and critical.speed_interval == pytest.approx(
+        [critical.speed] * 2, rel=1e-3
+    )
+    assert critical.amplitude_interval == pytest.approx([critical.amplitude] * 2, rel=1e-2)
+    assert critical.amplification_interval == pytest.approx([critical.amplification] * 2, rel=1e-2)
+
+
 @pytest.mark.long
 def test_critical_speed_and_amplification_of_draws(fitted) -> None:
     """The reduced basis against the whole model, and the truth in its interval."""
