@@ -11,8 +11,10 @@ from pathlib import Path
 
 import duckdb
 import pandas as pd
+import pyarrow as pa
 import pytest
 
+from labpipe.artefacts.dataset_file import _name
 from tests.project.laboratory import PIPELINE, contents, laboratory, recording
 
 ROOT = Path(__file__).parent.parent.parent
@@ -243,3 +245,20 @@ def test_the_snakefile_of_the_docs_runs(jobs: Path, labpipe) -> None:
     assert sorted(path.name for path in (jobs / "done").iterdir()) == ["t00", "t01", "t02"]
     assert labpipe("run", "fleet.yaml", "-o", "again", "-q").code == 0
     assert contents(jobs / "out") == contents(jobs / "again")
+
+
+def test_tests_that_failed_are_named_once_with_their_conditions() -> None:
+    """Each row of a test says it; the report names the first hundred."""
+    names = [f"t{number:03d}" for number in range(120) for _ in range(2)]
+    loads = [f"{number} N" if number % 2 else None for number in range(120) for _ in range(2)]
+    table = pa.table(
+        {
+            "test": names,
+            "failed": ["no peak", "no peak", *([None] * 238)],
+            "condition.load": loads,
+            "condition.oil": ["VG 32"] * 240,
+        }
+    )
+    named = list(_name(table, "failed"))
+    assert len(named) == 100 and named[-1][0] == "t099"
+    assert named[:2] == [("t000", "oil VG 32", "no peak"), ("t001", "load 1 N, oil VG 32", "")]
