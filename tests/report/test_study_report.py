@@ -13,7 +13,14 @@ import pytest
 from labpipe.project.study import study_blocks, study_sections
 from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification
+from labpipe.records.identification import (
+    Candidate,
+    Fit,
+    FittedCurve,
+    Goodness,
+    Identification,
+    listed_parameters,
+)
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.figures import matrix_figure, matrix_figures
 from labpipe.report.fits import candidate_blocks
@@ -111,6 +118,23 @@ def test_a_case_without_results_is_shown_as_such() -> None:
     (section,) = study_sections((study(cases=(nothing,)),), Identification(()))
     (table,) = (block for block in section.blocks if isinstance(block, Table))
     assert table.rows[0][6] == "500 of 500" and table.header[-2:] == ("no result", "success")
+
+
+def test_cases_are_listed_with_noise_and_lines() -> None:
+    """As lists of results and data frames show them; what a case has not is left out."""
+    cases = (CASE, replace(CASE, noise=0.043, coverage=None, mean_error=float("nan")))
+    listed = list(listed_parameters(Identification((), sections={"study": (study(cases=cases),)})))
+    assert [(one.test, one.parameter.name, one.parameter.value) for one in listed] == [
+        ("1.1 %, 25 lines", "mean_error", 0.00297),
+        ("1.1 %, 25 lines", "success", 0.998),
+        ("1.1 %, 25 lines", "rmse_over_bound", 0.975),
+        ("1.1 %, 25 lines", "coverage", 0.957),
+        ("4.3 %, 25 lines", "success", 0.998),
+        ("4.3 %, 25 lines", "rmse_over_bound", 0.975),
+    ]
+    assert {(one.fit, one.model, one.estimator, one.parameter.unit) for one in listed} == {
+        ("study.ml", "study", "ml", "1")
+    }
 
 
 def test_thresholds_as_sentences() -> None:

@@ -17,6 +17,8 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.rolling_bearing.ratio import TheoryAt
 from labpipe.records.comparison import Comparison
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Identification, listed_parameters
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertain
 from labpipe.report.comparison import EXPLAINED, FIGURES, OVER_FREQUENCY
@@ -113,6 +115,22 @@ def test_the_numbers_are_those_of_the_making(every_kind) -> None:
     assert every_kind["trend"].verdict == "rising"
     assert every_kind["ratio"].verdict == "stiffer than theory"
     assert every_kind["ratio"].amount("beta").std_error is None
+    # Lists of results have them under the names of their comparisons.
+    warned = dataclasses.replace(every_kind["trend"], findings=(Finding("collinear", "x"),))
+    comparisons = (warned, every_kind["ratio"])
+    listed = list(listed_parameters(Identification((), sections={"compare": comparisons})))
+    assert [(one.fit, one.model, one.parameter, one.warnings) for one in listed] == [
+        (
+            one.name,
+            one.kind,
+            amount,
+            ("collinear",)
+            if one is warned
+            else tuple(dict.fromkeys(f.code for f in one.findings if f.level == "warning")),
+        )
+        for one in comparisons
+        for amount in one.amounts
+    ]
 
 
 def test_a_theory_is_asked_once_per_condition_and_matched_once_per_term(evidence) -> None:

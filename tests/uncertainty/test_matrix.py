@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Parameter
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, Identification, listed_parameters
 from labpipe.report.condition_matrix import coefficient_figures
 from labpipe.uncertainty.matrix import condition_matrix, repeat
 from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, MatrixTheorySettings, levels_of
@@ -55,6 +55,12 @@ def test_points_are_ordered_by_measured_conditions_and_repeats_averaged() -> Non
     assert first.values[0].scatter == pytest.approx(1e3 / np.sqrt(2))
     assert second.values[0].repeats == 1
     assert matrix.text_of(first) == "speed 3000 rpm, load 1 kN"
+    listed = list(listed_parameters(Identification((), sections={"matrix": (matrix,)})))
+    assert [(one.fit, one.test, one.model) for one in listed] == [
+        ("tm", "speed 3000 rpm, load 1 kN", "matrix"),
+        ("tm", "speed 6000 rpm, load 1 kN", "matrix"),
+    ]
+    assert [one.parameter for one in listed] == [point.values[0].parameter for point in matrix.points]
 
 
 def test_what_is_common_to_repeats_does_not_shrink() -> None:
