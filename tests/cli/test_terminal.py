@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import warnings
+
+import click
 import numpy as np
 import pytest
 
+from labpipe.cli.main import INTERRUPTED, MOST_FAULTS, group, run_command
 from labpipe.cli.many import Progress
 from labpipe.cli.terminal import echo_identification
+from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.records.finding import NOTE, Finding, Parameter
 from labpipe.records.identification import (
     Candidate,
@@ -101,3 +107,61 @@ def test_the_time_that_is_left_is_that_of_the_tests_before(
     on_one(12, 12, "t12")
     shown = capsys.readouterr().err.split("\r\x1b[K")
     assert shown == ["", "3 of 12 tests, 1 min 30 s left", "12 of 12 tests in 2 min 0 s\n"]
+
+
+FAULTS = ConfigErrors([ConfigError(f"fault {n}", "p.yaml:1:1") for n in range(MOST_FAULTS + 3)])
+
+
+@pytest.mark.parametrize(
+    ("error", "lines"),
+    [
+        (
+            FAULTS,
+            [f"error: p.yaml:1:1: fault {n}" for n in range(MOST_FAULTS)]
+            + ["error: and 3 more faults of this kind"],
+        ),
+        (OSError(errno.ENOSPC, "", "out/x"), ["error: out/x: no space left on device"]),
+        (OSError(errno.ENOSPC, ""), ["error: output: no space left on device"]),
+        (
+            MemoryError(),
+            [
+                "error: there is not enough memory for this; check lengths, rates and block sizes, or use "
+                "fewer processes"
+            ],
+        ),
+        (KeyboardInterrupt(), [f"error: {INTERRUPTED}"]),
+        (click.UsageError("no such option."), ["error: no such option; see 'labpipe --help'"]),
+    ],
+)
+def test_what_ends_a_command_is_said_in_its_lines(
+    error: BaseException,
+    lines: list[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def ended(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(group, "main", ended)
+    monkeypatch.setattr("warnings.showwarning", None)
+    assert run_command([]) == 2
+    assert capsys.readouterr().err.splitlines() == lines
+
+
+@pytest.mark.parametrize(
+    ("category", "line"),
+    [
+        (FutureWarning, "note: 'a' is called 'b' now"),
+        (RuntimeWarning, "warning: 'a' is called 'b' now (RuntimeWarning)"),
+    ],
+)
+def test_a_warning_of_a_library_is_one_line(
+    category: type[Warning], line: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def warned(*_: object, **__: object) -> int:
+        warnings.showwarning("'a' is called 'b' now", category, "x.py", 7)
+        return 1
+
+    monkeypatch.setattr(group, "main", warned)
+    monkeypatch.setattr("warnings.showwarning", None)
+    assert run_command([]) == 1 and capsys.readouterr().err == f"{line}\n"
