@@ -12,7 +12,7 @@ from scipy import stats
 
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.errors import ConfigError, ConfigErrors
-from labpipe.project.judging import judge
+from labpipe.project.judging import judge, judged_part, whole_outcome
 from labpipe.project.marked_yaml import parse_marked
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults
@@ -123,6 +123,25 @@ def test_limits_together_by_the_correlation_of_the_fit() -> None:
     assert judged.decision is not None and not judged.decision.least
     assert judged.decision.probability == pytest.approx(wanted, abs=2e-4)
     assert (judged.decision.together, judged.passed) == (2, False)
+
+
+def test_limits_together_are_judged_in_each_test_of_a_dataset() -> None:
+    text = "x: {{together: {{axial.k: [134.3 kN/m, null], axial.{}: [null, 3.72 N.s/m]}}, rule: risk}}"
+    (rule,) = rules(text.format("c"))
+    part = judged_part(rule, [FIT])
+    assert part.addressed == 1 and whole_outcome(rule, part) == outcome(text.format("c"))
+    (wrong,) = rules(text.format("kk"))
+    lacking = judged_part(wrong, [FIT])
+    assert lacking.outcome is None and lacking.fault is not None
+    # A test in which it cannot be judged keeps the rule from holding in all.
+    sure = judged_part(
+        rule, [replace(FIT, parameters=tuple(replace(p, std_error=1e-3) for p in FIT.parameters))]
+    )
+    assert whole_outcome(rule, sure).passed
+    mixed = whole_outcome(rule, sure.with_more(lacking))
+    assert not mixed.passed and mixed.found.startswith("not judged: in a test ")
+    with pytest.raises(ConfigError):
+        whole_outcome(wrong, lacking)
 
 
 def test_tests_with_one_sensor_hold_together_more_likely() -> None:
