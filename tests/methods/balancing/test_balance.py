@@ -272,7 +272,8 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         rms = np.sqrt(np.mean(np.abs(reading) ** 2))
         held.append(stated.interval[0] <= rms <= stated.interval[1])
         again = influence([*runs, Run("w", weights, reading)], noise)
-        lower.append(np.mean(np.abs(z_0 + alpha @ best_weights(again.square)) ** 2))
+        left = z_0 + alpha @ best_weights(again.square)
+        lower.append(np.mean(np.abs(left) ** 2 + noise.variance(left)))
         promised.append(next_runs(known, noise, {"w": weights})["w"] ** 2)
     assert sum(held) >= stats.binom.ppf(0.005, 60, 0.95)
     assert np.sqrt(np.mean(lower)) == pytest.approx(np.sqrt(np.mean(promised)), rel=0.25)
@@ -349,3 +350,22 @@ def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:
     chosen = best_weights(trimmed.square)
     assert residual_of(trimmed, chosen, loud).interval[0] <= residual_of(plainly, chosen, loud).interval[0]
     assert np.array_equal(trimmed.narrow.joint, plainly.joint)
+
+
+def test_readings_that_scatter_and_runs_that_would_not_pay_are_said(labpipe, tmp_path):
+    """As found once more and a tenth larger: chi-square of its two complex readings, .1 z over 1 % of each
+    twice, with what the fit takes of it. All runs twenty times over: a run more changes little.
+    """
+    tree = yaml.safe_load(EXAMPLE.read_text())
+    again = {"name": "again", "readings": {"A": "9.35 um at 60 deg", "B": "7.15 um at 205 deg"}}
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, "runs": [*tree["runs"], again]}))
+    ended = labpipe("balance", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
+    chi2 = json.loads((tmp_path / "b.json").read_text())["chi2"]
+    # Two readings z and 1.1 z with errors of .01 z and .011 z: (.1 z)^2 / (.01^2 + .011^2) z^2, as complex
+    # numbers twice that, at two places.
+    assert chi2["dof"] == 4 and chi2["value"] == pytest.approx(4 * 0.1**2 / (0.01**2 + 0.011**2), rel=1e-6)
+    assert f"scatter more than was stated (chi-square {chi2['value']:.3g} of 4)" in ended.out
+    runs = [{**run, "name": f"{run['name']} {number}"} for number in range(20) for run in tree["runs"]]
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, "runs": runs, "noise": "1 um"}))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert "one more run is not expected to lower it by a fifth" in ended.out and "warning" not in ended.out
