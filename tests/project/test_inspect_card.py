@@ -11,10 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from labpipe.artefacts.header import Header
+from labpipe.artefacts.measured_files import write_decays
 from labpipe.project.inspect import inspect
 from labpipe.records.recording import Overview
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.report.card import phase_figure
+from tests.methods.ring_down.records_of_decay import record
 
 RIG = """name: Test rig
 channels:
@@ -120,6 +123,21 @@ def test_calibrated_recordings_have_cards(tmp_path: Path, labpipe, root: Path) -
     )
     assert labpipe("inspect", tmp_path / "axial.recording.parquet", "-o", tmp_path / "card.md").code == 0
     assert "input z" in (tmp_path / "card.md").read_text()
+
+
+def test_free_decays_are_looked_at_one_after_the_other(tmp_path: Path, labpipe) -> None:
+    """Of 2 and 3 s at 1024 Hz: 5120 samples, whose least and largest values are those of both."""
+    first, second = np.linspace(-1.0, 2.0, 2048), np.linspace(-3.0, 1.0, 3072)
+    path = tmp_path / "a.decay.parquet"
+    write_decays(path, record([first, second]), Header("decay", {}, inputs=()))
+    seen = inspect(path)
+    (channel,) = seen.channels
+    assert (seen.n_sample, seen.sample_rate, seen.rate) == (5120, 1024.0, "1024 Hz, 2 decay(s) of 2 s to 3 s")
+    assert (channel.minimum, channel.maximum, channel.unit, channel.about) == (-3.0, 2.0, "m", "output y")
+    ended = labpipe("inspect", path)
+    assert ended.code == 0 and ended.out.startswith(
+        "free decays a.decay.parquet: 5120 samples, 1024 Hz, 2 decay"
+    )
 
 
 @pytest.mark.parametrize("rows", [1, 3])
