@@ -8,6 +8,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import click
+
 from labpipe.artefacts.writing import is_remote, show
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
@@ -38,7 +40,9 @@ class Progress:
             echo(f"test {finished} of {total}  {name}{remaining}", err=True)
         elif sys.stderr.isatty() and (elapsed > QUIET_SECONDS or self._shown):
             self._shown = True
-            echo(f"\r\x1b[K{finished} of {total} tests{remaining}", err=True, nl=finished == total)
+            # Past our own `echo`, which lets no control character reach the terminal.
+            line = f"\r\x1b[K{finished} of {total} tests{remaining}"
+            click.echo(line, err=True, nl=finished == total)
 
 
 def silent(_finished: int, _total: int, _name: str) -> None:

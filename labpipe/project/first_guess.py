@@ -288,11 +288,11 @@ def _direction(name: str) -> str:
 def _key(name: str, used_keys: Sequence[str]) -> str:
     """A short name for a channel: the column's without its unit, in letters, digits and underscores."""
     plain = re.sub(r"\W+", "_", _BRACKETS.sub(" ", name)).strip("_").lower() or "channel"
-    key = plain if plain[0].isalpha() else f"ch_{plain}"
+    key = first = plain if plain[0].isalpha() else f"ch_{plain}"
     number = 1
     while key in used_keys:
         number += 1
-        key = f"{plain}_{number}"
+        key = f"{first}_{number}"
     return key
 
 

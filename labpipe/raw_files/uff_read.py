@@ -24,7 +24,7 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.rig import AXIS_ANGLES
 
 # Specific data types of a record's axes -> SI unit.
-SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N", 15: "Pa", 17: "s", 18: "Hz"}
+SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
 FORMS = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _FORM_UNITS = {8: "m/N", 11: "m/(N.s)", 12: "m/(N.s^2)"}
 _FORCES = (9, 13)
@@ -413,6 +413,6 @@ def time_unit(record: uff.UffRecord) -> tuple[str, float]:
     With a record 164 the SI unit by data type; else the unit of the label, and factor 1.
     """
     kind = record.ordinate.kind
-    if record.scale is not None and kind in (8, 9, 11, 12, 13):
+    if record.scale is not None and kind in SI_UNITS:
         return SI_UNITS[kind], 1 / (record.scale.force if kind in _FORCES else record.scale.length)
     return axis_unit(record.ordinate), 1.0

@@ -123,6 +123,17 @@ def test_another_kind_is_named() -> None:
     assert str(caught.value) == "x.frf.parquet: is a frf file, a recording file is needed"
 
 
+def test_the_header_of_an_earlier_version_is_read() -> None:
+    """As files out there have it, schema 1; without the code's digest, which came later."""
+    text = (
+        '{"kind": "frf", "schema": 1, "labpipe": "0.1", "parameters": {"block": 4.0}, '
+        '"inputs": [{"path": "a.csv", "sha256": "0f"}], "findings": [], "contents": {}}'
+    )
+    header = header_from_json(text, PATH, "frf")
+    assert header.parameters == {"block": 4.0} and header.inputs == (SourceRef("a.csv", "0f"),)
+    assert (header.labpipe, header.code) == ("0.1", "")
+
+
 def test_another_schema_is_refused_with_a_cure() -> None:
     with pytest.raises(DataError) as caught:
         header_from_json(replace(HEADER, schema=99).to_json(), PATH, "frf")

@@ -51,6 +51,9 @@ def test_the_stages_one_by_one_give_what_run_gives(tmp_path: Path, labpipe) -> N
     assert staged["frf.frf.parquet"] == whole["frf.frf.parquet"]
     fits = [json.loads(side["identification.json"])["fits"] for side in (staged, whole)]
     assert fits[0] == fits[1]
+    # Done, but a rule fails.
+    ended = labpipe("identify", "-c", PEDESTAL, "-o", tmp_path / "a", "--set", "accept.pedestal.gof=>= 1.5")
+    assert ended.code == 1 and "accept: pedestal.gof >= 1.5: FAILED" in ended.out
 
 
 def test_same_input_same_bytes_and_what_is_fresh_is_left_alone(tmp_path: Path, labpipe) -> None:

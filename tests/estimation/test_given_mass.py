@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.estimation.causes import _FreeFit, _p_value
 from labpipe.estimation.fitting import identify
@@ -122,6 +123,26 @@ def test_a_mass_of_two_directions(coupled_response) -> None:
     assert not findings(right, "mass") and findings(wrong, "mass")
 
 
+@pytest.mark.parametrize(
+    ("place", "said", "tau"),
+    [((slice(1, 2), slice(None)), "y is late", 0.0404), ((slice(None), slice(1)), "fx is early", -3e-3)],
+)
+def test_a_channel_of_a_matrix_that_is_late_or_early_is_named(coupled_response, place, said, tau) -> None:
+    """H exp(-j w tau) in a row or a column, 4.85 periods of the highest line late or a third of one early."""
+    response = coupled_response(2e-8, np.random.default_rng(1))
+    matrix = np.array(response.matrix)
+    matrix[:, *place] *= np.exp(-2j * np.pi * response.frequency * tau)[:, None, None]
+    (fit,) = identify(replace(response, matrix=matrix), FitSettings("rotor-2dof", mass=0.92))
+    assert not findings(fit, "mass")
+    (finding,) = findings(fit, "delay")
+    value, error = re.match(rf"{said} by ([\d.]+) \+- ([\d.]+) ms: ", finding.message).groups()
+    assert abs(float(value) - 1e3 * abs(tau)) < 4 * float(error) < 0.01
+    stiffness, error = re.search(r"k_xx = ([\d.]+) \+- ([\d.]+) kN/m", finding.message).groups()
+    assert abs(float(stiffness) - 180) < 4 * float(error) < 1
+    before, after = re.search(r"of freedom is ([\d.e+]+) instead of ([\d.e+]+)", finding.message).groups()
+    assert float(before) == pytest.approx(1, abs=0.2) and float(after) > 100
+
+
 def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
     """Only the masses of the dofs are freed, three whatever the matrix, and a coupling that is not there is a
     contradiction too.
@@ -161,6 +182,16 @@ def test_another_fault_is_not_called_a_mass() -> None:
     other = 1 / (1.1 * STIFFNESS - MASS * w**2 + 2j * RATIO * np.sqrt(STIFFNESS * MASS) * w)
     fit = single(replace(response, matrix=response.matrix + other[:, None, None]), MASS, "ml")
     assert findings(fit, "model-mismatch") and not findings(fit, "mass")
+
+
+def test_the_chance_of_masses_is_that_of_student_and_of_hotelling() -> None:
+    """Beyond the tolerance of 1 %: two standard errors of 10 degrees of freedom by Student; of two masses
+    T^2 = 2^2 + 3^2, T^2 (dof - 1) / (2 dof) as F of 2 and dof - 1.
+    """
+    one = _FreeFit(np.array([5.0, 1.03]), np.diag([1.0, 0.01**2]), 10.0)
+    assert _p_value(one, np.array([1.0])) == pytest.approx(2 * stats.t.sf(2.0, 10), rel=1e-9)
+    two = _FreeFit(np.array([5.0, 1.03, 1.94]), np.diag([1.0, 0.01**2, (0.04 / 3) ** 2]), 10.0)
+    assert _p_value(two, np.array([1.0, 2.0])) == pytest.approx(stats.f.sf(13 * 9 / 20, 2, 9), rel=1e-6)
 
 
 def test_frfs_met_to_the_last_digit_tell_the_mass_for_certain() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from scipy import linalg
 
 from labpipe.errors import ConfigError
 from labpipe.estimation.fitting import identify
+from labpipe.estimation.linear_models import _axes, _direction
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.identification import Fit
+from labpipe.records.response import Port
 from tests.estimation.conftest import DAMPING, MASS, STIFFNESS
 
 KNOWN = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, name="three")
@@ -162,3 +165,33 @@ def test_a_negative_direct_coefficient_is_called_unphysical(three_dof_response) 
     response = three_dof_response(1e-3, np.random.default_rng(3))
     fit = one(replace(response, matrix=-response.matrix), replace(KNOWN, mass="estimate"))
     assert any(finding.code == "unphysical" and "k_1_1" in finding.message for finding in fit.findings)
+
+
+def test_responses_are_x_and_y_by_name_and_else_by_their_order() -> None:
+    def ports(*names: str) -> tuple[Port, ...]:
+        return tuple(Port(name, name, name) for name in names)
+
+    assert [_axes(ports(*names)) for names in ("xy", "yx", "ab", "yb", "ax", "x")] == [
+        [0, 1],
+        [1, 0],
+        [0, 1],
+        [1, 0],
+        [1, 0],
+        [0],
+    ]
+    with pytest.raises(ConfigError, match="response 'a' is neither x nor y"):
+        _axes(ports("a"))
+
+
+def test_a_force_at_an_angle_acts_on_x_and_y_by_its_cosines() -> None:
+    """30 deg from x: cos 30 deg and cos 60 deg; a force at right angles to a response does not act on it."""
+    x, y = Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2)
+    setup = SimpleNamespace(outputs=(x, y))
+    for degrees, shares in ((30.0, [0.75**0.5, 0.5]), (90.0, [0.0, 1.0]), (180.0, [-1.0, 0.0])):
+        force = Port("f", "f", f"{degrees:g} deg", np.deg2rad(degrees))
+        direction = _direction(force, ["x", "y"], setup)
+        np.testing.assert_allclose(direction, shares, atol=1e-15)
+        assert (direction == 0).tolist() == [share == 0 for share in shares]
+    np.testing.assert_array_equal(_direction(Port("f", "f", "y"), ["x", "y"], setup), [0, 1])
+    with pytest.raises(ConfigError, match="acts on dof 'z', which has no response"):
+        _direction(Port("f", "f", "z"), ["x", "y"], setup)

@@ -3,12 +3,12 @@
 python -m tests.mutants.run [--count N] [--seed S] [--modules labpipe/project/rules.py ...]
 
 A mutant is made in a copy of the checkout; the tests that are named after its module run on it first, then
-those of its folder that import it, those of its folder, and others that import it, up to the first that
-fails, in a process that has the libraries from its parent: a few seconds each. With --whole the short suite
-follows where all of them pass; with --quick it is counted too how many of those that are noticed the
-selection of `python -m tests.quick` notices. Prints every mutant with its outcome; a survivor is a missing
-test, or a change without effect. The same seed makes the same mutants of the same code; --skip goes on where
-a run was interrupted.
+those of its folder that import it, others that import it, and all of its folder, up to the first that fails,
+in a process that has the libraries from its parent: a few seconds each. With --whole the short suite
+follows where all of them pass; with --quick those tests of the selection of `python -m tests.quick` that
+reach the module run on every mutant as well, and it is counted too how many they notice. Prints every mutant
+with its outcome; a survivor is a missing test, or a change without effect. The same seed makes the same
+mutants of the same code; --skip goes on where a run was interrupted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import compileall
 import importlib
 import os
 import random
-import re
 import select
 import shutil
 import signal
@@ -32,7 +31,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.quick import selected
+from tests.quick import recorded, selected
 
 ROOT = Path(__file__).parent.parent.parent
 # For the tests of a mutant, and for one of them alone: longer, it hangs.
@@ -120,21 +119,37 @@ def mutant(source: str, rng: random.Random) -> tuple[str, str] | None:
     return ast.unparse(tree), f"{line}: {what}: {before[:80]} -> {ast.unparse(node).splitlines()[0][:80]}"
 
 
+def imported(source: str) -> set[str]:
+    """What a source imports: `a` and `a.b` for `from a import b`."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.update((node.module, *(f"{node.module}.{alias.name}" for alias in node.names)))
+    return names
+
+
 def tests_of(module: str) -> Iterator[list[str]]:
-    """The files of tests that look at a module, the closest first: of its folder those named after it, those
-    that import it, all of them; then others that import it.
+    """The files of tests that look at a module, the closest first: of its folder those that are named after
+    it or import it, others that do, then all of its folder; no ratios of speed, which chance moves.
     """
     relative, dotted = Path(module).relative_to("labpipe"), module.removesuffix(".py").replace("/", ".")
-    folder = f"tests/{relative.parent.as_posix()}/".replace("/./", "/")
-    every = {path.relative_to(ROOT).as_posix(): path for path in sorted((ROOT / "tests").rglob("test_*.py"))}
+    # What is drawn is tested with what is said.
+    folder = f"tests/{relative.parent.as_posix().replace('document', 'report')}/".replace("/./", "/")
+    every = {
+        path.relative_to(ROOT).as_posix(): path
+        for path in sorted((ROOT / "tests").rglob("test_*.py"))
+        if path.parent.name != "benchmarks"
+    }
     own = [name for name in every if Path(name).parent == Path(folder)]
-    users = [name for name, path in every.items() if re.search(rf"{dotted}\b", path.read_text("utf-8"))]
+    users = [name for name, path in every.items() if dotted in imported(path.read_text("utf-8"))]
     stages = (
         [name for name in own if Path(name).stem == f"test_{relative.stem}"],
         [name for name in own if Path(name).stem.startswith(f"test_{relative.stem}")],
         [name for name in own if name in users],
-        own,
         users,
+        own,
     )
     done: set[str] = set()
     for stage in stages:
@@ -200,7 +215,8 @@ def _tested(copy: Path, tests: Sequence[str], pipe: int) -> int:
     os.dup2(silence, 1)
     os.dup2(silence, 2)
     try:
-        return int(pytest.main(["-q", "-x", "-n", "0", "-p", "no:faulthandler", *tests], [_Said(pipe)]))
+        code = pytest.main(["-q", "-x", "-n", "0", "-p", "no:faulthandler", *tests], [_Said(pipe)])
+        return 0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else int(code)  # All of them are long ones.
     except BaseException:
         return 1
 
@@ -216,12 +232,16 @@ def outcome_of(copy: Path, module: str, seconds: float, whole: bool) -> str:
     return SURVIVES
 
 
-def passing(copy: Path, tests: Sequence[str]) -> list[str]:
-    """Those of the tests that pass on the code as it is: a copy is not installed."""
-    sound = list(tests)
-    while (failed := noticed(copy, sound, 20 * SECONDS)).startswith("tests/"):
-        sound = [test for test in sound if test.partition("[")[0] != failed]
-    return sound
+def reaching(copy: Path) -> dict[str, list[str]]:
+    """The tests of the selection that reach each module, the fastest first: those that pass on the code as it
+    is, since a copy is not installed.
+    """
+    os.chdir(copy)
+    tests: dict[str, list[str]] = {}
+    for test in sorted(recorded(["-n", "0", *selected()]).values(), key=lambda test: test.seconds):
+        for module in {line.partition(":")[0] for line in test.lines}:
+            tests.setdefault(f"labpipe/{module}", []).append(test.name)
+    return tests
 
 
 def copied(folder: Path) -> Path:
@@ -259,11 +279,11 @@ def main() -> int:
     ]
     outcomes: Counter[str] = Counter()
     by_quick = 0
-    short: list[str] = []
+    short: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as name:
         copy = copied(Path(name))
         if arguments.quick:
-            short = passing(copy, selected())
+            short = reaching(copy)
         for number, (module, source, place) in enumerate(
             mutants(modules, random.Random(arguments.seed), arguments.count)
         ):
@@ -274,17 +294,18 @@ def main() -> int:
             path.write_text(source, "utf-8")
             began = time.monotonic()
             outcome = outcome_of(copy, module, arguments.seconds, arguments.whole)
-            first = ""
-            if arguments.quick and outcome not in (SURVIVES, LATE):
-                first = noticed(copy, short, arguments.seconds)
-                by_quick += bool(first) and first != LATE
+            first = noticed(copy, short[module], arguments.seconds) if module in short else ""
+            if first and first != LATE:
+                by_quick += 1
+                outcome = first if outcome in (SURVIVES, LATE) else outcome
             path.write_text(original, "utf-8")
             os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
             outcomes[outcome] += 1
             took = f"({time.monotonic() - began:.0f} s)"
             quick = f"; of the selection {first or 'none'}" if arguments.quick else ""
             print(f"{number} {module}:{place}\n    {outcome}{quick} {took}", flush=True)
-        uncertain = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS, LATE}), 20 * SECONDS)
+        tests = sorted(outcome for outcome in outcomes if outcome.startswith("tests/"))
+        uncertain = noticed(copy, tests, 20 * SECONDS) if tests else ""
     missed = outcomes[SURVIVES] + outcomes[LATE]
     print(
         f"{outcomes.total() - missed} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since "

@@ -11,8 +11,12 @@ from pathlib import Path
 
 import duckdb
 import pandas as pd
+import pyarrow as pa
 import pytest
 
+from labpipe.artefacts.dataset_file import _name
+from labpipe.errors import ConfigError
+from labpipe.project.catalogue_search import _holds
 from tests.project.laboratory import PIPELINE, contents, laboratory, recording
 
 ROOT = Path(__file__).parent.parent.parent
@@ -56,7 +60,11 @@ def test_the_report_sums_up(lab: Path) -> None:
 
 def test_a_report_of_nothing_new_is_not_drawn_again(lab: Path, labpipe) -> None:
     before = (lab / "out/dataset/report.html").stat().st_mtime_ns
-    assert labpipe("run", lab / "dataset.yaml", "-o", lab / "out/dataset").code == 0
+    ended = labpipe("run", lab / "dataset.yaml", "-o", lab / "out/dataset")
+    n_row = duckdb.sql(f"from '{lab}/out/dataset/dataset/**/*.parquet'").shape[0]
+    assert ended.code == 0 and ended.out.startswith(
+        f"12 tests evaluated; fits: 12 of direct, 12 of plain; {n_row} rows in dataset/\n"
+    )
     assert (lab / "out/dataset/report.html").stat().st_mtime_ns == before
 
 
@@ -239,3 +247,54 @@ def test_the_snakefile_of_the_docs_runs(jobs: Path, labpipe) -> None:
     assert sorted(path.name for path in (jobs / "done").iterdir()) == ["t00", "t01", "t02"]
     assert labpipe("run", "fleet.yaml", "-o", "again", "-q").code == 0
     assert contents(jobs / "out") == contents(jobs / "again")
+
+
+def test_tests_that_failed_are_named_once_with_their_conditions() -> None:
+    """Each row of a test says it; the report names the first hundred."""
+    names = [f"t{number:03d}" for number in range(120) for _ in range(2)]
+    loads = [f"{number} N" if number % 2 else None for number in range(120) for _ in range(2)]
+    table = pa.table(
+        {
+            "test": names,
+            "failed": ["no peak", "no peak", *([None] * 238)],
+            "condition.load": loads,
+            "condition.oil": ["VG 32"] * 240,
+        }
+    )
+    named = list(_name(table, "failed"))
+    assert len(named) == 100 and named[-1][0] == "t099"
+    assert named[:2] == [("t000", "oil VG 32", "no peak"), ("t001", "load 1 N, oil VG 32", "")]
+
+
+@pytest.mark.parametrize(
+    ("condition", "kept"),
+    [
+        ("load = 2 kN", [2]),
+        ("load != 2000 N", [0, 1, 3]),
+        ("load >= 2 kN", [2, 3]),
+        ("load > 2 kN", [3]),
+        ("load <= 2 kN", [0, 1, 2]),
+        ("load < 2 kN", [0, 1]),
+        ("oil = VG 32", [0, 2]),
+        ("oil != VG 32", [1]),
+    ],
+)
+def test_conditions_choose_rows_by_amounts_or_words(condition: str, kept: list[int]) -> None:
+    """What rounds to a bound is the bound; a test without the condition is neither it nor another."""
+    loads = [1000.0, 1999.0, 2000.0 * (1 - 1e-15), 3000.0]
+    table = pa.table(
+        {
+            "row": [0, 1, 2, 3],
+            "condition.load": [f"{load!r} N" for load in loads],
+            "amount.load": loads,
+            "condition.oil": ["VG 32", "VG 46", "VG 32", None],
+            "amount.oil": pa.array([None] * 4, pa.float64()),
+        }
+    )
+    assert table.filter(_holds(table, condition))["row"].to_pylist() == kept
+    with pytest.raises(ConfigError, match="no test has the condition 'lod'"):
+        _holds(table, "lod = 1 N")
+    with pytest.raises(ConfigError, match="is in N, not in m"):
+        _holds(table, "load = 1 m")
+    with pytest.raises(ConfigError, match="oil > VG 32"):
+        _holds(table, "oil > VG 32")

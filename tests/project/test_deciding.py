@@ -12,13 +12,13 @@ from scipy import stats
 
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.errors import ConfigError, ConfigErrors
-from labpipe.project.judging import judge
+from labpipe.project.judging import judge, judged_part, whole_outcome
 from labpipe.project.marked_yaml import parse_marked
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter
-from labpipe.records.identification import Identification, RuleOutcome
+from labpipe.records.identification import Identification, RuleDecision, RuleOutcome
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.report.build import build
 from labpipe.report.cover import decision_blocks, percent
@@ -125,6 +125,25 @@ def test_limits_together_by_the_correlation_of_the_fit() -> None:
     assert (judged.decision.together, judged.passed) == (2, False)
 
 
+def test_limits_together_are_judged_in_each_test_of_a_dataset() -> None:
+    text = "x: {{together: {{axial.k: [134.3 kN/m, null], axial.{}: [null, 3.72 N.s/m]}}, rule: risk}}"
+    (rule,) = rules(text.format("c"))
+    part = judged_part(rule, [FIT])
+    assert part.addressed == 1 and whole_outcome(rule, part) == outcome(text.format("c"))
+    (wrong,) = rules(text.format("kk"))
+    lacking = judged_part(wrong, [FIT])
+    assert lacking.outcome is None and lacking.fault is not None
+    # A test in which it cannot be judged keeps the rule from holding in all.
+    sure = judged_part(
+        rule, [replace(FIT, parameters=tuple(replace(p, std_error=1e-3) for p in FIT.parameters))]
+    )
+    assert whole_outcome(rule, sure).passed
+    mixed = whole_outcome(rule, sure.with_more(lacking))
+    assert not mixed.passed and mixed.found.startswith("not judged: in a test ")
+    with pytest.raises(ConfigError):
+        whole_outcome(wrong, lacking)
+
+
 def test_tests_with_one_sensor_hold_together_more_likely() -> None:
     """Two tests, noise of each 60 and the sensor of both 80 N/m: a correlation of 0.64."""
     budget = Budget(
@@ -178,6 +197,33 @@ def test_margins_and_ratios_of_comparisons() -> None:
     assert not together.passed and "its draws do not agree" in together.found
 
 
+@pytest.mark.parametrize(
+    ("correlations", "probability", "least"),
+    [((("b", "a", 0.5),), 1 / 3, False), ((("a", "b", -0.5),), 1 / 6, False), ((), 0.0, True)],
+)
+def test_numbers_of_a_comparison_hold_together_by_their_correlation(
+    correlations: tuple[tuple[str, str, float], ...], probability: float, least: bool
+) -> None:
+    """Both above their own values: 1/4 + asin(r) / (2 pi); at worst they exclude each other."""
+    amounts = Parameter("a", 2.0, "1", std_error=0.1), Parameter("b", 5.0, "1", std_error=0.3)
+    comparison = Comparison(
+        name="margins",
+        kind="certificate",
+        subject="",
+        unit="1",
+        points=(),
+        amounts=amounts,
+        verdict="accepted",
+        statement="",
+        correlations=correlations,
+    )
+    judged = outcome(
+        "x: {together: {margins.a: [2, null], margins.b: [5, null]}, rule: risk}", compare=(comparison,)
+    )
+    assert judged.decision is not None and judged.decision.least is least
+    assert judged.decision.probability == pytest.approx(probability, abs=2e-4)
+
+
 def test_decisions_are_in_json_and_come_back(tmp_path: Path) -> None:
     judged = judge(
         rules("axial.k: {limits: [134.3 kN/m, 135 kN/m], rule: guarded}\naxial.c: '>= 3 N.s/m'"), [FIT], {}
@@ -200,6 +246,23 @@ def test_the_report_states_risk_and_simple_acceptance() -> None:
     assert "134.464 kN/m to 134.836 kN/m" in text
     assert "simple acceptance" in str(build(Identification((FIT,), outcomes=judged)))
     assert decision_blocks(()) == ()
+
+
+def test_a_row_says_what_passes_and_both_shares_of_a_process() -> None:
+    """Ends that are open, both ends closed to everything, and several limits, which have no one end."""
+    plain = RuleDecision(outcome="pass", probability=0.9, specific_risk=0.1, uncertainty=20.0, unit="N/m")
+    decisions = (
+        replace(plain, accept_low=1e3),
+        replace(plain, accept_high=2e3, global_false_acceptance=0.001, global_false_rejection=0.02),
+        plain,
+        replace(plain, together=2, uncertainty=None, least=True),
+    )
+    outcomes = [RuleOutcome("accept", "r", 1.0, True, decision=decision) for decision in decisions]
+    (table,) = decision_blocks(outcomes)
+    assert [row[4] for row in table.rows] == [">= 1 kN/m", "<= 2 kN/m", "nothing", ""]
+    assert [row[2:4] for row in table.rows] == [("90 %", "20 N/m")] * 3 + [(">= 90 %", "")]
+    assert [row[6] for row in table.rows] == ["", "0.10 % / 2.0 %", "", ""]
+    assert "accepted falsely / rejected falsely" in table.caption
 
 
 @pytest.mark.parametrize(

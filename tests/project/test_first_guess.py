@@ -170,6 +170,13 @@ def test_keys_are_unique_and_channels_as_many_as_columns(names: list[str]) -> No
     channels = guess_channels(names, {})
     assert [channel.column for channel in channels] == names
     assert len({channel.key for channel in channels}) == len(names)
+    assert all(channel.key[0].isalpha() for channel in channels)
+
+
+def test_the_key_of_a_second_channel_is_that_of_the_first_with_a_number() -> None:
+    """A key that began with a digit would be a number in a sum of channels."""
+    channels = guess_channels(["1 [N]", "1 [um]", "1 [V]", "x", "x [um]"], {})
+    assert [channel.key for channel in channels] == ["ch_1", "ch_1_2", "ch_1_3", "x", "x_2"]
 
 
 def test_a_force_without_direction_acts_along_the_only_response() -> None:

@@ -11,8 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from labpipe.artefacts.header import Header
+from labpipe.artefacts.measured_files import write_decays
 from labpipe.project.inspect import inspect
 from labpipe.records.recording import Overview
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.report.card import phase_figure
+from tests.methods.ring_down.records_of_decay import record
 
 RIG = """name: Test rig
 channels:
@@ -101,12 +106,38 @@ def test_the_card_of_a_response_shows_magnitude_phase_and_uncertainty(
     )
 
 
+def test_phases_stand_between_half_turns_with_a_mark_at_every_quarter() -> None:
+    """-1, i and 1: 180, 90 and 0 deg."""
+    port, shares = (Port("a", "a", "a"),), np.array([-1, 1j, 1])
+    response = FrequencyResponse(np.array([1.0, 2.0, 3.0]), shares[:, None, None], port, port)
+    (panel,) = phase_figure(response).graphic.panels
+    np.testing.assert_allclose(np.abs(panel.series[0].y), [180, 90, 0])
+    assert (panel.series[0].name, panel.y.unit, panel.x.unit) == ("a/a", "deg", "Hz")
+    assert [tick for tick, _ in panel.y.ticks] == [-180, -90, 0, 90, 180]
+    assert panel.y.ticks[0][1] == "-180" and -190 < panel.y.low < -180 and panel.y.high == -panel.y.low
+
+
 def test_calibrated_recordings_have_cards(tmp_path: Path, labpipe, root: Path) -> None:
     labpipe(
         "ingest", root / "sample_data/hmb/axial.csv", "-r", root / "configs/hmb-axial.yaml", "-o", tmp_path
     )
     assert labpipe("inspect", tmp_path / "axial.recording.parquet", "-o", tmp_path / "card.md").code == 0
     assert "input z" in (tmp_path / "card.md").read_text()
+
+
+def test_free_decays_are_looked_at_one_after_the_other(tmp_path: Path, labpipe) -> None:
+    """Of 2 and 3 s at 1024 Hz: 5120 samples, whose least and largest values are those of both."""
+    first, second = np.linspace(-1.0, 2.0, 2048), np.linspace(-3.0, 1.0, 3072)
+    path = tmp_path / "a.decay.parquet"
+    write_decays(path, record([first, second]), Header("decay", {}, inputs=()))
+    seen = inspect(path)
+    (channel,) = seen.channels
+    assert (seen.n_sample, seen.sample_rate, seen.rate) == (5120, 1024.0, "1024 Hz, 2 decay(s) of 2 s to 3 s")
+    assert (channel.minimum, channel.maximum, channel.unit, channel.about) == (-3.0, 2.0, "m", "output y")
+    ended = labpipe("inspect", path)
+    assert ended.code == 0 and ended.out.startswith(
+        "free decays a.decay.parquet: 5120 samples, 1024 Hz, 2 decay"
+    )
 
 
 @pytest.mark.parametrize("rows", [1, 3])

@@ -4,15 +4,18 @@ knows nothing of labpipe.
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 import socket
 import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from pyarrow import fs
 
 from labpipe.artefacts import mirrored
 from labpipe.artefacts import places as storage
@@ -288,3 +291,29 @@ def test_a_storage_that_fails_on_the_way_halts_the_run(
         ended = labpipe("run", lab / "bench.yaml", "-o", "s3://rigs/out")
     assert ended.code == 2 and "1 of 3 tests are finished and kept" in ended.err and brought == 3
     assert list(objects(s3, "out/fits/")) == ["0N-0.json"]
+
+
+@pytest.mark.parametrize(
+    ("scheme", "made"),
+    [
+        ("s3:", ("S3FileSystem", {"endpoint_override": "here:9000", "scheme": "http"})),
+        ("gs:", ("GcsFileSystem", {"retry_time_limit": datetime.timedelta(seconds=storage.REQUEST_SECONDS)})),
+        ("gcs:", ("GcsFileSystem", {})),
+        ("abfs:", ("FileSystem", {"uri": "abfs://bench"})),
+    ],
+)
+def test_every_storage_is_opened_by_its_own_file_system(
+    scheme: str, made: tuple[str, dict[str, object]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None waits longer for an answer than is said; an endpoint of one's own belongs to s3 alone."""
+
+    def system(name: str):
+        return lambda **entries: (name, entries)
+
+    monkeypatch.setattr(fs, "S3FileSystem", system("S3FileSystem"))
+    monkeypatch.setattr(fs, "GcsFileSystem", system("GcsFileSystem"))
+    from_uri = SimpleNamespace(from_uri=lambda uri: (("FileSystem", {"uri": uri}), ""))
+    monkeypatch.setattr(fs, "FileSystem", from_uri)
+    name, entries = storage._open.__wrapped__(scheme, "bench", "http://here:9000")
+    assert name == made[0] and made[1].items() <= entries.items()
+    assert ("connect_timeout" in entries) is (scheme == "s3:")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
 from labpipe.errors import DataError, LabpipeError
+from labpipe.project.first_guess import guess_channels
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.proposals import first_look
-from labpipe.project.scaffold import scaffold
+from labpipe.project.scaffold import _channel_line, scaffold
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.table import open_table
 from tests.project.laboratory import recording
@@ -59,3 +61,22 @@ def test_a_run_up_beside_tests_at_rest_asks_how_bearings_change_together(tmp_pat
     (tmp_path / "pipeline.yaml").write_text(made.pipeline.replace(f"period: {DECIDE}", "period: 1 s"))
     with pytest.raises(LabpipeError, match=r"small_errors\.together: is still to be decided"):
         load_pipeline(tmp_path / "pipeline.yaml")
+
+
+def test_a_channel_is_a_line_of_the_rig_file() -> None:
+    """A point that points against its axis is inverted; the sensitivity of the file stands beside."""
+    (channel,) = guess_channels(["12-Z"], {"12-Z": "m/s^2"})
+    channel = replace(channel, sensitivity="10.2 mV/gn")
+    line = _channel_line(channel, "")
+    assert yaml.safe_load(line) == {
+        "ch_12_z": {
+            "column": "12-Z",
+            "quantity": "acceleration",
+            "unit": "m/s^2",
+            "role": "output",
+            "dof": "z",
+            "sensitivity": "10.2 mV/gn",
+            "invert": True,
+        }
+    }
+    assert "invert" not in _channel_line(replace(channel, invert=False), "")

@@ -174,6 +174,19 @@ def test_a_table_of_certificates(tmp_path: Path) -> None:
     assert over.quantity("over f").std_errors == (0.05, 0.05)
 
 
+def test_a_table_with_a_phase_over_frequency(tmp_path: Path) -> None:
+    """Degrees, with expanded uncertainties of k = 2 where a column states them."""
+    head = TABLE.splitlines()[1] + ",phase_deg"
+    rows = [f"D-9,SN 3,over f,1{n},mV/N,0.2,2,2027-01-31,{20 * n},-{n}.5" for n in (1, 2)]
+    plain = read_certificate(written(tmp_path, "\n".join([head, *rows]), "p.csv"))
+    assert plain.quantity("phase_deg").values == (-1.5, -2.5) and plain.quantity("phase_deg").unit == "deg"
+    assert plain.quantity("phase_deg").std_errors is None
+    lines = [f"{head},phase_uncertainty_deg", *(f"{row},0.{n}" for n, row in enumerate(rows, 6))]
+    stated = read_certificate(written(tmp_path, "\n".join(lines), "s.csv"))
+    assert stated.quantity("phase_deg").std_errors == pytest.approx((0.3, 0.35))
+    assert stated.quantity("phase_deg").table == stated.quantity("over f").table
+
+
 @pytest.mark.parametrize(
     ("content", "number", "what"),
     [

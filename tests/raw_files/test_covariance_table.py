@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+
+from labpipe.artefacts.identification_file import write_identification
+from labpipe.project.exports import covariance_table
+from labpipe.records.identification import Identification
+from labpipe.records.uncertain import Budget, Uncertainty
+from tests.uncertainty.conftest import a_fit
 
 ROOT = Path(__file__).parents[2]
 
@@ -61,3 +68,27 @@ def test_an_artefact_without_parameters_is_refused(tmp_path: Path, labpipe_witho
         "export", tmp_path / "a.frf.parquet", "--to", "covariance", "-o", tmp_path / "x.csv"
     )
     assert ended.code == 2 and "holds no parameters" in ended.err and not (tmp_path / "x.csv").exists()
+
+
+def test_noise_goes_by_its_correlation_and_a_source_by_its_changes(tmp_path: Path) -> None:
+    """Standard errors of 10 and .1, correlated by .5; a probe moves both, one up and one down."""
+    plain = a_fit("run", {"k": (1e3, 10.0), "c": (2.0, 0.1)}, correlation=0.5)
+    budget = Budget(
+        names=("k", "c"),
+        random=np.array([10.0, 0.1]),
+        random_dof=None,
+        sources=(Uncertainty("probe", 0.01, "1"),),
+        changes=np.array([[3.0, -0.02]]),
+    )
+    write_identification(tmp_path / "identification.json", Identification((replace(plain, budget=budget),)))
+    table = covariance_table(tmp_path / "identification.json")
+    pairs = [("k", "k"), ("k", "c"), ("c", "c")]
+    for source, values in (("noise", [100.0, 0.5, 0.01]), ("probe", [9.0, -0.06, 4e-4])):
+        rows = table[table.source == source]
+        assert list(zip(rows.parameter_1, rows.parameter_2, strict=True)) == pairs
+        assert rows.covariance.tolist() == pytest.approx(values)
+    assert rows.change_1.tolist() == [3.0, 3.0, -0.02] and rows.change_2.tolist() == [3.0, -0.02, -0.02]
+    assert table[table.source == "noise"].change_1.isna().all()
+    assert set(zip(table.test, table.fit, table.band_high_hz, strict=True)) == {
+        ("run", plain.name, plain.band_hz[1])
+    }

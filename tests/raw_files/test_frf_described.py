@@ -9,6 +9,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
@@ -192,6 +194,29 @@ def test_the_structures_of_an_analyser(tmp_path: Path) -> None:
     )
     np.testing.assert_allclose(response.frequency, FREQUENCY, rtol=1e-12)
     np.testing.assert_allclose(response.matrix[:, 0, 0], H, rtol=1e-12)
+
+
+def test_columns_of_a_table_that_is_no_text(tmp_path: Path) -> None:
+    """Named or counted from 1; coherence as it stands."""
+    coherence = np.linspace(0.5, 1.0, FREQUENCY.size)
+    table = {"f": FREQUENCY, "re": H.real, "im": H.imag, "g": coherence}
+    pq.write_table(pa.table(table), tmp_path / "h.parquet")
+    for columns in (
+        {"frequency": "f", "re": "re", "im": "im", "coherence": "g"},
+        {"frequency": "1", "re": "2", "im": "3", "coherence": "4"},
+    ):
+        layout = FrfLayout(file="h.parquet", columns=FrfColumns(**columns), **SI)
+        response = read_described(tmp_path / "h.parquet", layout, X_F)
+        np.testing.assert_allclose(response.matrix[:, 0, 0], H, rtol=1e-12)
+        np.testing.assert_array_equal(response.coherence[:, 0, 0], coherence)
+
+
+def test_a_gap_in_a_table_that_is_no_text_is_named_by_its_row(tmp_path: Path) -> None:
+    imaginary = np.where(np.arange(FREQUENCY.size) == 3, np.nan, H.imag)
+    pq.write_table(pa.table({"f": FREQUENCY, "re": H.real, "im": imaginary}), tmp_path / "h.parquet")
+    layout = FrfLayout(file="h.parquet", columns=FrfColumns(frequency="f", re="re", im="im"), **SI)
+    with pytest.raises(DataError, match=r"h\.parquet: row 4: .*'im' has no number at value 4"):
+        read_described(tmp_path / "h.parquet", layout, X_F)
 
 
 def test_a_square_matrix_needs_the_order_of_its_dimensions(tmp_path: Path) -> None:

@@ -42,8 +42,14 @@ def lvm(path: Path, text: str, more: str = "", step: str = "3.906250E-5") -> Pat
     return path
 
 
-def test_lvm_without_x_values_has_units_and_rate_and_no_comments(tmp_path: Path) -> None:
-    """Delta_X 3.90625E-5 s is 25.6 kHz; the text behind the numbers is LabVIEW's comment."""
+def test_lvm_without_x_values_has_units_and_rate_and_no_comments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Delta_X 3.90625E-5 s is 25.6 kHz; the text behind the numbers is LabVIEW's comment.
+
+    Two rows and then one: chunks hold each row once.
+    """
+    monkeypatch.setattr("labpipe.raw_files.lvm_table.CHUNK_ROWS", 2)
     table = open_table(lvm(tmp_path / "r.lvm", SEGMENT + ROWS))
     assert (table.columns, table.units, table.sample_rate) == (("F", "a"), {"F": "N", "a": "m/s^2"}, 25600.0)
     np.testing.assert_array_equal(whole(table.path, "a", "F"), [[-1.5, 0.5], [2e-3, 1.0], [np.nan, 1.5]])

@@ -310,10 +310,14 @@ def test_names_and_units_of_time_records(tmp_path: Path) -> None:
 
 
 def test_record_164_scales_time_records(tmp_path: Path) -> None:
-    table = UffTable(written(tmp_path / "r.uff", units(1000.0, 1.0), sine()))
-    assert table.units == {"3+Y": "m/s^2"}
+    """In units of which 1000 are a metre and 10 a newton."""
+    kinds = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
+    records = [sine(rsp_ent_name=f"{kind}", ordinate_spec_data_type=kind) for kind in kinds]
+    table = UffTable(written(tmp_path / "r.uff", units(1000.0, 10.0), *records))
+    assert table.units == {f"{kind}": unit for kind, unit in kinds.items()}
+    expected = sine()["data"][:, None] * [1e-3, 1e-3, 1e-3, 0.1, 0.1]
     np.testing.assert_allclose(
-        np.concatenate(list(table.chunks(table.columns)))[:, 0], 1e-3 * sine()["data"], rtol=1e-10
+        np.concatenate(list(table.chunks(table.columns))), expected, rtol=1e-10, atol=1e-15
     )
 
 

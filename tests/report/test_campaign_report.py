@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from labpipe.document.render import DOCUMENTS
 from labpipe.errors import DataError
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Goodness, Identification
-from labpipe.report.campaign import campaign_document, coefficient_series
+from labpipe.report.campaign import campaign_document, coefficient_series, sliding_overlays
 from labpipe.report.document import Figure, Paragraph, Table
 
 
@@ -69,6 +70,33 @@ def told(results: list[tuple[str, Identification]]) -> str:
         for block in section.blocks
         if isinstance(block, Paragraph)
     )
+
+
+def test_bands_of_several_results_are_laid_over_each_other() -> None:
+    """Bands of 2 to 4 and 4 to 8 Hz, at their middles; a result with one band has no course."""
+    results = []
+    for number in range(3):
+        ends = ((2.0, 4.0), (4.0, 8.0)) if number < 2 else ((2.0, 4.0),)
+        bands = [one_result(1000.0 * (number + 1), "400 N", "2026-03-01", band) for band in ends]
+        results.append((f"r{number}", replace(bands[0], fits=tuple(one.fits[0] for one in bands))))
+    (figure,) = sliding_overlays(results)
+    (panel,) = figure.graphic.panels
+    assert [(series.name, series.x.tolist()) for series in panel.series] == [
+        ("r0, run", [3.0, 6.0]),
+        ("r1, run", [3.0, 6.0]),
+    ]
+    scale = {"N/m": 1.0, "kN/m": 1e-3}[panel.y.unit]
+    np.testing.assert_allclose(panel.series[1].y, 2000 * scale)
+    np.testing.assert_allclose(panel.series[1].low, (2000 - 98) * scale)
+    np.testing.assert_allclose(panel.series[1].high, (2000 + 98) * scale)
+    assert figure.caption == "direct: k over frequency of 2 tests, shaded: 95 % intervals."
+
+
+def test_a_series_of_which_one_has_no_date_stays_in_its_order() -> None:
+    one, other = campaign([1000.0, 2000.0])[::-1]
+    undated = ("r9", one_result(3000.0, "400 N", "in March"))
+    (series,) = coefficient_series([one, undated, other])
+    assert [value.parameter.value for value in series.values] == [2000.0, 3000.0, 1000.0]
 
 
 def test_a_series_is_sorted_by_date_and_knows_its_conditions() -> None:

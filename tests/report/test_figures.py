@@ -10,12 +10,14 @@ import pytest
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.report.chart import Panel, Series
+from labpipe.report.chart import Drawing, Panel, Series
 from labpipe.report.figures import (
+    VIEWS,
     correlation_figure,
     fitted_curve_figure,
     form_unit,
     line_figure,
+    project,
     response_figure,
     sliding_figures,
 )
@@ -169,3 +171,36 @@ def test_of_very_many_elements_largest_median_and_least_have_a_curve() -> None:
     amplitude = response_figure(replace(RESPONSE, matrix=matrix, outputs=outputs)).graphic.panels[0]
     curves = {name: series.y[0] for name, series in named(amplitude).items()}
     assert curves == pytest.approx({"largest of 25": 25.0, "median of 25": 13.0, "least of 25": 1.0})
+
+
+def test_a_mode_shape_turns_where_its_points_move_farthest(drawings: dict[str, Drawing]) -> None:
+    """Of all phases of exp(j p) m that with the largest square sum, tried one by one; the structure is 1 in
+    size about its middle and the largest motion .15 of that.
+    """
+    sketch = drawings["mode-shapes"].subject
+    assert sketch.titles == ("1: 20 Hz, 1 %", "2: 30 Hz, 2 %")
+    np.testing.assert_allclose(np.ptp(sketch.positions, axis=0), 1)
+    np.testing.assert_allclose(sketch.positions.max(axis=0), -sketch.positions.min(axis=0))
+    # Point 1 by 1 in x and point 3 by half of it in z.
+    np.testing.assert_allclose(sketch.motion[0], 0.15 * np.array([[1, 0, 0], [0, 0, 0], [0, 0, 0.5]]))
+    np.testing.assert_allclose(np.abs(sketch.motion[1]).max(), 0.15)
+    turned = replace(sketch, motion=sketch.motion * np.exp(0.7j) + [[0, 0.02j, 0]])
+    there, back = turned.extremes(0)
+    np.testing.assert_allclose((there + back) / 2, sketch.positions)
+    phases = np.exp(1j * np.linspace(0, np.pi, 1801))[:, None, None]
+    sums = np.sum((turned.motion[0] * phases).real ** 2, axis=(1, 2))
+    assert np.sum((there - sketch.positions) ** 2) == pytest.approx(sums.max(), rel=1e-5)
+
+
+def test_views_of_a_structure_are_turned_and_not_stretched() -> None:
+    """Right-handed: across, up and towards the eye, which is at azimuth a and elevation e in the direction
+    (sin a cos e, -cos a cos e, sin e).
+    """
+    for _, azimuth, elevation in VIEWS:
+        across, up = project(np.eye(3), azimuth, elevation).T
+        level = np.cos(elevation)
+        eye = [np.sin(azimuth) * level, -np.cos(azimuth) * level, np.sin(elevation)]
+        np.testing.assert_allclose(np.cross(across, up), eye, atol=1e-12)
+        np.testing.assert_allclose([across @ across, up @ up, across @ up], [1, 1, 0], atol=1e-12)
+    front, top = (project(np.array([[1.0, 2.0, 3.0]]), *view[1:])[0] for view in VIEWS[1:])
+    assert front == pytest.approx([1, 3]) and top == pytest.approx([1, 2])

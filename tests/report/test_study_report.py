@@ -13,7 +13,14 @@ import pytest
 from labpipe.project.study import study_blocks, study_sections
 from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification
+from labpipe.records.identification import (
+    Candidate,
+    Fit,
+    FittedCurve,
+    Goodness,
+    Identification,
+    listed_parameters,
+)
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.figures import matrix_figure, matrix_figures
 from labpipe.report.fits import candidate_blocks
@@ -113,6 +120,23 @@ def test_a_case_without_results_is_shown_as_such() -> None:
     assert table.rows[0][6] == "500 of 500" and table.header[-2:] == ("no result", "success")
 
 
+def test_cases_are_listed_with_noise_and_lines() -> None:
+    """As lists of results and data frames show them; what a case has not is left out."""
+    cases = (CASE, replace(CASE, noise=0.043, coverage=None, mean_error=float("nan")))
+    listed = list(listed_parameters(Identification((), sections={"study": (study(cases=cases),)})))
+    assert [(one.test, one.parameter.name, one.parameter.value) for one in listed] == [
+        ("1.1 %, 25 lines", "mean_error", 0.00297),
+        ("1.1 %, 25 lines", "success", 0.998),
+        ("1.1 %, 25 lines", "rmse_over_bound", 0.975),
+        ("1.1 %, 25 lines", "coverage", 0.957),
+        ("4.3 %, 25 lines", "success", 0.998),
+        ("4.3 %, 25 lines", "rmse_over_bound", 0.975),
+    ]
+    assert {(one.fit, one.model, one.estimator, one.parameter.unit) for one in listed} == {
+        ("study.ml", "study", "ml", "1")
+    }
+
+
 def test_thresholds_as_sentences() -> None:
     found = threshold_text(StudyThreshold("iv", 0.1, 0.0227, 200), 0.95)
     assert found == "iv: within 10 % of the truth in 95 % of the repeats up to a noise of 2.27 %"
@@ -129,6 +153,16 @@ def test_candidates_best_first() -> None:
     assert table.rows[0] == ("mdof, symmetric", "12", "430.0", "438", "0.0", "0.31")
     assert table.rows[1][4:] == ("6.0", "")
     assert candidate_blocks(FIT) == ()
+
+
+def test_candidates_by_bic_have_their_own_chi_square() -> None:
+    found = (
+        Candidate("free", 3, 440.0, 400, 446.0, bic=458.0, chi2_p=0.081),
+        Candidate("clamped", 2, 900.0, 401, 904.0, bic=912.04, chi2_p=1e-40),
+    )
+    table, explained = candidate_blocks(replace(FIT, candidates=found))
+    assert table.rows == (("free", "3", "1.1", "0.081", "0.0"), ("clamped", "2", "2.244", "1e-40", "454.0"))
+    assert "BIC = chi² + parameters ln(equations)" in explained.text
 
 
 def test_enlarged_standard_errors_are_said() -> None:

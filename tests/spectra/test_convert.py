@@ -55,6 +55,7 @@ def test_the_line_at_0_hz_can_be_differentiated_but_not_integrated() -> None:
     still = FrequencyResponse(np.array([0.0, 1.0]), np.ones((2, 1, 1)), port, port)
     accelerance = convert(still, "accelerance")
     assert accelerance.matrix[0, 0, 0] == 0
+    np.testing.assert_array_equal(convert(still, "receptance").matrix, still.matrix)
     with pytest.raises(DataError, match="0 Hz of a accelerance"):
         convert(accelerance, "receptance")
     with pytest.raises(ConfigError, match="form 'other'"):

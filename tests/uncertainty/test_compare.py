@@ -17,6 +17,8 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.rolling_bearing.ratio import TheoryAt
 from labpipe.records.comparison import Comparison
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Identification, listed_parameters
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertain
 from labpipe.report.comparison import EXPLAINED, FIGURES, OVER_FREQUENCY
@@ -113,6 +115,22 @@ def test_the_numbers_are_those_of_the_making(every_kind) -> None:
     assert every_kind["trend"].verdict == "rising"
     assert every_kind["ratio"].verdict == "stiffer than theory"
     assert every_kind["ratio"].amount("beta").std_error is None
+    # Lists of results have them under the names of their comparisons.
+    warned = dataclasses.replace(every_kind["trend"], findings=(Finding("collinear", "x"),))
+    comparisons = (warned, every_kind["ratio"])
+    listed = list(listed_parameters(Identification((), sections={"compare": comparisons})))
+    assert [(one.fit, one.model, one.parameter, one.warnings) for one in listed] == [
+        (
+            one.name,
+            one.kind,
+            amount,
+            ("collinear",)
+            if one is warned
+            else tuple(dict.fromkeys(f.code for f in one.findings if f.level == "warning")),
+        )
+        for one in comparisons
+        for amount in one.amounts
+    ]
 
 
 def test_a_theory_is_asked_once_per_condition_and_matched_once_per_term(evidence) -> None:
@@ -201,3 +219,60 @@ def test_one_test_is_no_campaign(evidence) -> None:
         Evidence(evidence.fits[:3], evidence.responses, (PEAKS,)).campaign(
             CompareSettings(kind="trend", **SERIES)
         )
+
+
+PAIR = {"kind": "difference", "fit": "a", "groups": ("up", "down")}
+OF_LOOP = {"kind": "prediction", "fit": "a", "over": ("gain",)}
+
+
+@pytest.mark.parametrize(
+    ("entries", "message", "hint"),
+    [
+        ({"kind": "trend", "fit": "a"}, "'over' is missing", "a comparison of kind trend needs it"),
+        ({**PAIR, "groups": ("up",)}, "two groups are compared, not 1", "[up, down]"),
+        ({**PAIR, "over": ("a", "b", "c")}, "goes over 2 condition(s), not 3", "two: trend, difference"),
+        ({**PAIR, "over": ("a", "a")}, "'over' names 'a' twice", ""),
+        ({**PAIR, "tolerance": 1.0}, "at least 0 and below 100 %", ""),
+        ({**PAIR, "tolerance": -0.1}, "at least 0 and below 100 %", ""),
+        ({**PAIR, "level": 1.0}, "between 0 and 100 %", ""),
+        ({**PAIR, "level": 0.0}, "between 0 and 100 %", ""),
+        ({**PAIR, "setting_error": -0.1}, "must not be negative", ""),
+        ({**PAIR, "theory": {}}, "'theory' is not for the kind difference", "ratio, rayleigh, prediction"),
+        ({"kind": "sensitivity", "estimate": ("gap",)}, "no loop whose unknowns", "theory: {bearing: FILE}"),
+        ({**OF_LOOP, "theory": {}, "estimate": ("gap", "gap")}, "names an unknown twice", "gap"),
+        ({**OF_LOOP, "theory": {}}, "'theory.entry' is missing", "entry: loop.proportional"),
+        ({**OF_LOOP, "theory": {"shaft": Uncertain(1e3)}}, "'theory.shaft' is not for the kind pred", "out"),
+        (
+            {**OF_LOOP, "theory": {"entry": ("a", "b")}},
+            "names 2 entries for 1 conditions",
+            "[speed, loads.z]",
+        ),
+        (
+            {**OF_LOOP, "theory": {"entry": ("loop.gap",)}, "estimate": ("gap",)},
+            "'loop.gap' is set by 'gain', so it is not estimated",
+            "leave one of them out",
+        ),
+        ({"kind": "rayleigh", "fit": "a", "over": ("x",), "theory": {"arm": 0.0}}, "'arm' must be above", ""),
+        ({**PAIR, "theory": {"shaft": Uncertain(0.0)}}, "'shaft' must be above zero", ""),
+        (
+            {"kind": "trend", "fit": "a", "over": ("x",), "kind_settings": 1},
+            "not those of the kind trend",
+            "out",
+        ),
+    ],
+)
+def test_settings_that_contradict_themselves_are_refused(entries, message: str, hint: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        theory = {"theory": TheorySettings("b.yaml", **entries["theory"])} if "theory" in entries else {}
+        CompareSettings(**{**entries, **theory})
+    assert message in refused.value.what and hint in refused.value.hint
+
+
+def test_settings_at_their_limits_are_taken() -> None:
+    assert (
+        CompareSettings(**PAIR, over=("a", "b"), tolerance=0.0, level=0.999, setting_error=0.0).second == "b"
+    )
+    theory = TheorySettings("b.yaml", entry=("loop.gap",))
+    settings = CompareSettings(**OF_LOOP, theory=theory, estimate=("delay",))
+    assert (settings.condition, settings.second) == ("gain", "")
+    assert CompareSettings(kind="certificate").kind_settings is not None

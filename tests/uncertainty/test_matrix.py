@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
+from labpipe.records.comparison import EquilibriumPath, PathPoint
 from labpipe.records.finding import Parameter
-from labpipe.records.identification import Fit
-from labpipe.report.condition_matrix import coefficient_figures
+from labpipe.records.identification import Fit, Identification, listed_parameters
+from labpipe.report.condition_matrix import coefficient_figures, matrix_sections
 from labpipe.uncertainty.matrix import condition_matrix, repeat
-from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
+from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, MatrixTheorySettings, levels_of
 from tests.uncertainty.conftest import a_fit
 
 SETTINGS = MatrixSettings(fit="axial", over=("speed", "load"), name="tm")
@@ -55,6 +56,12 @@ def test_points_are_ordered_by_measured_conditions_and_repeats_averaged() -> Non
     assert first.values[0].scatter == pytest.approx(1e3 / np.sqrt(2))
     assert second.values[0].repeats == 1
     assert matrix.text_of(first) == "speed 3000 rpm, load 1 kN"
+    listed = list(listed_parameters(Identification((), sections={"matrix": (matrix,)})))
+    assert [(one.fit, one.test, one.model) for one in listed] == [
+        ("tm", "speed 3000 rpm, load 1 kN", "matrix"),
+        ("tm", "speed 6000 rpm, load 1 kN", "matrix"),
+    ]
+    assert [one.parameter for one in listed] == [point.values[0].parameter for point in matrix.points]
 
 
 def test_what_is_common_to_repeats_does_not_shrink() -> None:
@@ -140,12 +147,41 @@ def test_what_tests_do_not_have_is_named(settings, message) -> None:
         a_matrix([({"k": (1e6, 1e3)}, at("50 Hz", "1 kN"))], settings)
 
 
+PATH = {"load": "load", "x": "x", "y": "y"}
+
+
 @pytest.mark.parametrize(
-    "entries", [{"over": ()}, {"over": ("speed", "speed")}, {"tolerance": 1.5}, {"level": 0.0}]
+    ("entries", "message"),
+    [
+        ({"over": ()}, "names no condition"),
+        ({"over": ("speed", "speed")}, "'over' names 'speed' twice"),
+        ({"beside": ("speed", "leak", "leak")}, "'beside' names 'leak' twice"),
+        ({"parameters": ("k_xx", "k_xx")}, "'parameters' names 'k_xx' twice"),
+        ({"tolerance": 1.0}, "at least 0 and below 100 %"),
+        ({"tolerance": -0.01}, "at least 0 and below 100 %"),
+        ({"level": 0.0}, "between 0 and 100 %"),
+        ({"level": 1.0}, "between 0 and 100 %"),
+        ({"path": PATH}, "the load 'load' of the path is none of 'over'"),
+        ({"path": {**PATH, "clearance": 0.0}, "over": ("load",)}, "'clearance' must be positive"),
+        ({"path": {**PATH, "centre": (0.0,)}, "over": ("load",)}, "two coordinates"),
+        ({"theory": {}}, "one of 'bearing' and 'table' is needed"),
+        ({"theory": {"bearing": "b.yaml", "table": "t.csv"}}, "one of 'bearing' and 'table' is needed"),
+        ({"theory": {"table": "t.csv", "axes": ("x", "y")}}, "belong to a bearing file"),
+        ({"theory": {"bearing": "b.yaml", "entries": ("speed",), "axes": ("x", "-x")}}, "names two dofs"),
+        ({"theory": {"bearing": "b.yaml"}}, "one entry for each of 1 conditions"),
+    ],
 )
-def test_settings_that_cannot_be_are_refused(entries) -> None:
-    with pytest.raises(ConfigError):
-        MatrixSettings(**{"fit": "axial", "over": ("speed",), **entries})
+def test_settings_that_cannot_be_are_refused(entries, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parts = {"path": EquilibriumSettings, "theory": MatrixTheorySettings}
+        made = {name: parts[name](**entry) if name in parts else entry for name, entry in entries.items()}
+        MatrixSettings(**{"fit": "axial", "over": ("speed",), **made})
+
+
+def test_settings_at_their_limits_are_taken() -> None:
+    assert MatrixSettings(fit="axial", over=("speed",), tolerance=0.0, level=0.999).theory is None
+    theory = MatrixTheorySettings(bearing="b.yaml", entries=("speed",), axes=("-z", "y"))
+    assert MatrixSettings(fit="axial", over=("speed",), theory=theory).theory == theory
 
 
 STIFFNESS = np.array([[8e6, 3e6], [-4e6, 1.2e7]])
@@ -221,3 +257,35 @@ def test_the_report_shows_all_points_in_the_unit_of_the_largest_the_second_condi
     np.testing.assert_allclose(lines.series[1].y, [104.0, 226.1])
     assert chart.series[0].texts == (("104.0", "226.1"), ("2.500", "40.00"))
     assert [name for _, name in chart.y.ticks or ()] == ["5", "2"]
+
+
+@pytest.mark.parametrize("clearance", [None, 100e-6])
+def test_rest_positions_are_shown_in_um_or_in_shares_of_the_clearance(clearance: float | None) -> None:
+    """30 and -40 um from the centre: 50 um, half of a clearance of 100 um."""
+    first = PathPoint(
+        1e3,
+        (30e-6, -40e-6),
+        (1e-6, 2e-6),
+        50e-6,
+        np.pi / 6,
+        statics=(12e-9, 3e-9),
+        statics_error=(1e-9, 0.5e-9),
+        p_value=0.034,
+    )
+    second = dataclasses.replace(first, load=2e3, position=(60e-6, -80e-6), eccentricity=100e-6)
+    path = EquilibriumPath("speed 3000 rpm", (first, second), clearance)
+    matrix = dataclasses.replace(a_matrix([({"k": (1e6, 1e3)}, at("50 Hz", "1 kN"))]), paths=(path,))
+    shown = {section.heading: section for section in matrix_sections((matrix,), Identification(()))}
+    _, figure, table = shown["Rest position: tm"].blocks
+    (panel,) = figure.graphic.panels
+    course, *circle = panel.series
+    scale = 1e6 if clearance is None else 1e4
+    np.testing.assert_allclose([course.x, course.y], scale * np.array([[30e-6, 60e-6], [-40e-6, -80e-6]]))
+    assert (course.name, panel.x.unit) == (path.at, "um" if clearance is None else "")
+    assert panel.y.title == ("y" if clearance is None else "y / clearance")
+    assert len(circle) == (0 if clearance is None else 1)
+    np.testing.assert_allclose([np.hypot(one.x, one.y) for one in circle], 1)
+    size = "50" if clearance is None else "0.5"
+    by_slope, by_shaking = ("12.0 ± 1.0", "3.00 ± 0.50"), ("none", "none")
+    assert table.rows[0] == ("1000", "30.0", "-40.0", size, "30", *by_slope, *by_shaking, "0.034")
+    assert table.caption == "Rest positions at speed 3000 rpm; p-value: that static slope and shaking agree"

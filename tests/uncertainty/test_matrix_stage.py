@@ -13,12 +13,13 @@ import pytest
 
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.cli.main import run_command
-from labpipe.errors import ConfigErrors, DataError
-from labpipe.project.compare import table_theory
+from labpipe.errors import ConfigError, ConfigErrors, DataError
+from labpipe.project.compare import _theory, table_theory
 from labpipe.project.matrix_table import matrix_table, rotor_sheets, write_rotor_xlsx
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.uncertainty.settings import MatrixSettings, MatrixTheorySettings
 
 SPEEDS, LOADS, REPEATS = (1500, 3000), (1, 2), 3
 MASS = 5.0
@@ -149,6 +150,11 @@ def test_rotor_tables_give_k_and_c_at_the_whirl_frequency(result: Path) -> None:
     assert "frequency" not in synchronous and "speed" not in sheets["1 1501 rpm"]
     assert synchronous["kxx"][0] == pytest.approx(first.value("k_xx").parameter.value, rel=1e-9)
     assert synchronous["cyy"][0] == pytest.approx(first.value("c_yy").parameter.value, rel=1e-9)
+    whirl = sheets["1 1501 rpm"]
+    np.testing.assert_allclose(
+        whirl["frequency"].iloc[[0, -1]], 2 * np.pi * np.array(identification.fits[0].band_hz)
+    )
+    assert np.ptp(whirl["kxy"]) < 1e-6 * whirl["kxx"][0] and whirl["kyx"][0] == synchronous["kyx"][0]
 
 
 def test_ross_reads_the_rotor_table(result: Path, tmp_path: Path) -> None:
@@ -169,6 +175,29 @@ def test_a_table_is_linear_along_the_first_condition(folder: Path) -> None:
     assert between["k_xy"] == pytest.approx((2e3 * 1500 + 2e3 * 3000) / 2)
     assert theory((80.0, 1000.0), ("Hz", "N")) == {}
     assert theory((30.0, 1500.0), ("Hz", "N")) == {}
+
+
+def test_a_bearing_file_is_asked_in_the_axes_of_the_rig(tmp_path: Path) -> None:
+    """x along -z: products of two axes that are turned alike keep their sign, the others change it.
+
+    A condition sets an entry of the file, the other none.
+    """
+    (tmp_path / "b.yaml").write_text(
+        "kind: linear-bearing\nk_yy: 1 MN/m\nk_zz: 2 MN/m\nk_yz: 0.3 MN/m\nk_zy: -0.4 MN/m\n"
+        "c_yy: 10 N.s/m\nc_zz: 20 N.s/m\nc_yz: 3 N.s/m\nc_zy: 4 N.s/m\n"
+    )
+
+    def beside(**axes: tuple[str, ...]) -> dict[str, float]:
+        entries = MatrixTheorySettings(bearing="b.yaml", entries=("k_yy", "none"), **axes)
+        settings = MatrixSettings(fit="a", over=("spring", "load"), theory=entries)
+        return dict(_theory(settings, tmp_path)((5e6, 7.0), ("N/m", "N")))
+
+    names = [f"{letter}_{axes}" for letter in "kc" for axes in ("xx", "xy", "yx", "yy")]
+    assert beside() == dict(zip(names, [5e6, 0.3e6, -0.4e6, 2e6, 10, 3, 4, 20], strict=True))
+    turned = dict(zip(names, [2e6, 0.4e6, -0.3e6, 5e6, 20, -4, -3, 10], strict=True))
+    assert beside(axes=("-z", "y")) == turned
+    with pytest.raises(ConfigError, match="no dof 'u'"):
+        beside(axes=("u", "y"))
 
 
 def test_faults_of_a_table_are_named(folder: Path) -> None:

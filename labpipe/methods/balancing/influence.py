@@ -308,8 +308,8 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
 
 
 def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
-    """Expected root mean square of what is left [unit of the readings] if one more run were made first, with
-    the weights (n_plane,) [kg m] of each candidate, and the weights chosen anew by it.
+    """Expected root mean square of what is left as a reading shows it [unit of the readings], if one more run
+    were made first with the weights (n_plane,) [kg m] of each candidate, and the weights chosen anew by it.
 
     Over draws of the truth: its readings move the mean and narrow z_0 and alpha (preposterior analysis).
     """
@@ -329,6 +329,6 @@ def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, Compl
         spread = replace(knowledge, joint=joint).covariance.sum(axis=0).T
         chosen = best_weights(means.conj().swapaxes(-1, -2) @ means + spread)
         left = (truths[..., 1:] @ chosen[..., None])[..., 0] + truths[..., 0]
-        squares = np.sum(np.abs(left) ** 2, axis=-1)
+        squares = np.sum(np.abs(left) ** 2 + noise.variance(left), axis=-1)
         expected[name] = float(np.sqrt(np.mean(squares) / n_line))
     return expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,24 @@ def test_two_planes_of_a_textbook(labpipe, tmp_path):
         assert weight["size"] == pytest.approx(1e-6 * size, rel=1e-5)
         assert np.degrees(weight["angle"]) == pytest.approx(degrees, abs=1e-3)
     assert ended.code == 0 and "plane left: 10.06 g mm at 325.6 deg" in ended.out
+
+
+def test_the_lines_say_what_the_file_has(labpipe, tmp_path):
+    """To three digits, in um or nm; as found the rms of 8.5 and 6.5 um, (8.5^2 / 2 + 6.5^2 / 2)^.5."""
+    ended = labpipe("balance", EXAMPLE, "--json", tmp_path / "b.json", "--set", "repeatability=4 %")
+    file = json.loads((tmp_path / "b.json").read_text())
+    left = [file["residual"], *file["readings"]]
+    expected = [one.get("rms", one.get("expected")) for one in left]
+    ends = [value for one, middle in zip(left, expected, strict=True) for value in (middle, *one["ci95"])]
+    said = re.findall(r"(\S+) (um|nm)(?= expected|\)| to | \(95)", ended.out.partition("as found, ")[2])
+    scale = {"um": 1e6, "nm": 1e9}
+    assert [size for size, _ in said] == [
+        f"{scale[unit] * end:.3g}" for (_, unit), end in zip(said, ends, strict=True)
+    ]
+    assert f"of 2 readings): {np.hypot(8.5, 6.5) / 2**0.5:.3g} um as found" in ended.out
+    name, least = min(file["next_runs"].items(), key=lambda run: run[1])
+    share = 100 * least / file["residual"]["rms"]
+    assert f"one more run with {name} first" in ended.out and f", {share:.0f} % of that" in ended.out
 
 
 def test_one_plane_is_the_vector_triangle():
@@ -253,7 +272,8 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         rms = np.sqrt(np.mean(np.abs(reading) ** 2))
         held.append(stated.interval[0] <= rms <= stated.interval[1])
         again = influence([*runs, Run("w", weights, reading)], noise)
-        lower.append(np.mean(np.abs(z_0 + alpha @ best_weights(again.square)) ** 2))
+        left = z_0 + alpha @ best_weights(again.square)
+        lower.append(np.mean(np.abs(left) ** 2 + noise.variance(left)))
         promised.append(next_runs(known, noise, {"w": weights})["w"] ** 2)
     assert sum(held) >= stats.binom.ppf(0.005, 60, 0.95)
     assert np.sqrt(np.mean(lower)) == pytest.approx(np.sqrt(np.mean(promised)), rel=0.25)
@@ -289,13 +309,24 @@ def test_too_few_runs_and_readings_of_another_kind_are_refused(labpipe, tmp_path
     assert ended.code == 2 and "runs.2.readings.A" in ended.err
 
 
-def test_a_grade_and_masses_in_places_are_said(labpipe):
-    ended = labpipe(
-        "balance", EXAMPLE, "--set", "mass=3 kg", "--set", "speed=3000 rpm", "--set", "grade=2.5 mm/s",
+def test_a_grade_and_masses_in_places_are_said(labpipe, tmp_path):
+    given = (
+        "balance", EXAMPLE, "--set", "speed=3000 rpm", "--set", "grade=2.5 mm/s",
         "--set", "planes={left: {radius: 40 mm, places: 12}, right: {radius: 40 mm, places: 12}}",
     )  # fmt: skip
+    ended = labpipe(*given, "--set", "mass=3 kg", "--json", tmp_path / "b.json")
     # G m / Omega = 2.5 mm/s x 3 kg / (2 pi 50 /s) = 23.9 g mm.
-    assert "within the permissible 23.9 g mm of G 2.5" in ended.out and " g at 330.0 deg" in ended.out
+    left = sum(
+        1e6 * one["upper95"] for one in json.loads((tmp_path / "b.json").read_text())["unbalance_left"]
+    )
+    assert f"at most {left:.3g} g mm (95 %), within the permissible 23.9 g mm of G 2.5" in ended.out
+    # The textbook's 10.06 g mm at 325.55 deg by masses at 40 mm: (10.06 / 40) g sin(25.55 deg) / sin(30 deg)
+    # at 330 deg and sin(4.45 deg) at 300 deg.
+    ended = labpipe(*given, "--set", "mass=30 g", "--set", "repeatability=0.0001 %")
+    assert "0.217 g at 330.0 deg" in ended.out and "0.039 g at 300.0 deg" in ended.out
+    assert "within the permissible 0.239 g mm" in ended.out
+    ended = labpipe(*given, "--set", "mass=30 g")
+    assert f"at most {left:.3g} g mm (95 %), beyond the permissible 0.239 g mm" in ended.out
 
 
 def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:
@@ -319,3 +350,22 @@ def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:
     chosen = best_weights(trimmed.square)
     assert residual_of(trimmed, chosen, loud).interval[0] <= residual_of(plainly, chosen, loud).interval[0]
     assert np.array_equal(trimmed.narrow.joint, plainly.joint)
+
+
+def test_readings_that_scatter_and_runs_that_would_not_pay_are_said(labpipe, tmp_path):
+    """As found once more and a tenth larger: chi-square of its two complex readings, .1 z over 1 % of each
+    twice, with what the fit takes of it. All runs twenty times over: a run more changes little.
+    """
+    tree = yaml.safe_load(EXAMPLE.read_text())
+    again = {"name": "again", "readings": {"A": "9.35 um at 60 deg", "B": "7.15 um at 205 deg"}}
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, "runs": [*tree["runs"], again]}))
+    ended = labpipe("balance", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
+    chi2 = json.loads((tmp_path / "b.json").read_text())["chi2"]
+    # Two readings z and 1.1 z with errors of .01 z and .011 z: (.1 z)^2 / (.01^2 + .011^2) z^2, as complex
+    # numbers twice that, at two places.
+    assert chi2["dof"] == 4 and chi2["value"] == pytest.approx(4 * 0.1**2 / (0.01**2 + 0.011**2), rel=1e-6)
+    assert f"scatter more than was stated (chi-square {chi2['value']:.3g} of 4)" in ended.out
+    runs = [{**run, "name": f"{run['name']} {number}"} for number in range(20) for run in tree["runs"]]
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, "runs": runs, "noise": "1 um"}))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert "one more run is not expected to lower it by a fifth" in ended.out and "warning" not in ended.out

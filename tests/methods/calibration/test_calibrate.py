@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from labpipe.artefacts.identification_file import read_identification
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.methods.calibration.section import CalibrationSettings, calibrate, si_name
 from labpipe.quantities import parse_unit
@@ -166,3 +167,19 @@ def test_the_si_name_of_a_unit(unit: str) -> None:
 )
 def test_the_si_name_of_other_units(unit: str, name: str) -> None:
     assert si_name(parse_unit(unit)) == name
+
+
+def test_the_command_fits_the_lines_alone_and_judges_their_rules(tmp_path: Path, labpipe) -> None:
+    """8.2 mV/um; exit code 1 where a rule fails."""
+    table(tmp_path, X, 8.2e-3 * X)
+    (tmp_path / "p.yaml").write_text(
+        "calibrate:\n  probe: {table: probe.csv, x: 'x [um]', y: 'u [V]'}\n"
+        "expect:\n  probe.slope: 8.2 mV/um +- 0.1 %\n"
+    )
+    ended = labpipe("calibrate", "-c", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0 and "expect: probe.slope 8.2 mV/um +- 0.1 %: passed" in ended.out, ended.err
+    (fit,) = read_identification(tmp_path / "out/identification.json").fits
+    assert fit.parameter("slope").value == pytest.approx(8200.0)
+    wrong = ("--set", "expect.probe.slope=8.3 mV/um +- 0.1 %")
+    ended = labpipe("calibrate", "-c", tmp_path / "p.yaml", "-o", tmp_path / "out", *wrong)
+    assert ended.code == 1 and "FAILED" in ended.out

@@ -230,8 +230,11 @@ def test_directions_that_are_shaken_by_turns():
         if update.stop:
             break
     assert not any("left out" in event for earlier in bench.updates for event in earlier.events)
-    low, high = update.standings["r.c_xx"].parameter.ci95
-    assert low < rig.truth < high and update.averages >= 6
+    planned = update.standings["r.c_xx"].parameter
+    assert planned.ci95[0] < rig.truth < planned.ci95[1] and update.averages >= 6
+    # Ended by hand it is wider, 3.03 standard errors of many degrees of freedom (Wang and Ramdas 2023).
+    low, high = bench.by_hand()["r.c_xx"]
+    assert (low + high) / 2 == pytest.approx(planned.value) and high - low > 6.06 * planned.std_error
 
 
 @pytest.mark.long

@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings, decrement_certificate
+from labpipe.methods.magnetic_bearing.limits import (
+    CertificateSettings,
+    Limit,
+    below,
+    decrement_certificate,
+    verdict_of,
+    words,
+)
 from labpipe.project.judging import judged_part, whole_outcome
 from labpipe.project.rules import Rule
 from labpipe.records.finding import Finding, Parameter
@@ -256,3 +263,34 @@ def test_decrements_of_a_rejected_fit_are_undecided(fit: Fit, why: str) -> None:
         and why in found.statement
         and why in found.why_undecided("probability_log_decrement")
     )
+
+
+@pytest.mark.parametrize(
+    ("chances", "verdict"),
+    [
+        ((0.96, 0.99), "accepted"),
+        ((0.95,), "accepted"),
+        ((0.96, 0.94), "undecided"),
+        ((0.96, None), "undecided"),
+        ((), "undecided"),
+        ((0.06, 0.99), "undecided"),
+        ((0.04, 0.99, None), "not accepted"),
+    ],
+)
+def test_a_verdict_needs_its_confidence_either_way(chances: tuple[float | None, ...], verdict: str) -> None:
+    """Of 95 %: every limit kept with it, or one broken with it; what could not be judged accepts nothing."""
+    limits = [Limit("a", chance, "") for chance in chances]
+    assert verdict_of(limits, 0.95) == verdict
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "probability"),
+    [(1.0, 0.5, 0.9772499), (3.0, 0.5, 0.0227501), (2.0, 0.5, 0.5), (1.9, 0.0, 1.0), (2.0, 0.0, 0.0)],
+)
+def test_the_chance_to_lie_below_two(value: float, error: float, probability: float) -> None:
+    """The normal distribution at two standard errors to either side; without an error it is certain."""
+    assert below(value, error, 2.0) == pytest.approx(probability, abs=1e-7)
+
+
+def test_chances_in_words() -> None:
+    assert [words(p) for p in (0.9995, 0.977, 0.0005)] == ["over 99.9 %", "97.7 %", "under 0.1 %"]

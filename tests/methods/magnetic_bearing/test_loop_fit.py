@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, identifiability_findings
+from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, goodness, identifiability_findings
 from labpipe.methods.magnetic_bearing.loop_fit import loop_fit as fit_of_all
 from labpipe.methods.magnetic_bearing.loop_problem import View, unknown, with_unknowns
 from tests.methods.magnetic_bearing.loop_cases import bearing, measured
@@ -104,7 +104,19 @@ def test_several_tests_give_one_value(rng: np.random.Generator) -> None:
         assert (
             two.std_error is not None and one.std_error is not None and two.std_error < 0.75 * one.std_error
         )
-    assert both.correlations[0][:2] == ("gap", "delay")
+    ((*names, between),) = both.correlations
+    chi2, chance, condition = goodness(both)
+    assert names == ["gap", "delay"] and (chi2.name, chance.name) == ("chi2_reduced", "chi2_p")
+    # Two columns of an angle acos(r) have the least condition number, ((1 + r) / (1 - r))^.5, at one length.
+    assert not identifiability_findings(replace(both, condition_number=29.9, bent=()))
+    (hardly,) = identifiability_findings(
+        replace(both, condition_number=31.0, alike=("gap", "delay"), bent=())
+    )
+    assert hardly.code == "collinear" and hardly.message.startswith(
+        "gap and delay are hardly told apart (condition number 31, limit 30)"
+    )
+    assert condition.name == "condition_number" and condition.value < 100
+    assert condition.value >= np.sqrt((1 + abs(between)) / (1 - abs(between)))
 
 
 def test_what_acts_only_as_a_product_cannot_be_told_apart(rng: np.random.Generator) -> None:
@@ -113,6 +125,10 @@ def test_what_acts_only_as_a_product_cannot_be_told_apart(rng: np.random.Generat
     fitted = loop_fit([view], ("gain", "force_per_current"))
     assert not fitted.determined and set(fitted.alike) == {"gain", "force_per_current"}
     assert all(parameter.std_error is None and parameter.ci95 is None for parameter in fitted.parameters)
+    (finding,) = identifiability_findings(fitted)
+    assert finding.code == "collinear" and "cannot be told apart by this response" in finding.message
+    (stopped,) = identifiability_findings(replace(fitted, condition_number=2.0, converged=False))
+    assert stopped.code == "no-convergence"
 
 
 def test_what_acts_on_nothing_is_said(rng: np.random.Generator) -> None:

@@ -101,12 +101,22 @@ def test_a_peak_at_the_edge_is_said(rng: np.random.Generator) -> None:
 
 
 def test_zone_prediction_and_what_lies_outside_the_band(rng: np.random.Generator) -> None:
-    found = loop_sensitivity(ASKED, response(rng), FILE)
+    found_in = response(rng)
+    found = loop_sensitivity(ASKED, found_in, FILE)
     assert found.verdict == "zone C" and "zone C of ISO 14839-3" in found.statement
     ratio, peak = found.amount("ratio"), found.amount("peak")
     assert peak.ci95 is not None and peak.ci95[0] <= TRUE_PEAK <= peak.ci95[1]
     assert ratio.ci95 is not None and ratio.ci95[0] <= 1 <= ratio.ci95[1]
     assert found.amount("share").value >= 0.9
+    # The course is drawn with the interval of every line about it, and with the file's |S|.
+    (course,) = found.curves
+    measured = measured_sensitivity(found_in, "before", "after")
+    assert course.measured == pytest.approx(measured.size) and course.frequency == pytest.approx(FREQUENCY)
+    np.testing.assert_allclose(measured.size - course.low, measured.quantile * measured.error, rtol=1e-9)
+    np.testing.assert_allclose(course.high - measured.size, measured.quantile * measured.error, rtol=1e-9)
+    np.testing.assert_allclose(
+        course.theory, np.abs(sensitivity(FILE.levitated(), 2 * np.pi * FREQUENCY)), rtol=1e-9
+    )
     # k_n / k_0 = 33106 / 1694 at rest.
     assert "19.5 at 0 Hz, zone D" in found.statement
     assert [finding.code for finding in found.findings] == ["sensitivity", "sensitivity", "assumptions"]

@@ -5,6 +5,7 @@ what is refused.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from labpipe.artefacts.identification_file import fit_entry, read_fit
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal.fit import mismatch, modal_findings
 from labpipe.methods.modal.likelihood import Lines
 from labpipe.methods.modal.model_error import phase_collinearity
 from labpipe.methods.modal.poles import kept_modes, refine_with_terms
@@ -343,12 +345,12 @@ def test_a_wrong_sign_of_the_force_is_a_negative_mass() -> None:
 
 
 def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
-    """A damping ratio of .8 at 120 Hz, 192 Hz wide in a band of 220 Hz, named by hand."""
+    """A damping ratio of .5 at 120 Hz, 120 Hz wide in a band of 220 Hz, named by hand."""
     response = beam(4)
     w, broad = 2 * np.pi * response.frequency, 2 * np.pi * 120.0
-    smooth = (beam_shapes()[:, 1] / (broad**2 - w[:, None] ** 2 + 1.6j * broad * w[:, None]))[:, :, None]
+    smooth = (beam_shapes()[:, 1] / (broad**2 - w[:, None] ** 2 + 1j * broad * w[:, None]))[:, :, None]
     lines = Lines(w, response.matrix + smooth, 0, np.ones(w.size))
-    poles = 2 * np.pi * np.array([*(-0.01 + 1j) * BEAM_FREQUENCIES, 120.0 * (-0.8 + 0.6j)])
+    poles = 2 * np.pi * np.array([*(-0.01 + 1j) * BEAM_FREQUENCIES, 120.0 * (-0.5 + 0.75**0.5 * 1j)])
     refined, terms = refine_with_terms(lines, poles, np.ones((4, 1), complex))
     kept, _, notes = kept_modes(lines, refined, terms)
     assert np.sort(np.abs(kept.poles)) / (2 * np.pi) == pytest.approx(BEAM_FREQUENCIES, rel=1e-3)
@@ -426,3 +428,42 @@ def test_inputs_that_are_no_forces_have_poles_and_no_masses(form: str) -> None:
         assert within(fit, f"f_n_{number}", f[number - 1]) and within(fit, f"zeta_{number}", zeta[number - 1])
     assert not [parameter for parameter in fit.parameters if parameter.name.startswith(("m_", "k_", "c_"))]
     assert fit.curve is not None and fit.curve.form == form
+
+
+def made_up(
+    converged: bool = True, damping: float = 0.01, chi2: tuple[float | None, float | None] = (1.0, 0.5)
+):
+    """An estimate of one mode at 50 Hz with a chi-square per degree of freedom and its chance."""
+    omega = 2 * np.pi * 50
+    poles = np.array([complex(-damping * omega, omega * np.sqrt(1 - damping**2))])
+    refined = SimpleNamespace(converged=converged, steps=40, poles=poles)
+    return SimpleNamespace(refined=refined, chi2_reduced=chi2[0], chi2_p=chi2[1])
+
+
+@pytest.mark.parametrize(
+    ("estimate", "p_noise", "said"),
+    [
+        (made_up(), 1e-9, {}),
+        (made_up(chi2=(None, None)), 0.5, {}),
+        (made_up(converged=False), 0.5, {"no-convergence": "did not converge in 40 steps"}),
+        (made_up(damping=-0.01), 0.5, {"unphysical": "the mode at 50 Hz has a negative damping ratio"}),
+        (made_up(damping=0.0), 0.5, {"unphysical": "the mode at 50 Hz has a negative damping ratio"}),
+        (
+            made_up(chi2=(4.0, 1e-9)),
+            0.5,
+            {
+                "model-mismatch": "the residual is 2 times what the measured noise explains (chi-square per "
+                "degree of freedom 4, p = 1e-09)"
+            },
+        ),
+        (
+            made_up(chi2=(None, None)),
+            1e-9,
+            {"model-mismatch": "the residual is not noise: it is alike on neighbouring lines (p = 1e-09)"},
+        ),
+    ],
+)
+def test_what_a_fit_of_modes_warns_of(estimate, p_noise: float, said: dict[str, str]) -> None:
+    found = {finding.code: finding.message for finding in modal_findings(estimate, p_noise, {})}
+    assert found.keys() == said.keys() and all(text in found[code] for code, text in said.items())
+    assert mismatch(estimate) == (2.0 if estimate.chi2_reduced == 4.0 else None)

@@ -12,7 +12,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.campaigns import ONE_BY_ONE
 from labpipe.methods.planning.model import relative_errors, sdof
-from labpipe.methods.planning.plan import make_plan, time_needed
+from labpipe.methods.planning.plan import make_plan, planned_lines, time_needed
 from labpipe.methods.planning.search import LEAST_CREST, flat
 from labpipe.methods.planning.settings import NoiseSettings, PlanSettings
 from labpipe.methods.planning.uncertainty import Earlier, Expected, spread, spread_notes
@@ -40,6 +40,19 @@ def settings(**entries: object) -> PlanSettings:
         **entries,
     }
     return PlanSettings("sdof", **chosen)  # type: ignore[arg-type]
+
+
+def test_lines_of_the_band_without_those_that_are_left_out() -> None:
+    """40 to 60 Hz every half a hertz: none of 44 to 45 Hz, within half a hertz of the mains' 50 Hz, or beside
+    the speed.
+    """
+    kept = planned_lines(settings(band=(40.0, 60.0), exclude=((44.0, 45.0),), mains=50.0, speed=57.3)) / 2
+    left_out = {44.0, 44.5, 45.0, 49.5, 50.0, 50.5, 57.0, 57.5}
+    assert kept.tolist() == [f for f in np.arange(40, 60.5, 0.5) if f not in left_out]
+    # No line at rest, and two are needed.
+    assert planned_lines(settings(band=(0.0, 1.0))).tolist() == [1, 2]
+    with pytest.raises(ConfigError, match="1 lines are left in the band"):
+        planned_lines(settings(band=(0.0, 1.0), exclude=((0.9, 1.1),)))
 
 
 def test_systematic_errors_that_both_tests_have_are_no_knowledge_of_one() -> None:

@@ -15,7 +15,16 @@ import yaml
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
-from labpipe.methods.planning.run_ups import EXPONENTS, RunUpChoice, RunUpPlanSettings, expected_rig
+from labpipe.methods.planning.run_ups import (
+    EXPONENTS,
+    Limits,
+    RunCandidate,
+    RunUpChoice,
+    RunUpPlanSettings,
+    at_allowed_speeds,
+    expected_rig,
+    expected_run,
+)
 from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.records import RunUp
@@ -74,7 +83,11 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     assert "The goals are" in ended.out and "times better by the largest error" in ended.out
     plan = read_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan) and plan.efficiency > 0.9 and plan.gain > 1 and plan.duration <= 300
-    assert "Runs to make" in (folder / "report.html").read_text("utf-8")
+    page = (folder / "report.html").read_text("utf-8")
+    assert "Runs to make" in page
+    # Rounded down, and never to more than there is.
+    sure = float(page.partition("an efficiency (by variances) of at least ")[2].partition(" %")[0])
+    assert 100 * plan.efficiency - 0.01 < sure <= 100 * plan.efficiency
     assert len((folder / "runs.csv").read_text("utf-8").splitlines()) == len(plan.runs) + 1
     assert labpipe("verify", folder).code == 0
 
@@ -152,9 +165,29 @@ def choice_of(settings: RunUpPlanSettings) -> RunUpChoice:
     return RunUpChoice(settings, expected_rig(settings, {}))
 
 
-def test_one_load_leaves_the_load_s_exponent_open(tmp_path: Path) -> None:
-    file = load_plan(_write(tmp_path, loads=["8 N"], goal={}, to_threshold=False, stretches=1))
-    plan = choice_of(file.settings).plan("").plan
+@pytest.fixture(scope="module")
+def one_load(tmp_path_factory: pytest.TempPathFactory) -> RunUpChoice:
+    folder = tmp_path_factory.mktemp("one-load")
+    file = load_plan(_write(folder, loads=["8 N"], goal={}, to_threshold=False, stretches=1))
+    return choice_of(file.settings)
+
+
+def test_a_run_keeps_the_speeds_within_its_limits_if_they_are_two(one_load: RunUpChoice) -> None:
+    """The largest displacement of every speed by its orbit, point by point over a turn; limits between the
+    two smallest, and above the second.
+    """
+    expected, run = one_load.expected, RunCandidate("a", 8.0, np.array([120.0, 130, 140]), {"disc 1": 5e-5})
+    turn = np.exp(2j * np.pi * np.linspace(0, 1, 3601))
+    orbit = np.real(expected_run(expected, run).response[..., None] * turn)
+    largest = np.max(np.hypot(orbit[:, :, 0], orbit[:, :, 1]), axis=(1, 2))
+    low, middle, high = np.argsort(largest)
+    kept = at_allowed_speeds(expected, run, Limits(np.sqrt(largest[middle] * largest[high])))
+    assert kept is not None and set(kept.speed) == set(run.speed[[low, middle]])
+    assert at_allowed_speeds(expected, run, Limits(np.sqrt(largest[low] * largest[middle]))) is None
+
+
+def test_one_load_leaves_the_load_s_exponent_open(one_load: RunUpChoice) -> None:
+    plan = one_load.plan("").plan
     assert "viscosity_load +1.00" in plan.undetermined
     assert plan.remedies == ("a second load",)
 

@@ -19,7 +19,8 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
-from labpipe.methods.planning.states import COEFFICIENTS, plan_states
+from labpipe.methods.planning.states import COEFFICIENTS, _common, _states, plan_states
+from labpipe.project.bearing_file import open_bearing
 from tests.conftest import Command
 
 BEARINGS = Path(__file__).parents[3] / "configs/bearings"
@@ -70,6 +71,22 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     signal = pc.read_csv(folder / "signals" / f"{plan.runs[0].name}-x.csv")["f [N]"].to_numpy()
     assert signal.size == 21 * 250 and np.abs(signal).max() <= 1e3 * (1 + 1e-6)
     assert labpipe("verify", folder).code == 0
+
+
+def test_viscosity_and_clearance_change_what_the_speed_changes(tmp_path: Path) -> None:
+    """K c / W and C c w / W are functions of mu w / (W c^2) alone (Reynolds): by logarithms
+    dK/dmu = dK/dw, dC/dmu = dC/dw + C, dK/dc = -K - 2 dK/dw, dC/dc = -3 C - 2 dC/dw; dw by other speeds.
+    """
+    speeds = ["2990 rpm", "3000 rpm", "3010 rpm"]
+    settings = load_plan(write(tmp_path, loads=["2 kN"], speeds=speeds)).settings
+    bearing = open_bearing(BEARINGS / "floating-journal.yaml")
+    common = [_common(bearing, name) for name in ("viscosity", "clearance")]
+    three = _states(settings, bearing, common)
+    below, here, above = (np.array(list(state.model.expected)) for state in three)
+    by_speed, damping = (above - below) / (20 / 3000), np.repeat([0, 1], 4)
+    expected = np.stack([by_speed + damping * here, -(1 + 2 * damping) * here - 2 * by_speed], axis=1)
+    size = np.repeat([np.abs(here[:4]).max(), here[4:].max()], 4)[:, None]
+    np.testing.assert_allclose(three[1].slopes * [0.03, 1e-4] / size, expected / size, atol=3e-3)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,7 @@ from labpipe.methods.rotor_system.predictions import (
     onset,
     unbalance_forces,
 )
+from labpipe.methods.rotor_system.records import Campbell
 from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, system, true_values
 
 
@@ -173,6 +174,19 @@ def test_a_missing_pedestal_is_the_most_probable_alternative() -> None:
     assert with_them.ln_evidence > without.ln_evidence + 10
 
 
+def test_what_is_known_exactly_has_a_critical_speed_without_width(fitted) -> None:
+    """Draws that do not scatter find the peak again, on a finer grid about it; files count nodes from 1."""
+    of, _, found = fitted
+    (critical, *_) = critical_speeds(
+        replace(found, widened=0.0), of, (20.0, 90.0), 100.0, [dof("4 z")], n_draw=2
+    )
+    assert (critical.place, critical.missing) == ("5 z", 0) and critical.speed_interval == pytest.approx(
+        [critical.speed] * 2, rel=1e-3
+    )
+    assert critical.amplitude_interval == pytest.approx([critical.amplitude] * 2, rel=1e-2)
+    assert critical.amplification_interval == pytest.approx([critical.amplification] * 2, rel=1e-2)
+
+
 @pytest.mark.long
 def test_critical_speed_and_amplification_of_draws(fitted) -> None:
     """The reduced basis against the whole model, and the truth in its interval."""
@@ -199,6 +213,17 @@ def test_onset_is_where_the_growth_rate_changes_its_sign(fitted) -> None:
         of.model.roots(values, 2 * np.pi * speed * f, slopes=False).values.real.max() for f in (0.99, 1.01)
     )
     assert below < 0 < above and 0 < error < 1
+
+
+def test_the_least_decrement_is_that_of_the_nearest_speed() -> None:
+    """A mode that is gone there does not count."""
+    values = np.array([[0.3, 0.1], [np.nan, 0.2], [0.05, 0.4]])
+    campbell = Campbell(
+        np.array([10.0, 20.0, 30.0]), *[np.ones((3, 2))] * 2, values, values / 10, np.ones((3, 2))
+    )
+    found = [campbell.least_decrement(speed) for speed in (1.0, 16.0, 24.0, 26.0, 90.0)]
+    assert [least for least, _ in found] == [0.1, 0.2, 0.2, 0.05, 0.05]
+    assert [error for _, error in found] == pytest.approx([0.01, 0.02, 0.02, 0.005, 0.005])
 
 
 def test_margins_of_api_684() -> None:

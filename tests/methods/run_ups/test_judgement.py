@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rotor.theory import BROKEN, KEPT, UNDECIDED, decision, margin_below
-from labpipe.methods.run_ups.judgement import judge
-from labpipe.methods.run_ups.orders import judged_figure
+from labpipe.methods.run_ups.judgement import Estimate, JudgedPeak, Judgement, Sensitivity, judge
+from labpipe.methods.run_ups.orders import judged_figure, judgement_lines
 from labpipe.records.response import Port
 from labpipe.spectra.orders import OrderTrack
 
@@ -180,3 +181,56 @@ def test_a_recording_is_judged(tmp_path: Path, labpipe) -> None:
     assert ended.code == 1 and "broken" in ended.out
     ended = labpipe(*common, tmp_path / "out3", "--baseline", tmp_path / "run.csv")
     assert ended.code == 2 and "one stated unbalance" in ended.err
+
+
+def judged(*peaks: JudgedPeak, top: float = 126.0, speed_range=(60.0, 100.0), **entries: object) -> Judgement:
+    fine = np.array([5.0, top])
+    parts = {"slow_roll": None, "sensitivities": (), **entries}
+    curves = {"curve": np.zeros((2, 1)), "ends": np.zeros((2, 2, 1))}
+    return Judgement(("a",), peaks=peaks, fine=fine, speed_range=speed_range, **parts, **curves)
+
+
+PEAK = JudgedPeak(
+    "a",
+    Estimate(45.0, 44.5, 45.5),
+    Estimate(8.0, 7.0, 9.5),
+    Estimate(3e-5, 2e-5, 4e-5),
+    Estimate(25.0, 24.0, 26.0),
+    Estimate(14.4, 14.0, 15.0),
+    KEPT,
+    0.99,
+    False,
+)
+
+
+def test_lines_of_a_judgement() -> None:
+    """45 Hz is 2700 rpm; .5 m per kg m is .5 um per g mm."""
+    found = judged(
+        PEAK,
+        replace(PEAK, amplification=None, margin=None, asked=None, fast=True),
+        replace(PEAK, asked=None, amplification=None),
+        slow_roll=np.array([3e-6j]),
+        sensitivities=(Sensitivity("a", Estimate(0.5, 0.25, 0.75), 30.0),),
+    )
+    speed = "a        critical speed 2700 (2670 to 2730) rpm"
+    assert list(judgement_lines(found, "displacement")) == [
+        "a        slow roll 3 um at 90 deg, subtracted",
+        f"{speed}, amplification factor 8 (7 to 9.5), margin 25 (24 to 26) %, asked for 14.4 (14 to 15) %: "
+        f"{KEPT}",
+        f"{speed}; passed too fast for a steady peak",
+        f"{speed}, margin 25 (24 to 26) %, asked for unknown: {KEPT}",
+        "a        sensitivity 0.5 (0.25 to 0.75) um/(g mm) at 1800 rpm",
+    ]
+    assert list(judgement_lines(judged(), "displacement")) == ["no critical speed within the run"]
+
+
+def test_a_run_is_accepted_where_the_speeds_were_run_and_all_margins_are_kept() -> None:
+    """A critical speed may stand up to 26 % above the operating speeds; what was not run is named in rpm."""
+    assert judged(PEAK).accepted and judged(speed_range=None).accepted
+    for outcome in (BROKEN, UNDECIDED):
+        assert not judged(PEAK, replace(PEAK, outcome=outcome)).accepted
+    assert not judged(PEAK, top=99.0).accepted and judged(PEAK, top=100.0).accepted
+    assert not judged(PEAK, speed_range=(4.0, 100.0)).accepted
+    assert judged(top=126.0).not_run == judged(top=50.0, speed_range=None).not_run == ""
+    said = "critical speeds from 7200 to 7560 rpm, beyond the run, are not judged"
+    assert judged(top=120.0).not_run == said and said in judgement_lines(judged(top=120.0), "displacement")

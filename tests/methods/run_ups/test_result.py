@@ -12,11 +12,12 @@ from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import ReadRun
 from labpipe.methods.run_ups.methods import _joint_at, excited_as, joint_method, predict
 from labpipe.methods.run_ups.process import fit_with_process
-from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.records import RunUp, RunUpMethod
 from labpipe.methods.run_ups.report import speed_blocks
-from labpipe.methods.run_ups.result import run_up_result
+from labpipe.methods.run_ups.result import _uncertainties, run_up_result
 from labpipe.methods.run_ups.section import run_up_lines
 from labpipe.methods.run_ups.settings import RunSettings, RunUpSettings
+from labpipe.records.finding import Parameter
 from labpipe.report.document import Table
 from tests.methods.run_ups.run_up_cases import RIG, trained
 
@@ -114,3 +115,29 @@ def test_a_rotor_file_without_unbalances_takes_those_of_the_run_ups(runs: list[R
     first, second = (result.methods[0].predictions[0].critical_speed for result in results)
     assert first is not None and second is not None and second.value == pytest.approx(first.value, rel=1e-9)
     assert [row.rank for row in results[1].ranks] == [row.rank for row in results[0].ranks]
+
+
+@pytest.mark.parametrize(
+    ("change", "codes"),
+    [
+        ({}, []),
+        ({"verdict": "not determined", "rank": 4}, ["collinear"]),
+        ({"verdict": "rejected"}, ["model-mismatch"]),
+        ({"verdict": "determined", "chi2_p": 1e-9, "share_at_bound": 0.25}, ["model-mismatch"]),
+        ({"verdict": "determined", "chi2_p": 0.5}, []),
+        ({"parameters": (Parameter("k", 1.0, "N/m", at_bound=True),)}, ["at-bound"]),
+    ],
+)
+def test_what_a_method_cannot_state_is_a_finding(change: dict[str, object], codes: list[str]) -> None:
+    plain = RunUpMethod("points", "Point by point", "not rejected", predictions=(), chi2_per_datum=3.456)
+    findings = _uncertainties(replace(plain, **change), ())
+    assert [finding.code for finding in findings] == codes
+    said = {
+        "rejected": "chi² per datum is 3.46: the bearing is not of the fitted family, and no interval is",
+        "not determined": "the data determine 4 of 8 coefficients at a point; the values are not determined",
+        "determined": "3.46: the residual exceeds the noise; 25 % of the coefficients lie on their bounds",
+        "": "k at the bound: the rotor file describes another bearing.",
+    }
+    for finding in findings:
+        assert said[change.get("verdict", "")] in finding.message
+        assert finding.message.startswith("Point by point: ")

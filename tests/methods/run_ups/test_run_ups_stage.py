@@ -16,7 +16,7 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.run_ups.methods import with_unbalance_of
 from labpipe.methods.run_ups.records import RunUp, RunUpResult
-from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv, write_run_up_csv
 from labpipe.methods.run_ups.section import identify_run_ups
@@ -52,7 +52,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> RunUpResult:
     runs = "".join(f"    - {{file: {SAMPLES}/load-{n}.csv}}\n" for n in (1, 2, 3, 4))
     runs += f"    - {{file: {SAMPLES}/held-out.csv, role: held-out}}\n"
     methods = "[amplitudes, points, joint]"
-    further = "  starts: 3\n  metamodels: [response-surface, physical]\n"
+    further = "  starts: 2\n  metamodels: [response-surface, physical]\n"
     return identified(tmp_path_factory.mktemp("run-ups"), runs, methods, further)
 
 
@@ -99,10 +99,16 @@ def test_the_search_shows_its_convergence_and_its_spread(whole: RunUpResult) -> 
         and len(search.mesh) == len(search.evaluations)
         and len(search.best) == 8
     )
+    # Of the third of four loads, where the rotor moves most and at the last speed.
+    run = read_run_up_csv(SAMPLES / "load-3.csv")
+    largest = np.argmax(np.sum(largest_displacement(run.response) ** 2, axis=1))
+    assert [spread.where for spread in amplitudes.spreads] == [
+        f"{run.load:.3g} N, {speed / RPM:.0f} rpm" for speed in run.speed[[largest, -1]]
+    ]
     for spread in amplitudes.spreads:
         factors = np.array(spread.factors)
         assert (
-            factors.shape == (3, 8)
+            factors.shape == (2, 8)
             and np.all(np.abs(factors - 1) <= 0.3 + 1e-9)
             and max(spread.objective) < 0.05
         )
