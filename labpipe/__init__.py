@@ -34,7 +34,7 @@ _MODULES = {
     "labpipe.simulate.virtual_rigs": "recordings simulated_response",
     "labpipe.raw_files.excitation": "design_multisine",
     "labpipe.document.render": "html_report markdown_report",
-    "labpipe.document.plot": "plot",
+    "labpipe.document.charts": "plot",
     "labpipe.spectra.settings": "FrfSettings",
     "labpipe.estimation.settings": "FitSettings Sliding Support",
     "labpipe.records.uncertain": "Uncertain",

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.artefacts.writing import output_file
-from labpipe.cli import options
-from labpipe.cli.output import echo
-from labpipe.display import plain_text
-from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, DataError, SettingError
 from labpipe.methods.balancing.influence import (
     Influence,
@@ -338,65 +332,3 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
         "next_runs": dict(result.next_runs),
     }
-
-
-# Chance below which the readings contradict the stated noise, and share by which one more run must help.
-UNLIKELY, WORTHWHILE = 0.01, 0.8
-
-
-@click.command()
-@click.argument("balance_path", metavar="FILE", type=options.PATH)
-@click.option(
-    "--json", "json_path", type=options.PATH, metavar="FILE", help="Write the result as JSON as well."
-)
-@options.overrides
-def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ...]) -> None:
-    """Balance weights by trial runs, by a model of the rotor, or by both: what to set where, the vibration
-    that is left with its interval, and whether one more run would pay.
-    """
-    result = balanced(load_balance(balance_path, overrides))
-    for line in sentences(result):
-        echo(line)
-    if json_path is not None:
-        with output_file(json_path) as path:
-            path.write_text(json.dumps(balance_entry(result), indent=1) + "\n", encoding="utf-8")
-
-
-def sentences(result: Balanced) -> Iterator[str]:
-    """The result in lines."""
-    file, residual = result.file, result.residual
-    for name, weight in zip(file.planes, result.weights, strict=True):
-        angle = np.degrees(np.angle(weight)) % 360
-        yield f"plane {name}: {1e6 * abs(weight):.4g} g mm at {angle:.1f} deg"
-        for place, mass in result.masses.get(name, ()):
-            yield f"  {1e3 * mass:.3g} g at {np.degrees(place) % 360:.1f} deg"
-    low, high = (plain_text(end, file.unit, 3) for end in residual.interval)
-    yield (
-        f"vibration (rms of {len(file.lines)} readings): {plain_text(residual.before, file.unit, 3)} as "
-        f"found, {plain_text(residual.rms, file.unit, 3)} expected with the weights (95 %: {low} to {high})"
-    )
-    for name, middle, first, last in zip(
-        file.lines, residual.amplitudes, residual.low, residual.high, strict=True
-    ):
-        ends = f"{plain_text(first, file.unit, 3)} to {plain_text(last, file.unit, 3)}"
-        yield f"  {name}: {plain_text(middle, file.unit, 3)} (95 %: {ends})"
-    if result.permissible is not None:
-        most = float(np.sum(residual.unbalance))
-        word = "within" if most <= result.permissible else "beyond"
-        yield (
-            f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), {word} the permissible "
-            f"{1e6 * result.permissible:.3g} g mm of G {1e3 * (file.settings.grade or 0):g}"
-        )
-    knowledge = result.knowledge
-    if knowledge.dof and chi2_tail(knowledge.misfit, knowledge.dof) < UNLIKELY:
-        yield (
-            f"warning: the readings scatter more than was stated (chi-square {knowledge.misfit:.3g} of "
-            f"{knowledge.dof}): the rig is not linear, changed between runs, or repeats less well"
-        )
-    best = min(result.next_runs, key=lambda name: result.next_runs[name])
-    if result.next_runs[best] < WORTHWHILE * residual.rms:
-        left = plain_text(result.next_runs[best], file.unit, 3)
-        share = 100 * result.next_runs[best] / residual.rms
-        yield f"one more run with {best} first is expected to leave {left}, {share:.0f} % of that"
-    else:
-        yield "one more run is not expected to lower it by a fifth"
