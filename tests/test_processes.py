@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.processes import SHARED_OUT, shared_out
+
 PARENT = """
 import multiprocessing, os, time
 from concurrent.futures import ProcessPoolExecutor
@@ -46,3 +48,12 @@ def _alive(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().split()[2] != "Z"
     except (ProcessLookupError, FileNotFoundError):
         return False
+
+
+def test_work_is_shared_out_to_as_many_processes_as_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """None asked for: one for each processor, one where their number is not known; outside one."""
+    for asked, processors, processes in ((3, 8, 3), (0, 8, 8), (0, None, 1)):
+        monkeypatch.setattr(os, "cpu_count", lambda number=processors: number)
+        with shared_out(asked):
+            assert SHARED_OUT.get() == processes
+        assert SHARED_OUT.get() == 1

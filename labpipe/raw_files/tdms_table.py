@@ -26,6 +26,7 @@ _SENSITIVITY_UNITS = (
     "ni_sensitivityunits",
     "sensor_sensitivity_unit",
 )
+# Relative difference of rates that are one, and of a rate from a whole number of hertz.
 _SAME = 1e-6
 _BROKEN = (
     ValueError,

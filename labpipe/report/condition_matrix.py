@@ -19,8 +19,8 @@ from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, rounded
 
-MAP_HEIGHT = 0.42
-ROOM = 1.1
+# Height of a row of a map, and room for its axes [in].
+MAP_HEIGHT, ROOM = 0.42, 1.1
 # From here on, and below its inverse, numbers are written with an exponent.
 READABLE = 1e6
 CIRCLE = np.linspace(0.0, 2 * math.pi, 121)

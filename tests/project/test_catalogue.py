@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import sqlite3
 import subprocess
 import sys
@@ -330,11 +331,19 @@ def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> Non
         "trend", line, "-p", "k", "--over", "preload", "--csv", line / "t.csv", "-o", line / "t.html"
     )
     assert ended.code == 0, ended.err
-    assert "per N (95 %): rising" in ended.out and "control limits" not in ended.out
+    # 1.96 standard errors of 10 / sqrt(50,000) N/m for a newton.
+    assert "slope 0.002000 ± 0.000088 kN/m per N (95 %): rising" in ended.out
+    assert "control limits" not in ended.out
     assert len((line / "t.csv").read_text().splitlines()) == 5
     assert "Campaign" in (line / "t.html").read_text()
     ended = labpipe("trend", line, "-p", "k", "--over", "preload", "--where", "preload < 250 N")
     assert "no trend can be computed" in ended.out
+    # 1500 N/m and three times 800 / 3 / 1.128 to either side.
+    ended = labpipe("trend", line, "-p", "k", "--over", "date")
+    low, high = re.search(r"control limits ([\d.]+) to ([\d.]+) kN/m: beyond none", ended.out).groups()
+    assert [float(low), float(high)] == pytest.approx(
+        [1.5 - 0.4 * np.pi**0.5, 1.5 + 0.4 * np.pi**0.5], rel=1e-5
+    )
 
 
 @pytest.mark.parametrize(

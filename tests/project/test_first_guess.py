@@ -174,7 +174,7 @@ def test_keys_are_unique_and_channels_as_many_as_columns(names: list[str]) -> No
 
 
 def test_the_key_of_a_second_channel_is_that_of_the_first_with_a_number() -> None:
-    """A key that began with a digit would be a number in a sum of channels."""
+    """Keys begin with a letter."""
     channels = guess_channels(["1 [N]", "1 [um]", "1 [V]", "x", "x [um]"], {})
     assert [channel.key for channel in channels] == ["ch_1", "ch_1_2", "ch_1_3", "x", "x_2"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, MaskSettings
-from labpipe.spectra.stepped import frequency_variance, sine_frequency
+from labpipe.spectra.stepped import LEFT, _allowance, frequency_variance, sine_frequency
 from labpipe.spectra.sweeps import find_dwells
 from tests.spectra.stepped_oscillator import CHANNELS, POLE, RATE, STEPS, motion, receptance, record
 
@@ -194,3 +195,12 @@ def test_dwells_too_short_and_steps_without_a_frequency_in_common_are_refused() 
 def test_settings_that_contradict_each_other_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         FrfSettings(**{"excitation": "stepped-sine", **change})
+
+
+@pytest.mark.parametrize(("tau", "blocks"), [(0.1, 1.0), (1.0, 1.0), (3.0, 3.0)])
+def test_a_decay_may_leave_a_share_of_a_standard_error_in_the_mean(tau: float, blocks: float) -> None:
+    """a exp(-t / tau) over n blocks of 1 s adds a tau / n to their mean, a / n where it is gone within one,
+    beside its standard error s / n^.5.
+    """
+    largest = np.sqrt(_allowance(SimpleNamespace(times=np.arange(40.0)), tau))
+    assert largest * blocks / 40 == pytest.approx(LEFT / 40**0.5)

@@ -77,6 +77,18 @@ def test_what_is_common_to_repeats_does_not_shrink() -> None:
     assert mean.ci95 == pytest.approx((10 - 1.95996 * np.sqrt(9.01), 10 + 1.95996 * np.sqrt(9.01)), rel=1e-5)
 
 
+def test_repeats_without_errors_have_that_of_their_scatter() -> None:
+    """9, 10 and 11: 1 / sqrt 3 with 2 degrees of freedom, 4.3026527 of them to either side; alike, none."""
+    bare = Parameter("k", 9.0, "N/m")
+    mean = repeat([bare, dataclasses.replace(bare, value=10.0), dataclasses.replace(bare, value=11.0)])
+    assert (mean.parameter.value, mean.repeats, mean.scatter) == (10.0, 3, 1.0)
+    assert mean.parameter.std_error == pytest.approx(3**-0.5) and mean.p_value is None
+    reach = 4.3026527 / 3**0.5
+    assert mean.parameter.ci95 == pytest.approx((10 - reach, 10 + reach), rel=1e-7)
+    alike = repeat([dataclasses.replace(bare, std_error=1.0), bare]).parameter
+    assert (alike.value, alike.std_error, alike.ci95, alike.significant) == (9.0, None, None, None)
+
+
 def test_repeats_apart_are_named_and_their_mean_widened() -> None:
     tests = [({"k": (value, 1e3)}, at("50 Hz", "1 kN")) for value in (1.00e6, 1.02e6, 0.98e6)]
     matrix = a_matrix(tests)

@@ -369,3 +369,14 @@ def test_readings_that_scatter_and_runs_that_would_not_pay_are_said(labpipe, tmp
     (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, "runs": runs, "noise": "1 um"}))
     ended = labpipe("balance", tmp_path / "b.yaml")
     assert "one more run is not expected to lower it by a fifth" in ended.out and "warning" not in ended.out
+
+
+@pytest.mark.parametrize(("unit", "refused"), [("mm/s", True), ("um", False)])
+def test_a_model_is_of_displacements(labpipe, tmp_path, unit: str, refused: bool):
+    """That file holds no model, which is found where readings are of displacement."""
+    runs = [{"name": "as found", "readings": {"A": f"8.5 {unit} at 60 deg"}}]
+    tree = {"model": "m.json", "planes": ["node 5"], "repeatability": "1 %", "runs": runs}
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(tree))
+    (tmp_path / "m.json").write_text("{}")
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert ended.code == 2 and ("a model needs readings of displacement" in ended.err) is refused

@@ -55,6 +55,11 @@ def test_the_right_loop_lies_in_the_bands() -> None:
     band = next(band for band in found.bands if band.parameter == "k" and band.holds)
     assert band.ratio == pytest.approx(band.value / band.other)
     assert band.ratio_ci95 is not None and band.ratio_ci95[0] <= 1 <= band.ratio_ci95[1]
+    # Courses beside the bands: k + j w c of the file itself.
+    stiffness, damping = found.curves
+    omega, plant = 2 * np.pi * np.array(stiffness.frequency), GEOMETRY.levitated()
+    whole = np.array(stiffness.theory) + 1j * omega * np.array(damping.theory)
+    np.testing.assert_allclose(whole, dynamic_stiffness(plant.loop, plant.negative_stiffness, omega))
 
 
 def test_another_loop_does_not() -> None:

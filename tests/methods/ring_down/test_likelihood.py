@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -9,6 +11,8 @@ from scipy.optimize import least_squares
 from labpipe.errors import FitError
 from labpipe.methods.ring_down.fit import mode_parameters
 from labpipe.methods.ring_down.likelihood import (
+    Judged,
+    _ending,
     maximum_likelihood,
     most_likely,
     pencil_poles,
@@ -167,3 +171,15 @@ def test_the_bound_is_reached_and_intervals_hold_the_truth(modes: Modes, bits: i
     chance = 3 * np.sqrt(0.95 * 0.05 / frequency.size)
     assert all(abs(share - 0.95) < chance for share in (holds[:, 0::2].mean(), holds[:, 1::2].mean()))
     assert np.abs(ratios).max() < 5
+
+
+def test_a_residual_goes_on_where_its_end_is_as_large_as_its_beginning() -> None:
+    """Mean squares of the last third over the first, of series that weigh alike: 3^2, its inverse, and both
+    together, 1.
+    """
+    sign = np.tile([1.0, -1.0], 50)
+    grows = np.concatenate([1 * sign, 2 * sign, 3 * sign])[:, None].astype(complex)
+    assert _ending([grows]) == pytest.approx(9) and _ending([1e-6 * grows[::-1]]) == pytest.approx(1 / 9)
+    assert _ending([grows, 1e3 * grows[::-1]]) == pytest.approx(1)
+    plain = Judged(amplitude=1.0, white=1.0, strongest=0.0, ending=0.0)
+    assert [replace(plain, ending=size).goes_on for size in (0.1, 9.0)] == [False, True]

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
+from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.response import growth_rate, modes
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor
@@ -212,3 +213,16 @@ def test_an_uncertainty_that_cannot_be_read_is_named_at_its_place(small: Path) -
     with pytest.raises(ConfigError, match=r"clearance") as caught:
         load_rotor(small)
     assert ":12:" in str(caught.value)
+
+
+def test_a_linear_bearing_takes_one_way_to_state_a_coefficient() -> None:
+    """k_cross is k_yz = -k_zy, c both dampings; without k_zz the stiffness is that of y."""
+    seal = LinearBearingSettings(kind="linear-bearing", k_yy=2e6, k_cross=1e6, c=10.0)
+    assert seal.stiffness.tolist() == [[2e6, 1e6], [-1e6, 2e6]]
+    assert seal.damping.tolist() == [[10, 0], [0, 10]]
+    both = {"k_zz": 3e6, "k_yz": 1.0, "k_zy": 2.0, "c_yy": 4.0, "c_zy": 5.0}
+    plain = LinearBearingSettings(kind="linear-bearing", k_yy=2e6, **both)
+    assert plain.stiffness.tolist() == [[2e6, 1], [2, 3e6]] and plain.damping.tolist() == [[4, 0], [5, 0]]
+    for entries in ({"k_cross": 1.0, "k_yz": 1.0}, {"k_cross": 0.0, "k_zy": 1.0}, {"c": 1.0, "c_zz": 1.0}):
+        with pytest.raises(SettingError):
+            LinearBearingSettings(kind="linear-bearing", k_yy=2e6, **entries)
