@@ -13,7 +13,7 @@ from labpipe.report.document import Document, Figure, Section
 from tests.benchmarks.test_spectral_ratios import ratios
 
 LINES, CURVES = 400, 4
-MOST_OF_ONE = 0.57
+MOST_OF_UNLIKE = 0.87
 
 
 def test_a_figure_of_a_page_costs_a_fraction_of_its_drawing_for_print(
@@ -28,22 +28,22 @@ def test_a_figure_of_a_page_costs_a_fraction_of_its_drawing_for_print(
 
 
 def test_figures_alike_of_a_pdf_share_their_canvas_and_layout(capsys: pytest.CaptureFixture[str]) -> None:
-    """Twelve fits over twelve times one of them: the first is laid out and has its axes made, the others not.
+    """Twelve fits over twelve of slightly different heights, of which each is laid out and has its axes made.
 
-    Measured 0.43, and 0.69 where each has its own; one figure alone has the cost of the fonts and the file.
+    Measured 0.60 to 0.72, and 0.94 to 1.01 where nothing is shared.
     """
-    figures = [Figure(fit_chart(seed), "a fit", "a fit") for seed in range(12)]
 
-    def pdf(count: int) -> bytes:
-        return render_pdf(Document("T", "", (Section("S", tuple(figures[:count])),)))
+    def pdf(step: float) -> bytes:
+        figures = [Figure(fit_chart(seed, 6.0 + step * seed), "a fit", "a fit") for seed in range(12)]
+        return render_pdf(Document("T", "", (Section("S", tuple(figures)),)))
 
-    (many,) = ratios(lambda: pdf(1), lambda: pdf(12), repeats=3)
+    (alike,) = ratios(lambda: pdf(0.01), lambda: pdf(0.0), repeats=3)
     with capsys.disabled():
-        print(f"\ntwelve figures of a PDF: {many / 12:.2f} times as much each as one alone")
-    assert many / 12 < MOST_OF_ONE
+        print(f"\ntwelve figures alike of a PDF: {alike:.2f} times twelve of different heights")
+    assert alike < MOST_OF_UNLIKE
 
 
-def fit_chart(seed: int) -> Chart:
+def fit_chart(seed: int, height: float = 6.0) -> Chart:
     """Three panels over one frequency, each with four measured and four fitted curves: what a fit of a 2 x 2
     FRF shows.
     """
@@ -56,4 +56,4 @@ def fit_chart(seed: int) -> Chart:
             make(f"term {n}", frequency, row, n) for n, row in enumerate(values) for make in (curve, dots)
         ]
         panels.append(Panel(Axis("frequency", "Hz"), Axis(title, "um/N"), tuple(both)))
-    return stack(panels, 6.0)
+    return stack(panels, height)
