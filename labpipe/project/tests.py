@@ -479,8 +479,8 @@ class TestReader:
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top else {}
-        rig_of_test = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
-        both = {**(common if isinstance(common, dict) else {}), **rig_of_test}
+        frf_of_test = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
+        both = {**(common if isinstance(common, dict) else {}), **frf_of_test}
         whole = {name: node for name, node in both.items() if node.content is not None}
         node = replace(entries["frf"], content=whole)
         return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)

@@ -246,7 +246,7 @@ def equal_steps(source: DescribedColumns, size: int) -> tuple[dict[str, str], Fl
     for part in source.signals:
         if part.axis == "Hz" and max(source.values(part.values).shape) == size:
             start, step = (f"{part.place}.x_values.{name}" for name in ("start_value", "increment"))
-            first = float(source.real(start).item())
+            first = float(source.real(start).flat[0])
             return {"start": start, "step": step}, first + part.step * np.arange(size)
     spacing = _step_by_scalars(source, size)
     lines = {"start": "0 Hz", "step": f"{spacing:.12g} Hz"} if spacing else {}

@@ -47,16 +47,16 @@ class Signals:
 
 def signals_of(fields: Mapping[str, Any]) -> list[Signals]:
     """The structures among the fields of a MATLAB file, by their full names."""
-    found = []
+    signals = []
     for key in fields:
         place = key.removesuffix(_VALUES)
-        if place != key and np.size(fields.get(place + _STEP, ())) == 1:
+        step = _number(fields, place + _STEP)
+        if place != key and np.isfinite(step):
             channels = (f"{place}.function_record.{side}_channel.label" for side in ("primary", "reference"))
             labels, references = (_texts(fields.get(name)) for name in channels)
             axis = "".join(_texts(fields.get(f"{place}.x_values.quantity.label")))
-            step = float(np.asarray(fields[place + _STEP]).item())
-            found.append(Signals(place, step, axis, labels, references, _unit(fields, place)))
-    return found
+            signals.append(Signals(place, step, axis, labels, references, _unit(fields, place)))
+    return signals
 
 
 def labels_and_units(
@@ -84,12 +84,17 @@ def _unit(fields: Mapping[str, Any], place: str) -> str:
         base = "".join(_texts(fields.get(f"{term}.quantity")))
         if not base:
             break
-        powers[base] = float(
-            np.asarray(fields[f"{term}.num"]).item() / np.asarray(fields[f"{term}.den"]).item()
-        )
+        divisor = _number(fields, f"{term}.den")
+        powers[base] = _number(fields, f"{term}.num") / divisor if divisor else np.nan
     wanted = tuple(powers[base] for base in _BASES)
     others = sum(abs(power) for base, power in powers.items() if base not in _BASES)
     return next((unit for unit in _UNITS if not others and parse_unit(unit).dimension == wanted), "")
+
+
+def _number(fields: Mapping[str, Any], key: str) -> float:
+    """The one number of a field, not finite where it holds none."""
+    array = np.asarray(fields.get(key, ()))
+    return float(array.item()) if array.size == 1 and array.dtype.kind in "iuf" else np.nan
 
 
 def _texts(value: Any) -> tuple[str, ...]:

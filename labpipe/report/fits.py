@@ -86,12 +86,12 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
     What holds of several fits in the same words stands with the first of them.
     """
     sections: list[Section] = []
-    text: list[object] = []
+    stated: list[object] = []
     for fits in _groups(identification.fits):
         title, blocks = _result(fits)
         general = [block for block in blocks if _is_general(block)]
-        again = [block for block in general if _wording(block) in text]
-        text += map(_wording, general)
+        again = [block for block in general if _wording(block) in stated]
+        stated += map(_wording, general)
         pointer = (SAID_BEFORE,) if any(block != _EXPLANATION for block in again) else ()
         fresh = tuple(block for block in blocks if not (_is_general(block) and block in again))
         sections.append(Section(f"Result: {title}", (*fresh[:2], *pointer, *fresh[2:])))

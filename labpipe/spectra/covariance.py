@@ -148,7 +148,8 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
     """
 
     shape = np.ones_like(variance)
-    columns = np.column_stack([shape, power / np.max(power)])
+    # A silent response has no power.
+    columns = np.column_stack([shape, power / (np.max(power) or 1.0)])
     variance = np.maximum(variance, np.finfo(float).eps * np.max(variance))
     variance = variance / np.max(variance) if np.max(variance) > 0 else shape
     for _ in range(REWEIGHTED):

@@ -420,14 +420,15 @@ def _bursts(
     """
     force, responses = spectra.blocks[:, :, 0], spectra.blocks[:, :, 1:]
     noise = spectra.blocks.shape[0] * np.einsum("loo->o", spectra.local.noise).real
-    if len(layout.inputs) > 1 or not np.any(
-        noise > LEAST_NOISE * np.sum(np.abs(responses) ** 2, axis=(0, 1))
-    ):
+    window = 2 * spectra.local.width + 1
+    if len(layout.inputs) > 1 or spectra.frequency.size < window:
         return ()
+    noisy = np.flatnonzero(noise > LEAST_NOISE * np.sum(np.abs(responses) ** 2, axis=(0, 1)))
+    if not noisy.size:
+        return ()
+    responses, noise = responses[:, :, noisy], noise[noisy]
     ratio = np.einsum("blo,bl->lo", responses, force.conj()) / np.sum(np.abs(force) ** 2, axis=0)[:, None]
-    smooth = partial(
-        scipy.signal.savgol_filter, window_length=2 * spectra.local.width + 1, polyorder=3, axis=0
-    )
+    smooth = partial(scipy.signal.savgol_filter, window_length=window, polyorder=3, axis=0)
     rest = responses - (smooth(ratio.real) + 1j * smooth(ratio.imag)) * force[:, :, None]
     # Beside a sharp resonance a smooth FRF leaves more than noise.
     excess = np.sum(np.abs(rest) ** 2, axis=(0, 1)) / noise
@@ -446,7 +447,7 @@ def _bursts(
     sweep, (begin, _) = sweeps[block]
     ends = [begin + int(part + n) * length for n in range(2)]
     low, high = sorted(rate * sweep.frequency_at(end) for end in ends)
-    label, percent = layout.outputs[output].label, 100 * share[block, part, output]
+    label, percent = layout.outputs[noisy[output]].label, 100 * share[block, part, output]
     what = (
         f"response {label}: {percent:.0f} % of the power that the force does not explain comes from "
         f"{ends[0] / rate:.4g} to {ends[1] / rate:.4g} s, while the force passes {low:.3g} to {high:.3g} Hz: "

@@ -129,6 +129,16 @@ def test_the_label_counts_only_where_numbers_are_not_in_si(
     assert open_table(tmp_path / "run.mat").units.get("a") == unit
 
 
+@pytest.mark.parametrize("term", [(1.0, 0.0, "LENGTH"), ("x", 1.0, "LENGTH"), (1.0, np.ones(2), "LENGTH")])
+def test_damaged_terms_of_a_unit_are_no_unit(
+    tmp_path: Path, rng: np.random.Generator, term: tuple[Any, ...]
+) -> None:
+    content = structure(rng.normal(size=(300, 1)), 1e-3, "m", {"LENGTH": 1}, ("a",))
+    content["y_values"]["quantity"]["quantity_terms"][0] = term
+    savemat(tmp_path / "run.mat", {"S": content})
+    assert open_table(tmp_path / "run.mat").units == {}
+
+
 def test_two_rates_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     content = {
         name: structure(rng.normal(size=(300, 1)), step, "g", ACCELERATION, (name,))

@@ -270,6 +270,16 @@ def test_a_burst_while_the_force_passes_a_resonance_is_named(count: int) -> None
     assert "burst" not in codes(steady) and "burst" not in codes(measure([clean], SWEEP))
 
 
+def test_few_noisy_lines_and_a_silent_response_hold_no_burst() -> None:
+    noisy = record(1, UP, noise=(0.0, 3.0))
+    assert "burst" not in codes(measure([noisy], FrfSettings("sweep", band=(40.0, 41.0))))
+    channels = (*CHANNELS, Channel("dead", "displacement", "output", "y", 0.0))
+    silent = replace(
+        noisy, channels=channels, samples=np.column_stack([noisy.samples, 0 * noisy.samples[:, 0]])
+    )
+    assert "burst" not in codes(measure([silent], SWEEP))
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

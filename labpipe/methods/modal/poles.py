@@ -222,7 +222,7 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
     """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower
     order where that has none. Frequencies that are APART have poles of their own.
 
-    None of them where no order has a pole.
+    No pole where no order has one.
     """
     of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
     poles = next((poles for poles in of_orders if poles.values.size), None)
