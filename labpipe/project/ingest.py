@@ -25,7 +25,7 @@ from labpipe.errors import DataError
 from labpipe.quantities import UnitError, readings
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
-from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, open_table
+from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
 from labpipe.records.finding import Finding
 from labpipe.records.rig import Rig, RigChannel
 
@@ -109,9 +109,7 @@ def check_table(table: Table, rig: Rig) -> list[str]:
     """
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
-    if rig.time and table.units.get(rig.time) == "Hz":
-        hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
-        raise DataError(f"'{rig.time}' is a frequency, no time", table.path, hint)
+    check_time(table, rig.time)
     for channel in rig.channels:
         _check_unit(table, channel)
     return timed

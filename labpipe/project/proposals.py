@@ -14,7 +14,7 @@ from labpipe.project import first_guess
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.first_look import Excitation, look, round_down
-from labpipe.raw_files.table import Table
+from labpipe.raw_files.table import Table, check_time
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.free_decays import free_decays
@@ -26,6 +26,8 @@ from labpipe.spectra.sweeps import find_sweeps
 STEADY_CREST = 1.9
 # Share of a record that sweeps take where they are its excitation.
 SWEPT = 0.4
+# Volts that drive a shaker repeat at least so many times as exactly as the force that it makes of them.
+CLEANER = 3.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ def first_look(table: Table) -> FirstLook:
     if rows.shape[0] < 2:
         raise DataError("holds too few samples", table.path)
     times = first_guess.time_columns(names, rows)
+    check_time(table, times[0] if times else "")
     signal_numbers = [number for number, name in enumerate(names) if name not in times]
     if not signal_numbers:
         raise DataError("holds no column but time", table.path)
@@ -115,6 +118,24 @@ def excitation_of(force: FloatArray, rate: float) -> Excitation:
     return Excitation("sweep", widest.stop - widest.start, band, len(sweeps))
 
 
+def drive_of(first: FirstLook, force: int, excitation: Excitation) -> int | None:
+    """The column of the volts that drive the shaker: they repeat with the period of its periodic *force*
+    (a column), and more exactly. None where no or several channels do.
+    """
+    if excitation.kind != "periodic":
+        return None
+    periods = first.rows[: excitation.length * excitation.repeats].reshape(
+        excitation.repeats, excitation.length, -1
+    )
+    noise = np.std(periods - periods.mean(axis=0), axis=(0, 1))
+    size = np.std(periods, axis=(0, 1))
+    volts = [
+        number for number in first.column_of("reference") if first.channels[number].quantity == "voltage"
+    ]
+    drives = [n for n in volts if size[n] > 0 and CLEANER * noise[n] * size[force] < noise[force] * size[n]]
+    return drives[0] if len(drives) == 1 else None
+
+
 # Lines in the half-power width of a peak that show its damping, and fewest blocks of a random recording.
 RESOLVED, FEWEST_BLOCKS = 5, 4
 
@@ -158,27 +179,31 @@ def propose(
 
 
 def proposals(
-    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation
+    first: FirstLook,
+    inputs: Sequence[int],
+    outputs: Sequence[int],
+    excitation: Excitation,
+    drive: int | None = None,
 ) -> tuple[dict[str, Proposal], Excitation]:
     """A fit around the highest peak of the mobility of each response, by its channel, and the excitation with
     blocks, if it is random, that are long enough for these peaks or the longest of which there are some.
 
-    None where nothing can be measured.
+    None where nothing can be measured. *drive*: the column of what drives the shaker, where one does.
     """
-    fits = _proposals(first, inputs, outputs, excitation)
+    fits = _proposals(first, inputs, outputs, excitation, drive)
     while excitation.kind == "random" and any(fit.lines < RESOLVED for fit in fits.values()):
         length = round_down(2 * excitation.length + excitation.length // 2)
         if FEWEST_BLOCKS * length > first.rows.shape[0]:
             break
         excitation = replace(excitation, length=length, repeats=first.rows.shape[0] // length)
-        fits = _proposals(first, inputs, outputs, excitation)
+        fits = _proposals(first, inputs, outputs, excitation, drive)
     return fits, excitation
 
 
 def _proposals(
-    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation
+    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation, drive: int | None
 ) -> dict[str, Proposal]:
-    chosen = [*inputs, *outputs]
+    chosen = [*inputs, *outputs, *([] if drive is None else [drive])]
     channels = tuple(_as_channel(first.channels[number]) for number in chosen)
     kinds = {channel.quantity for channel in channels if channel.role == "output"}
     if not outputs or len(kinds) > 1:
@@ -188,6 +213,8 @@ def _proposals(
     keys: dict[str, Any] = {"block": length} if excitation.kind in ("random", "impact") else {}
     if periodic:
         keys = {"period": length, "skip": 1 if excitation.repeats > 2 else 0}
+    if drive is not None:
+        keys["reference"] = (first.channels[drive].key,)
     settings = FrfSettings(excitation=excitation.kind, band=excitation.band, **keys)
     try:
         response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)

@@ -24,6 +24,7 @@ from labpipe.project.proposals import (
     FirstLook,
     Proposal,
     decay_bands,
+    drive_of,
     excitation_of,
     first_look,
     proposal_of,
@@ -189,14 +190,18 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if excitation is not None and {"displacement", "acceleration"} <= quantities:
         return _pipeline_of_stator(first, excitation, paths)
     peaks: Mapping[str, Proposal] = {}
+    drive = drive_of(first, inputs[0], excitation) if excitation is not None else None
+    if excitation is not None and drive is not None:
+        excitation = replace(excitation, band=excitation_of(first.rows[:, drive], first.rate or 1.0).band)
     if excitation is not None and first.rate:
-        peaks, excitation = proposals(first, inputs[:1], outputs, excitation)
+        peaks, excitation = proposals(first, inputs[:1], outputs, excitation, drive)
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
         *_sources(files, paths, "recordings"),
         *(_frf_lines(excitation, first.rate) if not decays else DECAYING),
+        *([_remark(f"  reference: {first.channels[drive].key}", DRIVES)] if drive is not None else []),
         "identify:",
     ]
     if decays:
@@ -216,6 +221,7 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
 
 
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
+DRIVES = "drives the shaker: lines that it lacks are distortion, no excitation"
 
 
 def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[str]:

@@ -276,3 +276,10 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
         check_names(table.path, [name], table.columns)
         if count > 1:
             raise DataError(f"the column '{name}' appears {count} times", table.path, "rename one of them")
+
+
+def check_time(table: Table, time: str | None) -> None:
+    """DataError where the *time* column holds frequencies; there may be none."""
+    if time and table.units.get(time) == "Hz":
+        hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
+        raise DataError(f"'{time}' is a frequency, no time", table.path, hint)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -80,3 +82,28 @@ def test_a_channel_is_a_line_of_the_rig_file() -> None:
         }
     }
     assert "invert" not in _channel_line(replace(channel, invert=False), "")
+
+
+@pytest.mark.parametrize(("volts_noise", "named"), [(1e-4, True), (0.05, False)])
+def test_volts_cleaner_than_the_force_drive_the_shaker(
+    tmp_path: Path, volts_noise: float, named: bool
+) -> None:
+    """Tones at 10, 12 and 15 Hz; the amplifier squares a tenth of them, which puts force on other lines."""
+    draw = np.random.default_rng(3)
+    time = np.arange(4000) / 200
+    tones = sum(np.cos(2 * np.pi * f * time + f) for f in (10, 12, 15))
+    force = tones + 0.1 * tones**2 + 0.05 * draw.standard_normal(time.size)
+    columns = {
+        "t [s]": time,
+        "u [V]": tones + volts_noise * draw.standard_normal(time.size),
+        "f [N]": force,
+        "a [m/s^2]": force + 0.05 * draw.standard_normal(time.size),
+    }
+    pd.DataFrame(columns).to_csv(tmp_path / "shaken.csv", index=False)
+    frf = yaml.safe_load(scaffold([tmp_path / "shaken.csv"], tmp_path).pipeline)["frf"]
+    assert frf["excitation"] == "periodic" and frf["period"] == "1 s"
+    low, high = (float(edge) for edge in frf["band"].removesuffix(" Hz").split("-"))
+    if named:
+        assert frf["reference"] == "u" and (low, high) == (10.0, 15.0)
+    else:
+        assert "reference" not in frf and low < 10.0 < 15.0 < high

@@ -17,6 +17,7 @@ from labpipe.errors import DataError
 from labpipe.project.ingest import ingest
 from labpipe.project.inspect import inspect
 from labpipe.project.rig_file import load_rig
+from labpipe.project.scaffold import scaffold
 from labpipe.raw_files.frf_described import Dofs, read_described
 from labpipe.raw_files.joined_table import ResampledTable
 from labpipe.raw_files.mdf_table import TIME
@@ -315,3 +316,5 @@ def test_the_axis_of_an_lvm_spectrum_is_no_time(tmp_path: Path, title: str, dime
         pytest.raises(DataError, match="'X_Value' is a frequency, no time"),
     ):
         ingest(path, load_rig(rig), output, "s", tmp_path)
+    with pytest.raises(DataError, match="the file holds a spectrum"):
+        scaffold([path], tmp_path)
