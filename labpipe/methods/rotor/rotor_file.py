@@ -258,7 +258,7 @@ def read_materials(node: Marked | None, faults: Faults) -> dict[str, Material]:
         settings = read_settings(MaterialSettings, entry, key, faults)
         if settings is not None:
             moduli = settings.elastic_modulus, settings.shear_modulus, settings.poisson
-            material = tried(partial(Material, settings.density, *moduli), entry, key, faults)
+            material = tried(partial(Material, settings.density, *moduli, name), entry, key, faults)
             materials |= {} if material is None else {name: material}
     return materials
 

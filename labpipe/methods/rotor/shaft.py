@@ -37,19 +37,23 @@ def _refuse_bore(what: str, inner: float, outer: float) -> None:
 
 @dataclass(frozen=True)
 class Material:
-    """density [kg/m3], elastic and shear modulus [Pa]; Poisson's ratio enters the shear coefficient only."""
+    """density [kg/m3], elastic and shear modulus [Pa]; Poisson's ratio enters the shear coefficient only.
+
+    Two of different names may have the same numbers and be uncertain by themselves.
+    """
 
     density: float
     elastic_modulus: float
     shear_modulus: float
     poisson: float = 0.3
+    name: str = ""
 
     def __post_init__(self) -> None:
         _refuse_unless_positive("material", self, ("density", "elastic_modulus", "shear_modulus"))
 
 
-STEEL = Material(7800.0, 2.1e11, 0.796e11)
-ALUMINIUM = Material(2700.0, 0.7e11, 0.27e11)
+STEEL = Material(7800.0, 2.1e11, 0.796e11, name="steel")
+ALUMINIUM = Material(2700.0, 0.7e11, 0.27e11, name="aluminium")
 
 
 @dataclass(frozen=True)

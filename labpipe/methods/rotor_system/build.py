@@ -340,7 +340,7 @@ class _Builder:
         materials = list(dict.fromkeys(element.material for element in rotor.elements))
         young = {
             material: self.unknown(
-                "young" if len(materials) == 1 else f"young {number}",
+                "young" if len(materials) == 1 else f"young of {material.name or number}",
                 self.system.young.get(material, 0.0),
                 nominal=material.elastic_modulus,
                 nominal_unit="Pa",

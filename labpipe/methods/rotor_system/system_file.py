@@ -182,12 +182,8 @@ def _system(
         return error or (ESTIMATED[name] if name in estimated else 0.0)
 
     usual = [free(name, 0.0) for name in ("stiffness", "damping", "cross-coupling")]
-    moduli = taken["materials"].values()
     young = {
-        material: free(
-            "young",
-            _relative(next((number for number in moduli if number.value == material.elastic_modulus), None)),
-        )
+        material: free("young", _relative(taken["materials"].get(material.name)))
         for material in {element.material for element in rig.rotor.elements}
     }
     masses = tuple(

@@ -293,3 +293,17 @@ def test_damping_that_turns_with_the_shaft_makes_it_unstable_above_the_critical_
     fast = of.model.roots(values, 3000.0, slopes=False).values
     assert slow.real.max() < 0 < fast.real.max()
     assert dof("2 z") == 9
+
+
+def test_two_materials_of_one_modulus_keep_their_own_uncertainties(tmp_path: Path) -> None:
+    """The cast one is known ten times worse, whatever its nominal numbers are."""
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
+    forged = whole["materials"]["shaft steel"]
+    whole["materials"]["cast"] = forged | {"elastic_modulus": "210 GPa +- 20 %"}
+    piece = whole["elements"][0] | {"count": 6}
+    whole["elements"] = [piece, piece | {"material": "cast"}]
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
+    young = load_system(tmp_path / "rotor.yaml").young
+    assert {material.name: error for material, error in young.items()} == pytest.approx(
+        {"shaft steel": 0.02, "cast": 0.2}
+    )
