@@ -27,7 +27,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, parse_phasor, quantity, setting
+from labpipe.records.settings import Settings, parse_phasor, quantity, require_positive, setting
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
@@ -55,6 +55,17 @@ class BalanceSettings(Settings):
         default="",
     )
 
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", "speed", "grade")
+        if self.repeatability < 0:
+            raise SettingError("repeatability", "a scatter is not negative")
+        of_grade = {"mass": self.mass, "speed": self.speed, "grade": self.grade}
+        missing = [name for name, value in of_grade.items() if value is None]
+        if missing and len(missing) < len(of_grade):
+            given = next(name for name in of_grade if name not in missing)
+            what = f"'{given}' alone says nothing of a permissible unbalance"
+            raise SettingError(given, what, f"give {' and '.join(missing)} as well")
+
 
 @dataclass(frozen=True)
 class PlaneSettings(Settings):
@@ -67,6 +78,11 @@ class PlaneSettings(Settings):
     largest: float | None = quantity("most mass in one place", "kg", None)
 
     def __post_init__(self) -> None:
+        require_positive(self, "radius", "largest")
+        if self.first and not self.places:
+            raise SettingError("first", "'first' is of places", "places: 12")
+        if len({round(angle % (2 * np.pi), 9) for angle in self.angles}) < len(self.angles):
+            raise SettingError("angles", "an angle is named twice", "name each place once")
         if self.places and self.angles:
             raise SettingError("angles", "'places' and 'angles' exclude each other", "keep one")
         if self.at.size and (self.at.size < 3 or self.radius is None):
@@ -174,18 +190,32 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
         )
         for name, (weights, readings) in named.items()
     )
+    _check_noise(path, runs, lines, noise)
     return BalanceFile(path, settings, planes, lines, unit, runs, noise, prior)
+
+
+def _check_noise(path: Path, runs: Sequence[Run], lines: Sequence[str], noise: Noise) -> None:
+    """ConfigError for a reading without scatter: it would outweigh all others."""
+    if noise.floor < 0:
+        raise ConfigError("noise: a scatter is not negative", path)
+    for run in runs:
+        for line, variance in zip(lines, noise.variance(run.readings), strict=True):
+            if variance == 0:
+                what = f"reading {line} of run '{run.name}' has no scatter, as if it were exact"
+                raise ConfigError(what, path, "noise: 0.2 um, for example")
 
 
 def _planes(node: Marked, faults: Faults) -> dict[str, PlaneSettings]:
     if isinstance(node.content, list):
-        return {entry.text: PlaneSettings() for entry in node.content}
+        names = [entry.text for entry in node.content]
+        for entry in node.content:
+            if names.count(entry.text) > 1:
+                faults.add(entry, "planes", f"'{entry.text}' is named twice")
+        return {name: PlaneSettings() for name in names}
     planes = {}
     for name, entry in faults.mapping(node, "planes").items() if node.content else ():
         empty = Marked({}, entry.where, entry.key_where) if entry.content is None else entry
-        settings = read_settings(PlaneSettings, empty, join("planes", name), faults)
-        if settings is not None:
-            planes[name] = settings
+        planes[name] = read_settings(PlaneSettings, empty, join("planes", name), faults) or PlaneSettings()
     return planes
 
 

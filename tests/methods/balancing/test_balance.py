@@ -289,6 +289,19 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         ({"grade": "2.5"}, "grade: '2.5' has no unit"),
         ({"speeed": "50 Hz"}, "speeed: unknown key; did you mean 'speed'?"),
         ({"planes": {"left": {"places": 12}, "right": {}}}, "'places' needs a radius"),
+        (
+            {"planes": {"left": {"radius": "0 mm"}, "right": {}}},
+            "planes.left.radius: radius must be positive",
+        ),
+        ({"planes": {"left": {"first": "9 deg"}, "right": {}}}, "'first' is of places"),
+        (
+            {"planes": {"left": {"angles": ["0 deg", "360 deg", "9 deg"], "radius": "1 m"}, "right": {}}},
+            "an angle is named twice",
+        ),
+        ({"planes": ["left", "right", "left"]}, "planes: 'left' is named twice"),
+        ({"repeatability": "-2 %"}, "repeatability: a scatter is not negative"),
+        ({"speed": "0 Hz", "mass": "3 kg", "grade": "2.5 mm/s"}, "speed: speed must be positive"),
+        ({"grade": "2.5 mm/s", "speed": "50 Hz"}, "alone says nothing of a permissible unbalance; give mass"),
     ],
 )
 def test_faults_stand_at_their_place(labpipe, tmp_path, change, message):
@@ -296,6 +309,19 @@ def test_faults_stand_at_their_place(labpipe, tmp_path, change, message):
     ended = labpipe("balance", tmp_path / "b.yaml")
     assert ended.code == 2 and message in ended.err, ended.err
     assert "b.yaml:" in ended.err
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"repeatability": "0 %"}, {"noise": "-1 um"}, {"runs": ({"readings": {"A": "0 um at 0 deg"}},)}],
+)
+def test_a_reading_without_scatter_is_refused(labpipe, tmp_path, change):
+    """It would outweigh all others, and a share of zero is none."""
+    tree = yaml.safe_load(EXAMPLE.read_text())
+    runs = [*change.get("runs", ()), *tree["runs"]]
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, **change, "runs": runs}))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert ended.code == 2 and "scatter" in ended.err and "b.yaml" in ended.err, ended.err
 
 
 def test_too_few_runs_and_readings_of_another_kind_are_refused(labpipe, tmp_path):
