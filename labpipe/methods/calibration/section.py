@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.distributions import student_tail
-from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
+from labpipe.errors import ConfigError, DataError, FitError, LabpipeError, SettingError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.statistics import condition_number, correlation, estimated
 from labpipe.project.work import Work
@@ -21,7 +21,7 @@ from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
 from labpipe.records.sections import PipelineSection
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting
 
 CURVATURE_P = 0.01
 
@@ -97,9 +97,9 @@ def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) ->
     positions, slopes (n_position,).
     """
     order = np.argsort(np.abs(positions))
-    within = np.abs(slopes[order] / slopes[order[0]] - 1) <= tolerance
-    last = int(np.argmin(within)) - 1 if not np.all(within) else within.size - 1
-    return float(np.abs(positions[order[last]]))
+    beyond = np.abs(slopes[order] - slopes[order[0]]) > tolerance * abs(slopes[order[0]])
+    reach = int(np.argmax(beyond)) if np.any(beyond) else beyond.size
+    return float(np.abs(positions[order[reach - 1]]))
 
 
 def linear_range_of_curve(x: FloatArray, y: FloatArray, tolerance: float) -> float:
@@ -187,6 +187,13 @@ class CalibrationSettings(Settings):
     name: str = ""
     path: Path = Path()
 
+    def __post_init__(self) -> None:
+        require_positive(self, "tolerance", "x_power")
+        if len({self.x, self.y, self.group}) < 3:
+            name = "y" if self.x == self.y else "group"
+            what = f"'{getattr(self, name)}' is a column of the line already"
+            raise SettingError(name, what, "name another")
+
 
 @dataclass(frozen=True)
 class _Column:
@@ -264,8 +271,6 @@ def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column
 
 
 def _power(x: _Column, power: int) -> _Column:
-    if power < 1:
-        raise ConfigError("'x_power' must be at least 1")
     return x if power == 1 else _Column(x.values**power, x.unit if x.unit == "1" else f"{x.unit}^{power}")
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError, SettingError
 from labpipe.methods.calibration.section import CalibrationSettings, calibrate, si_name
 from labpipe.quantities import parse_unit
 from labpipe.records.identification import Fit
@@ -133,7 +133,6 @@ def test_the_range_in_which_a_slope_holds(tmp_path: Path) -> None:
     ("names", "changes", "kind", "said"),
     [
         ("x [um],u [V]", {"x": "z [um]"}, DataError, "no column 'z [um]'"),
-        ("x [um],u [V]", {"x_power": 0}, ConfigError, "'x_power' must be at least 1"),
         ("x [um],u [V]", {"x_unit": "umm"}, ConfigError, "unit of column 'x [um]': unknown unit 'umm'"),
         ("x [um],u [V]", {"x_unit": "m^7"}, ConfigError, "a calibration column has an unusual unit"),
     ],
@@ -145,6 +144,21 @@ def test_what_cannot_be_fitted_is_said_with_the_table(
     with pytest.raises(kind) as caught:
         fitted(path, **changes)
     assert said in str(caught.value) and str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"x_power": 0}, "x_power must be positive"),
+        ({"tolerance": -0.05}, "tolerance must be positive"),
+        ({"y": "x [um]"}, "'x [um]' is a column of the line already"),
+        ({"group": "u [V]"}, "'u [V]' is a column of the line already"),
+    ],
+)
+def test_settings_that_make_no_line_are_refused(changes: dict, said: str) -> None:
+    with pytest.raises(SettingError) as caught:
+        replace(PROBE, **changes)
+    assert said in str(caught.value)
 
 
 def test_a_cell_that_is_no_number_is_named_by_its_row(tmp_path: Path) -> None:

@@ -40,6 +40,8 @@ def test_linear_range_over_positions() -> None:
     e = np.array([0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
     assert linear_range(e, 5.8 / (1 + (e / 0.4) ** 4), 0.20) == 0.2
     assert linear_range(e, np.full(7, 5.8), 0.01) == 0.5
+    # Nothing is within a share of a slope of zero but another zero.
+    assert linear_range(e + 0.1, np.array([0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0]), 0.2) == pytest.approx(0.2)
 
 
 def test_linear_range_of_a_curve_that_bends() -> None:
