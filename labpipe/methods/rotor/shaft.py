@@ -398,5 +398,11 @@ def bearing_loads(
     system = np.block(
         [[free.stiffness, constraints.T], [constraints, np.zeros((len(fixed_dofs), len(fixed_dofs)))]]
     )
-    solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(fixed_dofs))]))
+    try:
+        solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(fixed_dofs))]))
+    except np.linalg.LinAlgError:
+        hint = "check lengths and diameters"
+        raise ConfigError(
+            "the stiffnesses of the shaft's elements differ beyond all digits", hint=hint
+        ) from None
     return (scale * solution[n_dof:]).reshape(-1, 2)

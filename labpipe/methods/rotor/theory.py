@@ -158,7 +158,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         None if onset is None else onset / (2 * np.pi),
         tuple(sorted(crossings)),
     )
-    return _with_response(theory, at) if rig.unbalances else theory
+    return _with_response(theory, at) if any(rig.amounts.values()) else theory
 
 
 def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> response.SupportsAtSpeed:
@@ -219,7 +219,11 @@ def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTh
 
 
 def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Critical]:
-    """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds."""
+    """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds; none of a
+    point at rest.
+    """
+    if np.min(amplitude) <= 0:
+        return []
     curve = scipy.interpolate.CubicSpline(speed, amplitude**-2.0)
     criticals = []
     for n in np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,14 @@ def test_modes_are_followed_through_a_crossing():
     order = follow(each)
     first = [modes.eigenvalues[n].imag for modes, n in zip(each, order[:, 0], strict=True)]
     np.testing.assert_allclose(first, 100 + np.linspace(0, 10, 11))
+
+
+def test_what_is_at_rest_has_no_peak():
+    assert peaks(np.linspace(1, 2, 9), np.zeros(9)) == []
+    rig = load_rotor(LAVAL)
+    still = replace(rig, unbalances=tuple(replace(part, size=0.0) for part in rig.unbalances))
+    theory = rotor_theory(still, np.linspace(80, 90, 3))
+    assert theory.criticals == () and theory.amplitude is None
 
 
 @pytest.mark.long
