@@ -17,6 +17,9 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# What tests write need not outlast a cut of power. As with fsync, what is no open file is an error.
+os.fsync = os.fstat  # type: ignore[assignment]
+
 # Half a million objects that modules and collected tests are, and nothing of it garbage.
 gc.disable()
 
@@ -83,6 +86,13 @@ def labpipe_without_report(command_line: Command) -> Command:
         return command_line(*arguments[:1], *silent, *arguments[1:])
 
     return run
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files without a long test, two in three, are not read where these alone are asked for."""
+    if config.option.markexpr != "long" or collection_path.suffix != ".py":
+        return None
+    return "mark.long" not in collection_path.read_text(encoding="utf-8") or None
 
 
 def pytest_collection_finish() -> None:

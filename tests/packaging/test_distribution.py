@@ -129,6 +129,7 @@ def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> Non
         "--quiet",
         "--disable-pip-version-check",
         "install",
+        "--no-compile",
         "--no-deps",
         "--no-index",
     ]

@@ -273,7 +273,7 @@ SECTIONS = {
         "line.csv": "x [um],y [V]\n0,0.01\n10,0.08\n20,0.17\n30,0.24\n",
     },
     "unbalance": {
-        "pipeline.yaml": "title: u\nunbalance: {rotor: rotor.yaml, speeds: 40-44 Hz, step: 2 Hz, cases: "
+        "pipeline.yaml": "title: u\nunbalance: {rotor: rotor.yaml, speeds: 40-42 Hz, step: 2 Hz, cases: "
         "{healthy: {depth: 0 um}}}\n"
         "report: {formats: []}\n",
         "rotor.yaml": (ROOT / "configs/rotors/laval.yaml").read_text(encoding="utf-8"),

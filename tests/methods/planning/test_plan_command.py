@@ -193,7 +193,6 @@ def integrated(rig: tuple[np.ndarray, ...], applied: np.ndarray, step: float) ->
             "force_limit": "5 N",
             "scheme": "together",
             "sample_rate": "4.096 kHz",
-            "period": "1 s",
         },
         {
             **ROTOR,

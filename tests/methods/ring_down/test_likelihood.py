@@ -152,13 +152,6 @@ PAIRS = pytest.mark.parametrize("modes", [ONE, TWO, APART], ids=["one mode", "1 
 
 @pytest.mark.long
 @CASES
-def test_few_draws_reach_the_bound(bits: int) -> None:
-    ratios, holds = drawn(ONE, 0.01, bits, 24)
-    assert np.sqrt(np.mean(ratios**2)) < 1.3 and np.abs(ratios).max() < 4 and holds.mean() > 0.85
-
-
-@pytest.mark.long
-@CASES
 @PAIRS
 def test_the_bound_is_reached_and_intervals_hold_the_truth(modes: Modes, bits: int) -> None:
     """40 draws: root mean square error within 1.1 of the Cramer-Rao bound beside two of its deviations,
