@@ -105,11 +105,18 @@ class Judgement:
 
     @property
     def not_run(self) -> str:
-        """Speeds at which a critical one would break a margin, and that were not run."""
-        if self.speed_range is None or self.fine[-1] >= (1 + MOST_ABOVE) * self.speed_range[1]:
+        """Speeds of operation, and those at which a critical one would break a margin, that were not run."""
+        if self.speed_range is None:
             return ""
-        top, asked = 60 * self.fine[-1], 60 * (1 + MOST_ABOVE) * self.speed_range[1]
-        return f"critical speeds from {top:.0f} to {asked:.0f} rpm, beyond the run, are not judged"
+        (low, high), first, last = self.speed_range, self.fine[0], self.fine[-1]
+        asked, parts = (1 + MOST_ABOVE) * high, []
+        if low < first or high > last:
+            run = f"{60 * first:.0f} to {60 * last:.0f} rpm"
+            parts.append(f"the speed range is not accepted: the run goes from {run} only")
+        if last < asked:
+            ends = f"{60 * last:.0f} to {60 * asked:.0f} rpm"
+            parts.append(f"critical speeds from {ends}, beyond the run, are not judged")
+        return "; ".join(parts)
 
 
 def judge(

@@ -12,7 +12,7 @@ and the physical fit, the film's family with the parameters of a joint fit.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -230,8 +230,8 @@ def _terms(coded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and
-    speeds of the fit.
+    """Logarithms *values* (12,) and *covariance* (12, 12) [-] of a *family*, widened and with what the
+    uncertainties of the probes add; *extent*: loads and speeds of the fit.
     """
 
     extent: Extent
@@ -249,7 +249,7 @@ class PhysicalFit:
     def of(cls, fit: JointFit, speeds: tuple[float, float]) -> PhysicalFit:
         """Of a joint fit to run-ups between two *speeds* [rad/s]."""
         extent = Extent((min(fit.loads), max(fit.loads)), speeds)
-        return cls(extent, fit.model, fit.values, fit.covariance * fit.widening**2)
+        return cls(extent, fit.model, fit.values, fit.whole_covariance)
 
     @property
     def statement(self) -> str:
@@ -288,13 +288,19 @@ class PhysicalFit:
         return cls(Extent.from_entries(entries), family, values, covariance)
 
 
-def physical_without(rig: RunUpRotor, runs: Iterable[RunUp]) -> Callable[[float], PhysicalFit]:
-    """For a validation: the joint fit of all *runs* but those of one load [N], again for every load."""
+def physical_without(
+    rig: RunUpRotor, runs: Iterable[RunUp], known: Collection[str] = ()
+) -> Callable[[float], PhysicalFit]:
+    """For a validation: the joint fit of all *runs* but those of one load [N], again for every load. *known*:
+    parameters of the rotor file. FitError where there is no other load.
+    """
     all_runs = list(runs)
 
     def refitted(load: float) -> PhysicalFit:
         training = [run for run in all_runs if abs(run.load / load - 1) > SAME_LOAD]
+        if not training:
+            raise FitError("there is no other load to fit")
         speeds = (min(float(run.speed[0]) for run in training), max(float(run.speed[-1]) for run in training))
-        return PhysicalFit.of(fit_jointly(rig, training), speeds)
+        return PhysicalFit.of(fit_jointly(rig, training, known=known), speeds)
 
     return refitted

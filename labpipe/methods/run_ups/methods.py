@@ -39,13 +39,14 @@ class AtLoad:
     """Prediction of a method at one load: K and C over speed, coefficients and their errors (n_speed, 8)
     [N/m, N s/m] at the run's speeds.
 
-    critical, threshold: with their errors, where the method has them; else they are computed from *at_speed*.
+    critical (at a plane, '' the last one), threshold: with their errors, where the method has them; else they
+    are computed from *at_speed*.
     """
 
     at_speed: CoefficientsAtSpeed
     coefficients: FloatArray
     std_error: FloatArray | None = None
-    critical: Callable[[], Uncertain] | None = None
+    critical: Callable[[str], Uncertain] | None = None
     threshold: Callable[[], Uncertain | None] | None = None
     notes: tuple[str, ...] = ()
 
@@ -82,11 +83,11 @@ def predict(
     if isinstance(solution, str):
         return records.RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
-    stated = solution.critical if plane in ("", rig.plane_names[-1]) else None
     critical = threshold = None
     try:
         if run.shaker is None:
-            critical = _amount(stated() if stated else rig.critical_speed(solution.at_speed, plane))
+            stated = solution.critical
+            critical = _amount(stated(plane) if stated else rig.critical_speed(solution.at_speed, plane))
     except FitError as error:
         notes.append(f"no critical speed: {error.what}")
     try:
@@ -295,6 +296,8 @@ def solve_start(
 
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     unbalanced = [run for run in trained if run.shaker is None]
+    if not unbalanced:
+        raise FitError("every trained run is under a shaker", hint="amplitudes are those of an unbalance")
     fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
     fit = fits[len(fits) // 2]
     point = int(np.argmax(fit.evaluations))
@@ -431,7 +434,7 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
             fit.at_load(run.load),
             eight,
             error,
-            lambda: run_fit.critical_speed(run.load),
+            lambda plane: run_fit.critical_speed(run.load, plane),
             lambda: run_fit.threshold(run.load),
             notes,
         )

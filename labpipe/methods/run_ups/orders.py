@@ -350,7 +350,7 @@ def track_and_write(
     baseline: Path | None = None,
     centreline: bool = False,
 ) -> int:
-    if order <= 0:
+    if not 0 < order < np.inf:
         raise ConfigError("--order must be positive")
     bands = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
@@ -494,9 +494,11 @@ def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float
 def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
     unbalances = {}
     for text in texts:
-        plane, _, size = text.partition("=")
+        plane, _, size = (part.strip() for part in text.partition("="))
+        if plane in unbalances:
+            raise ConfigError(f"--unbalance: '{plane}' is named twice", hint="give the sum of both")
         with _option(f"--unbalance {text}"):
-            unbalances[plane.strip()] = parse_phasor(size.strip(), "kg.m")
+            unbalances[plane] = parse_phasor(size, "kg.m")
     return unbalances
 
 

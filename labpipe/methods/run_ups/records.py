@@ -88,6 +88,10 @@ class RunUp:
                 )
         self._check_plain()
         self._check_excitation()
+        if np.any(self.response == 0):
+            at = self.rpm[np.argwhere(self.response == 0)[0, 0]]
+            what = f"a probe of run '{self.name}' does not move at {at:.4g} rpm: it has no phase there"
+            raise DataError(what, hint="leave out that speed, or look at the probe")
 
     def _check_plain(self) -> None:
         if not 0 < self.load < np.inf:

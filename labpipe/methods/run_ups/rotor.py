@@ -310,7 +310,7 @@ class RunUpRotor:
 
     def excited(self, run: RunUp) -> CondensedRotor:
         """Condensed at the speeds, and under the excitation, of a run. DataError when the run has other
-        planes.
+        planes, or no excitation.
         """
         if run.planes != self.plane_names:
             raise DataError(
@@ -318,6 +318,10 @@ class RunUpRotor:
                 f"{', '.join(self.plane_names)}",
                 hint="name the planes alike in the rotor file and the run-up, in one order",
             )
+        acting = run.unbalance.values() if run.shaker is None else (run.shaker.x, run.shaker.y)
+        if not any(acting):
+            what = f"run '{run.name}' was excited by nothing: its unbalance or force is zero"
+            raise DataError(what, hint="state what was added, or subtract the run")
         return self.condensed(run.speed, run.unbalance, run.shaker)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -154,7 +154,8 @@ def smooth_factors(
     coefficients differ. Equation (sim-factors).
     """
     u = (np.asarray(speed) - speeds[0]) / (speeds[1] - speeds[0])
-    v = (load - loads[0]) / (loads[1] - loads[0])
+    # One load alone lies at the lower end.
+    v = (load - loads[0]) / ((loads[1] - loads[0]) or 1.0)
     phase = 2 * np.pi * np.mod(np.arange(1, 25) * 0.6180339887, 1).reshape(3, 8)
     wave = (
         np.cos(1.5 * np.pi * u[:, None] + phase[0])
