@@ -27,7 +27,14 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, require_positive, setting, settings_of
+from labpipe.records.settings import (
+    Settings,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+    settings_of,
+)
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -65,9 +72,7 @@ class Magnet(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "turns", "gap", "pole_area", "recoil", "iron_permeability", "magnet_area")
-        for name in ("bias_current", "coercivity", "magnet_length", "iron_path"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name}: must not be negative")
+        require_not_negative(self, "bias_current", "coercivity", "magnet_length", "iron_path")
         if not self.bias_current + self.coercivity * self.magnet_length > 0:
             raise ConfigError(
                 "magnet: without bias flux there is no force per current",

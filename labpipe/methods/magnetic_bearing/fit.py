@@ -258,6 +258,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         if magnet_settings.hold is None
         else balance.Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
     )
+    if between is not None and rotor.omega[-1] > np.pi * between.rate:
+        what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
+        raise SettingError("hold", what, "hold is the rate of the recording")
     model = balance.magnet_model(
         rotor.labels,
         rotor.bearing,

@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -85,8 +85,6 @@ class SampledPid(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "rate", "derivative_time")
-        if self.delay < 0:
-            raise SettingError("delay", "'delay' must not be negative")
 
 
 @dataclass(frozen=True)
@@ -118,6 +116,9 @@ class LevitatedNoise(Settings):
     force: float = quantity("measured force of a shaker", "N", 0.05)
     disturbance: float = quantity("random force on the rotor at every bearing and axis", "N", 1.0)
     reference: float = quantity("recorded injection, of the unit in which it is recorded", "1", 0.0)
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, "displacement", "current", "force", "disturbance", "reference")
 
 
 @dataclass(frozen=True)

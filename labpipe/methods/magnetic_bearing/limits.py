@@ -66,6 +66,10 @@ class CertificateSettings(Settings):
         if not 0.5 < self.confidence < 1:
             raise SettingError("confidence", "'confidence' must lie between 50 and 100 %")
         require_positive(self, "log_decrement", "rate")
+        signals = [name for name in (*self.after, self.output, self.displacement, self.current) if name]
+        for name in signals:
+            if signals.count(name) > 1:
+                raise ConfigError(f"'{name}' is named for two signals", hint="one response for each")
         if self.before and len(self.before) != len(self.after):
             raise SettingError(
                 "before",

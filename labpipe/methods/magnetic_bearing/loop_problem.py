@@ -92,7 +92,9 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
         owner = {"": file, "loop": file.loop, "magnet": file.magnet}.get(section)
         value = getattr(file.loop.controller[int(section) - 1] if section.isdigit() else owner, field, None)
     if value is None:
-        where = {"": field, "magnet": f"magnet: {{{field}: ...}}"}.get(section, f"loop.{field}")
+        where = {"": field, "magnet": f"magnet: {{{field}: ...}}", "loop": f"loop.{field}"}.get(
+            section, f"{field} of block {section} of the controller"
+        )
         raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
     if value == 0:
         raise ConfigError(

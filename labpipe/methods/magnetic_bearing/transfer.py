@@ -14,7 +14,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
@@ -306,13 +306,8 @@ class ControllerBlock(Settings):
             if given and name not in (*form.needs, *form.takes, "form"):
                 hint = f"{self.form} takes {', '.join((*form.needs, *form.takes))}"
                 raise SettingError(name, f"{name}: is not for the form {self.form}", hint)
-        for name in ("zero", "pole", "frequency", "rate", "width"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise SettingError(name, f"{name}: must be above zero, not {value:g}")
-        for name in ("depth", "damping", "derivative_time"):
-            if getattr(self, name) < 0:
-                raise SettingError(name, f"{name}: must not be negative")
+        require_positive(self, "zero", "pole", "frequency", "rate", "width")
+        require_not_negative(self, "depth", "damping", "derivative_time")
         if self.order not in (1, 2):
             raise SettingError(
                 "order", f"order: a low-pass has order 1 or 2, not {self.order}", "two blocks for more"

@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 from labpipe.simulate import linear
 
 KIND = "virtual-magnetic-rig"
@@ -46,6 +46,9 @@ class Noise(Settings):
     displacement: float = quantity("displacement sensors", "m", 0.3e-6)
     force: float = quantity("force transducer", "N", 0.02)
     hover: float = quantity("slow wander of the levitated rotor", "m", 1e-6)
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, "displacement", "force", "hover")
 
 
 @dataclass(frozen=True)
