@@ -23,7 +23,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind, check_relative
+from labpipe.methods.planning.settings import PlanKind, check_distinct, check_relative
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups.joint import MeasuredThreshold
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, scales
@@ -81,6 +81,8 @@ class TrialSettings(Settings):
         if bool(self.unbalance) == bool(self.shaker):
             hint = "unbalance: {disc 1: 50 g.mm at 0 deg}"
             raise ConfigError("a trial has an unbalance or a shaker", hint=hint)
+        if self.unbalance and not any(size for _, size in self.unbalance):
+            raise SettingError("unbalance", "the trial unbalance is zero", "{disc 1: 50 g.mm at 0 deg}")
         if min(self.force, self.ratio) <= 0:
             raise ConfigError("force and ratio of a shaker are positive")
 
@@ -151,6 +153,9 @@ class RunUpPlanSettings(Settings):
                 if name not in PARAMETERS:
                     what = f"the film has no parameter {name}"
                     raise SettingError(field, what, nearest(name, PARAMETERS))
+        stems = [name.replace(" ", "-") for name, _ in self.trials]
+        if len(set(stems)) < len(stems):
+            raise SettingError("trials", "two trials differ by blanks alone", "their names name files")
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -162,6 +167,7 @@ class RunUpPlanSettings(Settings):
     def _check_signs(self) -> None:
         require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
         require_positive(self, "displacement_limit", "journal_limit")
+        check_distinct(self, "loads")
         if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
             raise SettingError("loads", "loads are positive, and so is the time between runs")
         if self.speeds[0] <= 0 or self.stretches < 1:
