@@ -416,6 +416,9 @@ def test_one_run_is_not_enough_for_least_squares() -> None:
     [
         ({"baseline": "dry", "baseline_stiffness": "1 MN/m"}, "'baseline' is given twice"),
         ({"stator_mass": "-1 kg"}, "'stator_mass' is negative"),
+        ({"rotor_mass": "0 kg"}, "'rotor_mass' is that of a rotor"),
+        ({"rotor_stiffness": 1e6}, "'rotor_stiffness' goes with a rotor's mass"),
+        ({"viscosity": 0.03}, "'viscosity' goes with a clearance"),
         ({"band_width": "10 Hz"}, "'band_width' goes with form: bands"),
         ({"form": "bands", "band_width": "0 Hz"}, "band_width must be positive"),
         ({"forms": ["kc", "pads"]}, "'pads' cannot be compared"),
