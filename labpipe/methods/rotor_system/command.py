@@ -109,4 +109,6 @@ def _band(text: str, speed: float) -> tuple[float, float]:
         low, high = to_band(text, Setting("band", "speeds", unit="Hz"))
     except UnitError as error:
         raise ConfigError(f"--speeds: {error.what}", hint=error.hint) from None
+    if low <= 0:
+        raise ConfigError("--speeds must begin above zero", hint="--speeds '5-200 Hz'")
     return low, high

@@ -52,6 +52,9 @@ class FreeModes:
         """
         plane = np.flatnonzero(np.isin(np.arange(model.n_shaft) % 4, (0, 3)))
         roots = model.roots(values, 0.0, int(self.numbers.max()), dofs=plane, supported=False)
+        if roots.values.size < self.numbers.max():
+            what = f"test '{self.name}': the rotor has {roots.values.size} bending modes, not"
+            raise FitError(f"{what} {self.numbers.max()}", hint="other `numbers`, or more elements")
         eigenvalues, slopes = roots.values[self.numbers - 1], roots.slopes[self.numbers - 1]
         size = np.abs(eigenvalues)
         if np.any(eigenvalues.real >= 0):
