@@ -173,16 +173,12 @@ def _places(channels: Sequence[Channel]) -> FloatArray:
     places = [channel.position for channel in channels]
     for channel, place in zip(channels, places, strict=True):
         if place is None:
-            raise ConfigError(
-                f"two bearings act in one plane, and the place of channel '{channel.name}' is not known",
-                hint="position: 120 mm, along the axis",
-            )
+            what = f"two bearings act in one plane, and the place of channel '{channel.name}' is not known"
+            raise ConfigError(what, hint="position: 120 mm, along the axis")
     matrix = np.column_stack([np.ones(2), np.array(places, float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
-        raise ConfigError(
-            f"channels {channels[0].name} and {channels[1].name} of one plane have one position",
-            hint="two places",
-        )
+        what = f"channels {channels[0].name} and {channels[1].name} of one plane have one position"
+        raise ConfigError(what, hint="two places")
     return matrix
 
 

@@ -147,10 +147,8 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
             tuple(map(complex, np.atleast_1d(getattr(system, name)))) for name in ("zeros", "poles")
         )
         return [[Transfer(zeros, poles, float(system.gain), rate)]]
-    raise ConfigError(
-        f"a {type(system).__name__} is no transfer function",
-        hint="num and den, zeros, poles and gain, or A, B, C and D",
-    )
+    hint = "num and den, zeros, poles and gain, or A, B, C and D"
+    raise ConfigError(f"a {type(system).__name__} is no transfer function", hint=hint)
 
 
 def _rate_of(interval: Any) -> float | None:
@@ -217,10 +215,8 @@ def _confirm(
             / np.prod([point - pole for pole in fitted.poles])
         )
         if abs(ours - exact) > SAME * abs(exact):
-            raise ConfigError(
-                "the zeros of a state space cannot be told from rounding",
-                hint="give zeros, poles and gain, or filters",
-            )
+            hint = "give zeros, poles and gain, or filters"
+            raise ConfigError("the zeros of a state space cannot be told from rounding", hint=hint)
     return fitted
 
 
@@ -300,9 +296,8 @@ class ControllerBlock(Settings):
         for name, declared in self.__dataclass_fields__.items():
             given = getattr(self, name) != declared.default
             if name in form.needs and not given:
-                raise ConfigError(
-                    f"{name}: is missing for the form {self.form}", hint=declared.metadata["setting"].help
-                )
+                hint = declared.metadata["setting"].help
+                raise ConfigError(f"{name}: is missing for the form {self.form}", hint=hint)
             if given and name not in (*form.needs, *form.takes, "form"):
                 hint = f"{self.form} takes {', '.join((*form.needs, *form.takes))}"
                 raise SettingError(name, f"{name}: is not for the form {self.form}", hint)

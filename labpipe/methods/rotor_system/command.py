@@ -101,9 +101,8 @@ def _band(text: str, speed: float) -> tuple[float, float]:
 
     if not text:
         if speed == 0:
-            raise ConfigError(
-                "--speeds is needed, since the file's speed is zero", hint="--speeds '5-200 Hz'"
-            )
+            hint = "--speeds '5-200 Hz'"
+            raise ConfigError("--speeds is needed, since the file's speed is zero", hint=hint)
         return 0.05 * speed, 2 * speed
     try:
         low, high = to_band(text, Setting("band", "speeds", unit="Hz"))

@@ -248,9 +248,8 @@ def _responses(
     test: SystemTest, response: FrequencyResponse, built: Built, system: RotorSystem
 ) -> evidence.Responses:
     if response.form not in DERIVATIVES:
-        raise DataError(
-            f"test '{test.name}': its FRF is a {response.form}", hint="a response to a force is needed"
-        )
+        hint = "a response to a force is needed"
+        raise DataError(f"test '{test.name}': its FRF is a {response.form}", hint=hint)
     variance = response.variance
     if variance is None:
         raise DataError(f"test '{test.name}': the noise of its FRF is not known")
@@ -315,9 +314,8 @@ def _place(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str)
         with suppress(UnitError):
             return place_of(name if directed else name.removeprefix("node"), directed)
     example = "3 y" if directed else "3"
-    raise ConfigError(
-        f"test '{test.name}': where on the rotor is '{names[0]}'?", hint=f"places: {{{names[0]}: {example}}}"
-    )
+    hint = f"places: {{{names[0]}: {example}}}"
+    raise ConfigError(f"test '{test.name}': where on the rotor is '{names[0]}'?", hint=hint)
 
 
 def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) -> evidence.RunUpVectors:

@@ -136,9 +136,8 @@ def judge(
     """
     speed, readings, deviation = _by_speed(track)
     if speed.size < FEWEST:
-        raise DataError(
-            f"{speed.size} different speeds are too few to judge a run-up", hint=f"{FEWEST} at least"
-        )
+        hint = f"{FEWEST} at least"
+        raise DataError(f"{speed.size} different speeds are too few to judge a run-up", hint=hint)
     rng = np.random.default_rng(SEED)
     smooth = _Smooth(speed, readings, deviation)
     # The first is the reading itself.
@@ -255,10 +254,8 @@ def _slow_roll(
     """
     slow = (speed >= band[0]) & (speed <= band[1])
     if slow.sum() < FEWEST_SLOW:
-        raise ConfigError(
-            f"--slow-roll: {int(slow.sum())} stretches of the run lie in it",
-            hint=f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm",
-        )
+        hint = f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm"
+        raise ConfigError(f"--slow-roll: {int(slow.sum())} stretches of the run lie in it", hint=hint)
     square = (speed[slow] / critical) ** 2
     # A peak so near to slow speeds that it has made a force half as much again is none to go by.
     design = np.column_stack([np.ones(slow.sum()), square / (1 - square) if square[-1] < 1 / 3 else square])

@@ -160,9 +160,8 @@ def fit_points(
     ConfigError unless positive. Equation (run-points).
     """
     if not (bound > 0 and ridge > 0):
-        raise ConfigError(
-            "bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %"
-        )
+        hint = "for example 30 % and 15 %"
+        raise ConfigError("bound and ridge of the coefficients are positive", hint=hint)
     return [_fit_load(rig, group, bound, ridge) for group in runs_by_load(rig, runs)]
 
 
@@ -217,10 +216,8 @@ def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float,
         cost = np.where(better, new_cost, cost)
         residual = np.where(better[:, None], new_residual, residual)
         slopes = np.where(better[:, None, None], new_slopes, slopes)
-    raise FitError(
-        f"the coefficients under {group.load:.4g} N were not found in {MOST_STEPS} steps",
-        hint="check unbalance, phases, standard errors",
-    )
+    what = f"the coefficients under {group.load:.4g} N were not found in {MOST_STEPS} steps"
+    raise FitError(what, hint="check unbalance, phases, standard errors")
 
 
 def _cost(residual: FloatArray, parts: FloatArray, ridge: float) -> FloatArray:

@@ -484,10 +484,8 @@ def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
     newtons = _value("--load", load, "N")
     if newtons is None or not unbalance:
-        raise ConfigError(
-            "--save-run-up needs --load and --unbalance",
-            hint="--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'",
-        )
+        hint = "--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'"
+        raise ConfigError("--save-run-up needs --load and --unbalance", hint=hint)
     return newtons, _unbalances(unbalance)
 
 

@@ -82,10 +82,8 @@ class RunUp:
         for name in ("amplitude_error", "phase_error"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, shape))
             if not np.all(getattr(self, name) > 0):
-                raise DataError(
-                    f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere",
-                    hint="weights need it",
-                )
+                what = f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere"
+                raise DataError(what, hint="weights need it")
         self._check_plain()
         self._check_excitation()
         if np.any(self.response == 0):
@@ -109,10 +107,8 @@ class RunUp:
         named = [*self.unbalance, *([self.shaker.plane] if self.shaker is not None else [])]
         for plane in named:
             if plane not in self.planes:
-                raise DataError(
-                    f"run '{self.name}' is excited at '{plane}', which is not among its planes",
-                    hint=", ".join(self.planes),
-                )
+                what = f"run '{self.name}' is excited at '{plane}', which is not among its planes"
+                raise DataError(what, hint=", ".join(self.planes))
         if bool(self.unbalance) == (self.shaker is not None):
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
 

@@ -235,10 +235,8 @@ class RunUpRotor:
 
     def __post_init__(self) -> None:
         if not self.planes:
-            raise ConfigError(
-                "planes: a run-up needs a plane at which it is measured",
-                hint="for example planes: {disc 1: 2}",
-            )
+            hint = "for example planes: {disc 1: 2}"
+            raise ConfigError("planes: a run-up needs a plane at which it is measured", hint=hint)
         if len({node for _, node in self.planes}) < len(self.planes):
             raise ConfigError("planes: two planes sit on one node")
         for node in (self.place.node, *(node for _, node in self.planes)):
@@ -251,10 +249,8 @@ class RunUpRotor:
     def search(self) -> SpeedSearch:
         """Range of the search; ConfigError where neither the rotor file nor a run-up gives one."""
         if self.speeds is None:
-            raise ConfigError(
-                "speeds: are missing, and there is no run-up to take them from",
-                hint="for example speeds: 400-3000 rpm",
-            )
+            hint = "for example speeds: 400-3000 rpm"
+            raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint=hint)
         return SpeedSearch(*self.speeds)
 
     @cached_property
@@ -289,9 +285,8 @@ class RunUpRotor:
         for name, here in self.planes:
             if here == node:
                 return name
-        raise ConfigError(
-            f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:"
-        )
+        hint = "name it under planes:"
+        raise ConfigError(f"there is no plane at node {node}, where an unbalance sits", hint=hint)
 
     def condensed(
         self, speed: FloatArray, unbalance: Mapping[str, complex], shaker: Shaker | None = None

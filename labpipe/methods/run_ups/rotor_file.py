@@ -138,10 +138,8 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     except (KeyError, TypeError):
         models = {}
     if not models:
-        raise DataError(
-            f"'{path}' holds no metamodels",
-            hint="name the identification.json of run-ups whose section asks for metamodels:",
-        )
+        hint = "name the identification.json of run-ups whose section asks for metamodels:"
+        raise DataError(f"'{path}' holds no metamodels", hint=hint)
     if name not in models:
         raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, models))
     return from_entries(models[name])

@@ -118,10 +118,8 @@ class RunSettings(Settings):
         if not self.name:
             object.__setattr__(self, "name", Path(self.file or self.recording).name.split(".")[0])
         if bool(self.file) == bool(self.recording):
-            raise ConfigError(
-                "one of 'file' and 'recording' is needed",
-                hint="file: load-1.csv, or recording: run.parquet with tacho:",
-            )
+            hint = "file: load-1.csv, or recording: run.parquet with tacho:"
+            raise ConfigError("one of 'file' and 'recording' is needed", hint=hint)
         if self.recording:
             self._check_recording()
         else:
@@ -143,9 +141,8 @@ class RunSettings(Settings):
         if not self.tacho:
             raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
         if self.load is None:
-            raise ConfigError(
-                "'load' is missing", hint="a recording does not state it; for example load: 3.66 N"
-            )
+            hint = "a recording does not state it; for example load: 3.66 N"
+            raise ConfigError("'load' is missing", hint=hint)
         if not self.unbalance:
             hint = "a recording does not state it; for example {disc 1: 50 g.mm at 0 deg}"
             raise SettingError("unbalance", "unbalance: is missing", hint)
@@ -242,9 +239,8 @@ class RunUpSettings(Settings):
         if len(set(self.known)) == len(PARAMETERS):
             raise SettingError("known", "nothing is left to estimate", "leave some out")
         if not (0 < self.bound < 1 and self.ridge > 0):
-            raise ConfigError(
-                "'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %"
-            )
+            hint = "for example bound: 30 %"
+            raise ConfigError("'bound' lies between 0 and 100 %, 'ridge' above 0", hint=hint)
         if self.plane and self.rig is not None and self.plane not in self.rig.plane_names:
             hint = nearest(self.plane, self.rig.plane_names)
             raise SettingError("plane", f"no plane '{self.plane}' in {self.rig.name}", hint)

@@ -189,7 +189,7 @@ def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
     )
     dry = replace(fitted(drawn(heavy.dry()), motion="absolute", stator_mass="60 kg", form="kc"), name="dry")
     assert "model-mismatch" in [f.code for f in dry.findings]
-    (uncertainty,) = settings_of((dry,), baseline="dry").model_settings.known.uncertainties
+    (uncertainty,) = settings_of((dry,), baseline="dry").model_settings.fitted_baseline.uncertainties
     errors = [p.std_error_inflated for p in dry.parameters]
     assert np.sqrt(np.sum(uncertainty.changes**2, axis=0)) == pytest.approx(errors, rel=1e-9)
 
