@@ -400,9 +400,8 @@ def _statement(given: float | None, spectra: ChannelSpectra, condition: str, uni
     try:
         return parse_value(split_uncertainty(str(spectra.conditions[condition]))[0], unit)
     except UnitError as error:
-        raise ConfigError(
-            f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}"
-        ) from None
+        hint = error.hint or f"a value in {unit}"
+        raise ConfigError(f"conditions.{condition}: {error.what}", hint=hint) from None
 
 
 def _solved_fit(

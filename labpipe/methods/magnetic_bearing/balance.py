@@ -132,9 +132,8 @@ def _pair(channels: Sequence[Channel], currents: Sequence[int], displacements: S
             f"displacements have {', '.join(sorted(of_dof))}; give current and displacement of an axis "
             "the same dof"
         )
-        raise SettingError(
-            "output", f"the current {missing[0].name} of dof {missing[0].dof} has no displacement", hint
-        )
+        what = f"the current {missing[0].name} of dof {missing[0].dof} has no displacement"
+        raise SettingError("output", what, hint)
     return [of_dof[channels[n].dof] for n in currents]
 
 
@@ -150,9 +149,8 @@ def _at_magnets(
         if len(axes) == 1:
             continue
         if len(axes) > 2:
-            raise SettingError(
-                "input", f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}"
-            )
+            what = f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}"
+            raise SettingError("input", what)
         magnets, probes = (_places([channels[k] for k in axes]) for channels in (currents, sensors))
         matrix[np.ix_(axes, axes)] = magnets @ np.linalg.inv(probes)
     places = [channel.position for channel in currents]

@@ -206,9 +206,8 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
     """
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
-        raise ConfigError(
-            f"is of the kind {file.kind_name}", file.path, f"a loop is predicted for the kind {MAGNETIC}"
-        )
+        hint = f"a loop is predicted for the kind {MAGNETIC}"
+        raise ConfigError(f"is of the kind {file.kind_name}", file.path, hint)
 
     def at(condition: float | None, unit: str) -> MagneticFile:
         return file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])

@@ -177,16 +177,12 @@ class LevitatedRig(Settings):
             "a period of the injection holds no whole number of samples",
         )
         if not self.injection.band[1] < self.sample_rate / 2:
-            raise SettingError(
-                "injection", f"the injection's band must lie below {self.sample_rate / 2:g} Hz"
-            )
+            what = f"the injection's band must lie below {self.sample_rate / 2:g} Hz"
+            raise SettingError("injection", what)
         n = len(self.labels)
         if self.control.mixing is not None and np.shape(self.control.mixing) != (n, n):
-            raise SettingError(
-                "control",
-                f"control.mixing is not a {n} x {n} matrix",
-                f"its axes are {', '.join(self.labels)}",
-            )
+            hint = f"its axes are {', '.join(self.labels)}"
+            raise SettingError("control", f"control.mixing is not a {n} x {n} matrix", hint)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -354,9 +350,8 @@ class LevitatedLoop:
         growth = float(np.max(self.poles.real))
         if growth > sampled_loop.ROUNDING * self.rate:
             message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
-            raise SettingError(
-                "control", message, "raise proportional and derivative gain, or shorten the delay"
-            )
+            hint = "raise proportional and derivative gain, or shorten the delay"
+            raise SettingError("control", message, hint)
         outputs = sampled_loop.linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
         return outputs[:, : self.n_axis], fine[:, 0], fine[:, 1]

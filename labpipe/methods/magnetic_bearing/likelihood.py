@@ -194,9 +194,8 @@ def magnet_estimate(
     try:
         best = minimise(problem, start(problem), NEAR, MOST_STEPS)
     except np.linalg.LinAlgError:
-        raise FitError(
-            "the covariance of the channels is singular on a line", hint="leave out lines without noise"
-        ) from None
+        hint = "leave out lines without noise"
+        raise FitError("the covariance of the channels is singular on a line", hint=hint) from None
     jacobian = problem.jacobian(best.values)
     dof = n_equation - n
     squares, state = 2 * problem.chi2(best.values), problem.at(best.values)

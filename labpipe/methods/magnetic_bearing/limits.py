@@ -71,11 +71,8 @@ class CertificateSettings(Settings):
             if signals.count(name) > 1:
                 raise ConfigError(f"'{name}' is named for two signals", hint="one response for each")
         if self.before and len(self.before) != len(self.after):
-            raise SettingError(
-                "before",
-                f"{len(self.before)} points ahead of a sum and {len(self.after)} behind",
-                "one per loop",
-            )
+            what = f"{len(self.before)} points ahead of a sum and {len(self.after)} behind"
+            raise SettingError("before", what, "one per loop")
 
     @property
     def least_decrement(self) -> float:

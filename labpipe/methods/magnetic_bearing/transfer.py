@@ -63,11 +63,8 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
         np.trim_zeros(np.atleast_1d(np.asarray(power, float)), "f") for power in (numerator, denominator)
     )
     if not below.size:
-        raise SettingError(
-            "denominator",
-            "denominator: is zero",
-            "coefficients in descending powers, for example [1, 20, 100]",
-        )
+        hint = "coefficients in descending powers, for example [1, 20, 100]"
+        raise SettingError("denominator", "denominator: is zero", hint)
     poles = np.roots(below)
     above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
     if not above.size:
@@ -304,9 +301,8 @@ class ControllerBlock(Settings):
         require_positive(self, "zero", "pole", "frequency", "rate", "width")
         require_not_negative(self, "depth", "damping", "derivative_time")
         if self.order not in (1, 2):
-            raise SettingError(
-                "order", f"order: a low-pass has order 1 or 2, not {self.order}", "two blocks for more"
-            )
+            hint = "two blocks for more"
+            raise SettingError("order", f"order: a low-pass has order 1 or 2, not {self.order}", hint)
         _ = self.transfer
 
     @property
@@ -372,9 +368,8 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
     """The sampling rate [Hz] of the discrete blocks, None without one; ConfigError for two rates."""
     rates = sorted({block.rate for block in blocks if block.rate is not None})
     if len(rates) > 1:
-        raise SettingError(
-            "controller", f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop"
-        )
+        what = f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop"
+        raise SettingError("controller", what)
     return rates[0] if rates else None
 
 

@@ -182,9 +182,8 @@ class ResponseTest:
         kept = np.asarray(lines[~np.any(left_out, axis=0)] if left_out else lines)
         if not kept.size:
             what = f"no line is left between {band[0]:g} and {band[1]:g} Hz"
-            raise SettingError(
-                "bands", what, "lines about the speeds are left out: widen it, or longer blocks"
-            )
+            hint = "lines about the speeds are left out: widen it, or longer blocks"
+            raise SettingError("bands", what, hint)
         return kept
 
 

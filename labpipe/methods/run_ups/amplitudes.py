@@ -199,9 +199,8 @@ def _trace(
     except ValueError as error:
         if "Unknown solver" not in str(error):
             raise
-        raise ConfigError(
-            "this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern"
-        ) from error
+        hint = "install scipy 1.14 or newer, or search by method: pattern"
+        raise ConfigError("this scipy has no COBYQA", hint=hint) from error
     return _Trace(np.array(points), np.array(objectives), not outcome.success)
 
 

@@ -322,10 +322,8 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
         model = READERS[kind](entries)
         shape = model.predict(model.extent.loads[0], np.array([model.extent.speeds[0]])).shape
     except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
-        raise DataError(
-            f"the entries of this {kind} metamodel are damaged: {error}",
-            hint="write it again from its run-ups",
-        ) from error
+        hint = "write it again from its run-ups"
+        raise DataError(f"the entries of this {kind} metamodel are damaged: {error}", hint=hint) from error
     if shape != (1, 8):
         raise DataError(f"this {kind} metamodel does not give eight coefficients")
     return model

@@ -99,9 +99,8 @@ class RunUp:
         if self.speed.size == 0 or self.speed[0] <= 0 or np.any(np.diff(self.speed) <= 0):
             raise DataError(f"the speeds of run '{self.name}' must rise from above zero")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
-            raise DataError(
-                f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty"
-            )
+            what = f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty"
+            raise DataError(what)
 
     def _check_excitation(self) -> None:
         named = [*self.unbalance, *([self.shaker.plane] if self.shaker is not None else [])]

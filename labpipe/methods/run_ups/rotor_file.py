@@ -128,9 +128,8 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     try:
         entries = read_digested(path, "identification.json")
     except FileNotFoundError as error:
-        raise ConfigError(
-            f"no such file '{path}'", hint="paths are relative to the file that names them"
-        ) from error
+        hint = "paths are relative to the file that names them"
+        raise ConfigError(f"no such file '{path}'", hint=hint) from error
     except DataError as error:
         raise DataError(f"'{path}' {error.what}", hint=error.hint) from error
     try:

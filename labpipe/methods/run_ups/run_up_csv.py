@@ -122,10 +122,8 @@ class _Reader:
         """(n_speed,) [rad/s]."""
         columns = [column for column in self.table.columns if _SPEED.match(column)]
         if len(columns) != 1:
-            raise self.fault(
-                f"it has {len(columns) or 'no'} column 'speed' where one is needed",
-                "for example 'speed [rpm]'",
-            )
+            hint = "for example 'speed [rpm]'"
+            raise self.fault(f"it has {len(columns) or 'no'} column 'speed' where one is needed", hint)
         return 2 * np.pi * self.in_si(columns[0], "Hz")
 
     def in_si(self, column: str, si_unit: str) -> FloatArray:

@@ -207,9 +207,8 @@ def _of_method(
     predictor = _predictor(rule, address, result)
     if isinstance(predictor, records.MetamodelResult):
         if address.item != "left_out":
-            raise rule.fault(
-                f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
-            )
+            hint = nearest(address.item, [*SPEEDS, "left_out"])
+            raise rule.fault(f"a metamodel has no '{address.item}'", hint)
         # Not a number where a fit without one of the loads failed.
         worst = float(np.max([validation.rms for validation in predictor.left_out]))
         return rule.outcome(*compare_number(rule, worst, "1"))
