@@ -33,16 +33,7 @@ from labpipe.raw_files.text_table import CsvTable, open_unpacked
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
-SPEED = "speed"
-PLAIN_KEYS = (
-    "load",
-    "threshold",
-    "amplitude error",
-    "phase error",
-    "shaker",
-    "shaker frequency",
-    "unbalance PLANE",
-)
+KEYS = ("load", "threshold", "amplitude error", "phase error", "shaker", "shaker frequency")
 _COLUMN = re.compile(
     r"^(?P<plane>.+) (?P<direction>[xy]) (?P<what>amplitude|phase|amplitude error|phase error)\s*(\[.*\])?$"
 )
@@ -233,9 +224,10 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
             if match is None:
                 continue
             key, where = match["key"], f"{path}:{number}"
-            if key not in PLAIN_KEYS[:-1] and not key.startswith("unbalance "):
-                if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
-                    raise DataError(f"unknown entry '{key}'", where, nearest(key, PLAIN_KEYS))
+            if key not in KEYS and not key.startswith("unbalance "):
+                names = (*KEYS, "unbalance PLANE")
+                if difflib.get_close_matches(key.lower(), names, 1, 0.75):
+                    raise DataError(f"unknown entry '{key}'", where, nearest(key, names))
                 continue
             if key in entries:
                 raise DataError(f"'{key}' appears twice", where)
