@@ -39,6 +39,7 @@ from labpipe.methods.floating_bearing.likelihood import (
     estimate,
 )
 from labpipe.methods.floating_bearing.settings import (
+    COMPARED,
     Baseline,
     DynamicStiffnessSettings,
     Given,
@@ -316,6 +317,8 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
     if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
         raise SettingError("mass", "the stator has one mass", "for example stator_mass: 60 kg +- 0.6 kg")
     section: DynamicStiffnessSettings = settings.model_settings
+    if section.forms != COMPARED and not settings.compare:
+        raise SettingError("forms", "'forms' are those of `compare: true`", "form: NAME for one")
     if section.fitted_baseline is not None and section.fitted_baseline.test == spectra.name:
         return ()
     return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))

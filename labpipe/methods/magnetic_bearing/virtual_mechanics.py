@@ -78,6 +78,8 @@ class VirtualMagneticRig(Settings):
         require_positive(
             self, "pedestal_mass", "rotor_mass", "axial_mass", "pedestal_stiffness", "axial_stiffness"
         )
+        if self.rotor_mass <= self.pedestal_mass:
+            raise SettingError("rotor_mass", "rotor_mass, with the pedestal, is above pedestal_mass")
 
 
 # Two force directions are tested on coefficients that differ in every place, as a fluid-film bearing's do.

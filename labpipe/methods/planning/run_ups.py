@@ -160,9 +160,7 @@ class RunUpPlanSettings(Settings):
             self._check_expected(name, values)
         self._check_goals()
         if self.rig is not None:
-            self.rig.place.film("a plan of run-ups")
-            for name, trial in self.trials:
-                self._check_planes(self.rig, name, trial)
+            self._check_rotor(self.rig)
 
     def _check_signs(self) -> None:
         require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
@@ -192,12 +190,15 @@ class RunUpPlanSettings(Settings):
                 raise SettingError("goal", f"{name} is known", "leave one of goal and known out")
         check_relative(self.goal)
 
-    @staticmethod
-    def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
-        for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
-            if plane not in rig.plane_names:
-                what = f"trial {name}: no plane '{plane}'"
-                raise SettingError("trials", what, nearest(plane, rig.plane_names))
+    def _check_rotor(self, rig: RunUpRotor) -> None:
+        rig.place.film("a plan of run-ups")
+        if rig.tabulated is not None:
+            raise SettingError("rotor", "a plan is made of the film, not of `coefficients`", "leave it out")
+        for name, trial in self.trials:
+            for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
+                if plane not in rig.plane_names:
+                    what = f"trial {name}: no plane '{plane}'"
+                    raise SettingError("trials", what, nearest(plane, rig.plane_names))
 
     @property
     def omega(self) -> FloatArray:

@@ -429,6 +429,11 @@ def test_settings_that_contradict_themselves_are_refused(keys: dict[str, object]
         DynamicStiffnessSettings(**keys)
 
 
+def test_forms_are_compared_where_that_is_asked_for() -> None:
+    with pytest.raises(ConfigError, match="'forms' are those of `compare: true`"):
+        fitted(drawn(), forms=("kc",), **GIVEN)
+
+
 def test_two_forces_of_one_direction_are_not_added_unasked() -> None:
     spectra = drawn()
     extra = replace(spectra.channels[0], name="fx_raw")

@@ -16,6 +16,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system import predictions
 from labpipe.methods.rotor_system.evaluate import _modes
 from labpipe.methods.rotor_system.settings import SystemTest
+from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig
 from labpipe.project.work import Work
 
 ROOT = Path(__file__).parents[3]
@@ -306,3 +307,17 @@ def test_a_rotor_in_oil_films_by_theory(tmp_path: Path, labpipe, monkeypatch) ->
     assert critical < speed < 2.2 * critical and 0.001 < error < 0.2
     low, high = said["criticals"][0]["speed_interval"]
     assert low < critical < high
+
+
+@pytest.mark.parametrize(
+    ("probes", "band", "said"),
+    [
+        ((3.5,), (10.0, 300.0), "nodes are whole numbers"),
+        ((3.0,), (10.2, 10.8), "no line every 1 Hz lies in the band"),
+    ],
+)
+def test_a_virtual_rotor_that_cannot_be_tested_is_refused(
+    probes: tuple[float, ...], band: tuple[float, float], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), probes, (5.0, 50.0), band=band)
