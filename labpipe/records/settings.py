@@ -513,6 +513,13 @@ def require_positive(settings: Any, *names: str) -> None:
             raise SettingError(name, f"{name} must be positive")
 
 
+def require_not_negative(settings: Any, *names: str) -> None:
+    """ConfigError for the first of the entries that is below zero."""
+    for name in names:
+        if getattr(settings, name) < 0:
+            raise SettingError(name, f"{name} must not be negative")
+
+
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:
     """Field name -> (its Setting, whether it must be given) of a settings dataclass, in order of
     declaration.

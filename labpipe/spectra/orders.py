@@ -91,7 +91,7 @@ def track_order(
 
     *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the
     order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. DataError when the recording holds
-    no complete segment. Equation (run-order).
+    no complete segment, or not two samples for a turn of the order. Equation (run-order).
     """
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
@@ -113,6 +113,12 @@ def track_order(
     times, speed, amplitude, variance, mean, overall, orbit = (
         np.array(column) for column in zip(*segments, strict=True)
     )
+    top = order * float(speed.max())
+    if top >= source.sample_rate / 2:
+        raise DataError(
+            f"order {order:g} of recording '{source.name}' reaches {top:.4g} Hz, beyond half its sample rate",
+            hint="check speed and order",
+        )
     return OrderTrack(
         order=order,
         time=times,

@@ -284,7 +284,7 @@ def test_the_common_factor_predicts_any_run(part, film: RunUpRotor) -> None:
     start = np.concatenate([stiffness.reshape(-1, 4), damping.reshape(-1, 4)], axis=1)
     np.testing.assert_allclose(at_load.coefficients, 1.2 * start, rtol=1e-7)
     np.testing.assert_allclose(at_load.std_error, solved.anywhere.std_error * np.abs(start), rtol=1e-12)
-    critical, threshold = at_load.critical(), at_load.threshold()
+    critical, threshold = at_load.critical(""), at_load.threshold()
     true = lambda speed: tuple(1.2 * part for part in film.start_coefficients(12.0, speed))  # noqa: E731
     assert critical.value == pytest.approx(film.critical_speed(true), rel=1e-6) and critical.std_error > 0
     assert threshold.value == pytest.approx(film.threshold(true), rel=1e-6) and threshold.std_error > 0

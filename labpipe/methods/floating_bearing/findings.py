@@ -326,7 +326,7 @@ def balance_error(
     if p_value >= MISMATCH_P:
         return BalanceError(covariance)
     factor = float(np.sqrt(reduced))
-    said = (
+    excess = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
         f"freedom {reduced:.3g}, p = {p_value:.2g})"
     )
@@ -335,7 +335,7 @@ def balance_error(
         width = (
             f"Standard errors are {factor:.3g} times those of noise alone, since the excess counts as noise"
         )
-        finding = Finding("model-mismatch", f"{said}: {cause}. {width}. {cure}")
+        finding = Finding("model-mismatch", f"{excess}: {cause}. {width}. {cure}")
         return BalanceError(factor**2 * covariance, None, (finding,))
     # The value stays that of the fit, which others can repeat; its distance to the average is an error.
     away = error.mean - misfit.values
@@ -343,8 +343,8 @@ def balance_error(
     growth = float(np.sqrt(np.max(np.diag(whole) / np.diag(covariance))))
     finding = Finding(
         "model-mismatch",
-        f"{said}; most likely {error.reason}: {cause}. Intervals include what the model leaves unexplained, "
-        f"and are up to {growth:.3g} times as wide as noise alone makes them. {cure}",
+        f"{excess}; most likely {error.reason}: {cause}. Intervals include what the model leaves "
+        f"unexplained, and are up to {growth:.3g} times as wide as noise alone makes them. {cure}",
     )
     return BalanceError(whole, error, (finding,))
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.regression import triangle_of
@@ -39,6 +39,7 @@ from labpipe.methods.floating_bearing.likelihood import (
     estimate,
 )
 from labpipe.methods.floating_bearing.settings import (
+    COMPARED,
     Baseline,
     DynamicStiffnessSettings,
     Given,
@@ -94,17 +95,15 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     ]
     if not baselines:
         hint = nearest(stiffness_settings.baseline, [fit.name for fit in usable])
-        raise ConfigError(
-            f"baseline: no earlier fit '{stiffness_settings.baseline}' of model dynamic-stiffness",
-            hint=f"fits are made in their order; {hint}",
-        )
+        what = f"baseline: no earlier fit '{stiffness_settings.baseline}' of model dynamic-stiffness"
+        raise ConfigError(what, hint=f"fits are made in their order; {hint}")
     if len(baselines) > 1:
         tests = ", ".join(fit.test for fit in baselines)
-        raise ConfigError(
-            f"baseline: '{stiffness_settings.baseline}' has {len(baselines)} results ({tests})",
-            hint="say `test:` in the fit of the baseline",
-        )
-    return replace(settings, model_settings=replace(stiffness_settings, known=baseline_of(baselines[0])))
+        what = f"baseline: '{stiffness_settings.baseline}' has {len(baselines)} results ({tests})"
+        raise ConfigError(what, hint="say `test:` in the fit of the baseline")
+    return replace(
+        settings, model_settings=replace(stiffness_settings, fitted_baseline=baseline_of(baselines[0]))
+    )
 
 
 def baseline_of(fit: Fit) -> Baseline:
@@ -136,11 +135,11 @@ def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
     return StiffnessModel(form, shown.symmetry)
 
 
-def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
+def given_baseline(section: DynamicStiffnessSettings) -> Baseline | None:
     """The baseline of given numbers, the same in x and y; else that of an earlier fit."""
-    if own.baseline_stiffness is None and own.baseline_damping is None:
-        return own.known
-    stiffness, damping = own.baseline_stiffness or NONE, own.baseline_damping or NONE
+    if section.baseline_stiffness is None and section.baseline_damping is None:
+        return section.fitted_baseline
+    stiffness, damping = section.baseline_stiffness or NONE, section.baseline_damping or NONE
     pairs = (("stiffness of the baseline", stiffness, "N/m"), ("damping of the baseline", damping, "N.s/m"))
     uncertainties = tuple(
         GivenUncertainty(
@@ -173,17 +172,15 @@ def least_squares(
     ConfigError for other forms than kc and kcm, FitError where runs do not give H. Equation (ds-ls).
     """
     if model.form.name not in REAL_PARTS or model.symmetry == "seal":
-        raise ConfigError(
-            "least squares is for form kc or kcm without symmetry", hint="estimator: ml", field="estimator"
-        )
+        what = "least squares is for form kc or kcm without symmetry"
+        raise SettingError("estimator", what, "estimator: ml")
     lines = line_stiffness(balance)
     basis = model.form.basis(np.empty(0), lines.omega)
     designs = basis[_rows_of(model, 0)].real.T, basis[_rows_of(model, 1)].imag.T
     for design in designs:
         if design.shape[0] <= design.shape[1]:
-            raise FitError(
-                f"{design.shape[0]} lines cannot determine the coefficients", hint="widen the band"
-            )
+            hint = "widen the band"
+            raise FitError(f"{design.shape[0]} lines cannot determine the coefficients", hint=hint)
     values, variance = _solve(model, lines.stiffness, designs)
     covariance = np.zeros((values.size, values.size))
     n_element = model.elements.shape[0]
@@ -235,18 +232,18 @@ def compare(
     symmetry: str,
     noise: Noise,
     forms: Sequence[str],
-    known: Estimate | None = None,
+    of_form: Estimate | None = None,
     uncertain: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
     """Candidates in ascending BIC, and the estimates by form. Forms that the lines cannot determine are left
     out. Equation (ds-bic).
     """
     estimates: dict[str, Estimate] = {}
-    for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
+    for form in dict.fromkeys((*forms, *([of_form.model.form.name] if of_form else []))):
         try:
-            fits = known is not None and form == known.model.form.name
+            fits = of_form is not None and form == of_form.model.form.name
             model = StiffnessModel(FORMS[form], symmetry)
-            estimates[form] = known if known and fits else estimate(balance, model, noise, uncertain)
+            estimates[form] = of_form if of_form and fits else estimate(balance, model, noise, uncertain)
         except FitError:
             continue
     candidates = [_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()]
@@ -258,10 +255,10 @@ def _bic(candidate: Candidate) -> float:
     return candidate.bic
 
 
-def _candidate(form: str, found: Estimate, n_equation: int) -> Candidate:
-    n = found.values.size
-    bic = found.squares + n * float(np.log(n_equation))
-    return Candidate(form, n, found.squares, found.dof, found.squares + 2 * n, bic=bic, chi2_p=found.p_value)
+def _candidate(form: str, best: Estimate, n_equation: int) -> Candidate:
+    n = best.values.size
+    bic = best.squares + n * float(np.log(n_equation))
+    return Candidate(form, n, best.squares, best.dof, best.squares + 2 * n, bic=bic, chi2_p=best.p_value)
 
 
 def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> tuple[Finding, ...]:
@@ -317,18 +314,14 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
     """One fit, or one per band. ConfigError where settings and channels do not fit together, FitError where
     the lines cannot determine the coefficients.
     """
-    _check(settings)
+    if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
+        raise SettingError("mass", "the stator has one mass", "for example stator_mass: 60 kg +- 0.6 kg")
     section: DynamicStiffnessSettings = settings.model_settings
-    if section.known is not None and section.known.test == spectra.name:
+    if section.forms != COMPARED and not settings.compare:
+        raise SettingError("forms", "'forms' are those of `compare: true`", "form: NAME for one")
+    if section.fitted_baseline is not None and section.fitted_baseline.test == spectra.name:
         return ()
     return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
-
-
-def _check(settings: FitSettings) -> None:
-    if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
-        raise ConfigError(
-            "the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass"
-        )
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
@@ -392,11 +385,8 @@ def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
         mass = None
     given = Given(mass, given_baseline(section), section.motion == "absolute")
     if mass is not None and effective_forces(stator):
-        raise ConfigError(
-            "the forces are without the stator's inertia already",
-            hint="stator_mass: 0 kg",
-            field="stator_mass",
-        )
+        what = "the forces are without the stator's inertia already"
+        raise SettingError("stator_mass", what, "stator_mass: 0 kg")
     if given.accelerated and not stator.accelerated and not given.absolute:
         what = "mass of the stator" if mass is not None else "baseline"
         raise ConfigError(
@@ -413,9 +403,8 @@ def _statement(given: float | None, spectra: ChannelSpectra, condition: str, uni
     try:
         return parse_value(split_uncertainty(str(spectra.conditions[condition]))[0], unit)
     except UnitError as error:
-        raise ConfigError(
-            f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}"
-        ) from None
+        hint = error.hint or f"a value in {unit}"
+        raise ConfigError(f"conditions.{condition}: {error.what}", hint=hint) from None
 
 
 def _solved_fit(
@@ -460,9 +449,7 @@ def _most_likely(
     of_form = None if section.form is None else estimate(balance, model, noise, uncertain)
     candidates, estimates = compare(balance, section.symmetry, noise, section.forms, of_form, uncertain)
     if not candidates:
-        raise ConfigError(
-            "no compared form can be determined by these lines", hint="widen the band", field="forms"
-        )
+        raise SettingError("forms", "no compared form can be determined by these lines", "widen the band")
     return (of_form or estimates[candidates[0].name]), candidates
 
 

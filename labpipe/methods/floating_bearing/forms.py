@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 
 STIFFNESS, DAMPING, MASS = "N/m", "N.s/m", "kg"
 KC = (("k", STIFFNESS), ("c", DAMPING))
@@ -166,11 +166,8 @@ def banded_form(edges: FloatArray) -> Form:
     """K and C with values of their own in every band between neighbouring *edges* (n_band + 1,) [Hz]."""
     numbers = range(1, edges.size)
     if len(numbers) > MOST_BANDS:
-        raise ConfigError(
-            f"{len(numbers)} bands are too many",
-            hint=f"{MOST_BANDS} at most: widen `band_width`",
-            field="band_width",
-        )
+        hint = f"{MOST_BANDS} at most: widen `band_width`"
+        raise SettingError("band_width", f"{len(numbers)} bands are too many", hint)
 
     def basis(_theta: FloatArray, omega: FloatArray) -> ComplexArray:
         place = np.clip(np.searchsorted(2 * np.pi * edges, omega, side="right") - 1, 0, edges.size - 2)

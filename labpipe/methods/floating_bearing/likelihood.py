@@ -342,10 +342,8 @@ def check(balance: Balance, noise: Noise) -> None:
         np.sum(np.trace(covariance, axis1=-2, axis2=-1).real) <= NOISE_FREE * np.sum(np.abs(side) ** 2)
         for side, covariance in sides
     ):
-        raise FitError(
-            "the noise of the channels is not known, so ml cannot weigh them",
-            hint="measure several periods or blocks, or `estimator: ls`",
-        )
+        hint = "measure several periods or blocks, or `estimator: ls`"
+        raise FitError("the noise of the channels is not known, so ml cannot weigh them", hint=hint)
     noise.check_dof()
 
 
@@ -360,18 +358,14 @@ def estimate(
     n = len(model.names)
     dof = balance.n_equation - n
     if dof <= 0:
-        raise FitError(
-            f"{balance.n_equation} real equations cannot determine {n} parameters",
-            hint="widen the band, or a smaller `form`",
-        )
+        hint = "widen the band, or a smaller `form`"
+        raise FitError(f"{balance.n_equation} real equations cannot determine {n} parameters", hint=hint)
     check(balance, noise)
     problem = ErrorsInVariables(balance, model)
     begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
     if not begun:
-        raise FitError(
-            "the covariance of the channels is singular on a line",
-            hint="leave out lines without noise, or `estimator: ls`",
-        )
+        hint = "leave out lines without noise, or `estimator: ls`"
+        raise FitError("the covariance of the channels is singular on a line", hint=hint)
     if len(begun) > 1:
         rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
         begun = [min(rough, key=problem.chi2)]

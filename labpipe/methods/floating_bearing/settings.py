@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import SettingError
 from labpipe.estimation.causes import stated_findings
 from labpipe.estimation.diagnostics import ENOUGH_LINES, FEWEST_LINES, rounded_up
 from labpipe.estimation.leakage import Leakage
@@ -361,7 +361,7 @@ COMPARED = ("kc", "kcm", "relaxation", "pad")
 
 @dataclass(frozen=True)
 class DynamicStiffnessSettings(Settings):
-    """What is identified and what is given; *known*: the baseline of `baseline`, once its fit is made."""
+    """What is identified and what is given; *fitted_baseline*: that of `baseline`, once it is made."""
 
     form: str | None = setting(
         "choice",
@@ -413,24 +413,28 @@ class DynamicStiffnessSettings(Settings):
     viscosity: float | None = quantity("for the Sommerfeld number", "Pa.s", None)
     diameter: float | None = quantity("for the Sommerfeld number", "m", None)
     length: float | None = quantity("for the Sommerfeld number", "m", None)
-    known: Baseline | None = None
+    fitted_baseline: Baseline | None = None
 
     def __post_init__(self) -> None:
         if self.baseline and (self.baseline_stiffness or self.baseline_damping):
-            raise ConfigError("'baseline' is given twice", hint="a fit, or numbers", field="baseline")
-        for name in ("stator_mass", "rotor_mass"):
-            mass: Uncertain | None = getattr(self, name)
-            if mass is not None and mass.value < 0:
-                raise ConfigError(f"'{name}' is negative", field=name)
+            raise SettingError("baseline", "'baseline' is given twice", "a fit, or numbers")
+        if self.stator_mass is not None and self.stator_mass.value < 0:
+            raise SettingError("stator_mass", "'stator_mass' is negative")
+        if self.rotor_mass is not None and self.rotor_mass.value <= 0:
+            raise SettingError("rotor_mass", "'rotor_mass' is that of a rotor, above zero")
+        for name, of, other in (
+            ("rotor_stiffness", "a rotor's mass", "rotor_mass"),
+            *((name, "a clearance", "clearance") for name in ("load", "viscosity", "diameter", "length")),
+        ):
+            if getattr(self, name) is not None and getattr(self, other) is None:
+                raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")
         require_positive(self, "band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter")
         require_positive(self, "length")
         for form in self.forms:
             if form not in FORMS:
-                raise ConfigError(
-                    f"'forms': '{form}' cannot be compared", hint=nearest(form, tuple(FORMS)), field="forms"
-                )
+                raise SettingError("forms", f"'forms': '{form}' cannot be compared", nearest(form, FORMS))
         if self.band_width is not None and self.form != BANDS:
-            raise ConfigError("'band_width' goes with form: bands", hint="leave it out", field="band_width")
+            raise SettingError("band_width", "'band_width' goes with form: bands", "leave it out")
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, times, whiten
 from labpipe.records.fit_details import OtherExcitation
 from labpipe.records.recording import Channel
@@ -109,7 +109,7 @@ def check_names(
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
         if name not in places:
-            raise ConfigError(f"no {what} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
+            raise SettingError(key, f"no {what} channel '{name}'", nearest(name, sorted(places)))
 
 
 def named_columns(spectra: ChannelSpectra, columns: Sequence[int], names: Sequence[str]) -> list[int]:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.journal_bearing.bearing import converged_equilibrium
 from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import design_multisine
@@ -87,11 +87,9 @@ class Condition(Settings):
     def __post_init__(self) -> None:
         _check_matrices(self, "stiffness", "damping", "mass")
         if self.speed < 0:
-            raise ConfigError(
-                "the shaft speed must not be negative", hint="it turns from x to y", field="speed"
-            )
+            raise SettingError("speed", "the shaft speed must not be negative", "it turns from x to y")
         if self.film == "journal" and not (self.speed > 0 and self.load > 0):
-            raise ConfigError("a journal bearing needs a speed and a load", field="film")
+            raise SettingError("film", "a journal bearing needs a speed and a load")
 
 
 @dataclass(frozen=True)
@@ -168,22 +166,17 @@ class FloatingRig(Settings):
             self, "stator_mass", "shaft_mass", "force", "spacing", "periods", "sample_rate", "gain"
         )
         if not self.conditions:
-            raise ConfigError(
-                "conditions: are missing", hint="for example conditions: {dry: {}}", field="conditions"
-            )
+            raise SettingError("conditions", "conditions: are missing", "for example conditions: {dry: {}}")
         if self.journal is None and any(condition.film == "journal" for _, condition in self.conditions):
-            raise ConfigError(
-                "a condition has the film of a journal bearing, the rig has no `journal`", field="conditions"
-            )
+            what = "a condition has the film of a journal bearing, the rig has no `journal`"
+            raise SettingError("conditions", what)
         if not self.band[1] < self.sample_rate / 2:
-            raise ConfigError(
-                f"band must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field="band"
-            )
+            what = f"band must lie below half the sampling rate, {self.sample_rate / 2:g} Hz"
+            raise SettingError("band", what)
         exact = self.sample_rate / self.spacing
         if abs(exact - round(exact)) > 1e-9 * exact:
-            raise ConfigError(
-                f"a period of {1 / self.spacing:g} s holds no whole number of samples", field="spacing"
-            )
+            what = f"a period of {1 / self.spacing:g} s holds no whole number of samples"
+            raise SettingError("spacing", what)
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -218,7 +211,7 @@ class FloatingRig(Settings):
 def _check_matrices(owner: Settings, *names: str) -> None:
     for name in names:
         if np.shape(getattr(owner, name)) != (2, 2):
-            raise ConfigError(f"{name} is not a 2 x 2 matrix", field=name)
+            raise SettingError(name, f"{name} is not a 2 x 2 matrix")
 
 
 AXES = ("x", "y")
@@ -408,9 +401,8 @@ def _coefficients_by_name(rig: FloatingRig, condition: Condition) -> Truth:
 def _parameters(rig: FloatingRig, runs: Sequence[str]) -> Truth:
     conditions = dict.fromkeys(run.rpartition("-")[0] for run in runs)
     if len(conditions) != 1:
-        raise ConfigError(
-            "'runs' of one condition belong to one fit", hint="for example runs: [seal-plus, seal-minus]"
-        )
+        hint = "for example runs: [seal-plus, seal-minus]"
+        raise ConfigError("'runs' of one condition belong to one fit", hint=hint)
     return _coefficients_by_name(rig, rig.condition(runs[0]))
 
 

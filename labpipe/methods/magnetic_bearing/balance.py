@@ -132,9 +132,8 @@ def _pair(channels: Sequence[Channel], currents: Sequence[int], displacements: S
             f"displacements have {', '.join(sorted(of_dof))}; give current and displacement of an axis "
             "the same dof"
         )
-        raise SettingError(
-            "output", f"the current {missing[0].name} of dof {missing[0].dof} has no displacement", hint
-        )
+        what = f"the current {missing[0].name} of dof {missing[0].dof} has no displacement"
+        raise SettingError("output", what, hint)
     return [of_dof[channels[n].dof] for n in currents]
 
 
@@ -150,9 +149,8 @@ def _at_magnets(
         if len(axes) == 1:
             continue
         if len(axes) > 2:
-            raise SettingError(
-                "input", f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}"
-            )
+            what = f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}"
+            raise SettingError("input", what)
         magnets, probes = (_places([channels[k] for k in axes]) for channels in (currents, sensors))
         matrix[np.ix_(axes, axes)] = magnets @ np.linalg.inv(probes)
     places = [channel.position for channel in currents]
@@ -173,16 +171,12 @@ def _places(channels: Sequence[Channel]) -> FloatArray:
     places = [channel.position for channel in channels]
     for channel, place in zip(channels, places, strict=True):
         if place is None:
-            raise ConfigError(
-                f"two bearings act in one plane, and the place of channel '{channel.name}' is not known",
-                hint="position: 120 mm, along the axis",
-            )
+            what = f"two bearings act in one plane, and the place of channel '{channel.name}' is not known"
+            raise ConfigError(what, hint="position: 120 mm, along the axis")
     matrix = np.column_stack([np.ones(2), np.array(places, float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
-        raise ConfigError(
-            f"channels {channels[0].name} and {channels[1].name} of one plane have one position",
-            hint="two places",
-        )
+        what = f"channels {channels[0].name} and {channels[1].name} of one plane have one position"
+        raise ConfigError(what, hint="two places")
     return matrix
 
 
@@ -194,18 +188,17 @@ def mass_matrix(
 ) -> FloatArray:
     """Mass (n, n) [kg] of the rigid rotor at the magnets, T^-T diag(m, J) T^-1 in a plane with two of them.
 
-    *mass* [kg] of the rotor, or the matrix itself. ConfigError without the moment of inertia.
+    *mass* [kg] of the rotor, or the matrix itself. ConfigError without the moment of inertia where it counts,
+    with one where it does not, and for a mass that no rotor has.
     """
     n = len(currents)
     if not isinstance(mass, float):
-        matrix = np.asarray(mass, float)
-        if matrix.shape != (n, n):
-            raise SettingError(
-                "mass",
-                f"the mass has {matrix.shape[0]} axes, the currents {n}",
-                "one number, or a row per axis",
-            )
-        return matrix
+        return _whole_matrix(np.asarray(mass, float), n)
+    if not mass > 0:
+        raise SettingError("mass", f"the mass of the rotor is above zero, not {mass:g} kg")
+    given = [name for name in ("inertia", "centre") if getattr(settings, name)]
+    if given and all(len(axes) == 1 for axes in planes):
+        raise SettingError(given[0], f"'{given[0]}' belongs to a rotor on two bearings", "leave it out")
     matrix = np.zeros((n, n))
     for axes in planes:
         if len(axes) == 1:
@@ -219,6 +212,17 @@ def mass_matrix(
         )
         matrix[np.ix_(axes, axes)] = back.T @ np.diag(np.array([mass, settings.inertia.value])) @ back
     return matrix
+
+
+def _whole_matrix(mass: FloatArray, n: int) -> FloatArray:
+    """The mass matrix as it was given; ConfigError where it is not one of *n* axes."""
+    if mass.shape != (n, n):
+        what = f"the mass has {mass.shape[0]} axes, the currents {n}"
+        raise SettingError("mass", what, "one number, or a row per axis")
+    if not np.allclose(mass, mass.T) or np.min(np.linalg.eigvalsh(mass)) <= 0:
+        hint = "symmetric, and positive for every motion"
+        raise SettingError("mass", "the mass matrix is that of no rotor", hint)
+    return mass
 
 
 # Powers of A T^2, the square of the pole times the sampling interval, beyond which rounding is larger.

@@ -27,7 +27,14 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, require_positive, setting, settings_of
+from labpipe.records.settings import (
+    Settings,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+    settings_of,
+)
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -65,14 +72,10 @@ class Magnet(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "turns", "gap", "pole_area", "recoil", "iron_permeability", "magnet_area")
-        for name in ("bias_current", "coercivity", "magnet_length", "iron_path"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name}: must not be negative")
+        require_not_negative(self, "bias_current", "coercivity", "magnet_length", "iron_path")
         if not self.bias_current + self.coercivity * self.magnet_length > 0:
-            raise ConfigError(
-                "magnet: without bias flux there is no force per current",
-                hint="give bias_current, or coercivity and length",
-            )
+            hint = "give bias_current, or coercivity and length"
+            raise ConfigError("magnet: without bias flux there is no force per current", hint=hint)
 
     @property
     def magnet_reluctance(self) -> float:
@@ -182,28 +185,24 @@ class MagneticFile(Settings):
         if not self.mass > 0:
             raise ConfigError(f"mass: must be above zero, not {self.mass:g} kg")
         if self.frequency is None and self.speed is None:
-            raise ConfigError(
-                "frequency: is missing, and there is no speed", hint="for example frequency: 50 Hz"
-            )
+            hint = "for example frequency: 50 Hz"
+            raise ConfigError("frequency: is missing, and there is no speed", hint=hint)
         if not self.motion_frequency > 0:
             raise ConfigError(f"frequency: must be above zero, not {self.motion_frequency:g} Hz")
         self._check_inferred()
         if self.negative_stiffness is not None and self.static_stiffness is not None:
-            raise ConfigError(
-                "static_stiffness: negative_stiffness is given as well", hint="leave one of them out"
-            )
+            hint = "leave one of them out"
+            raise ConfigError("static_stiffness: negative_stiffness is given as well", hint=hint)
         if self.negative_stiffness is None and self.static_stiffness is None and self.magnet is None:
-            raise ConfigError(
-                "negative_stiffness: is missing", hint="or give static_stiffness, or the geometry as magnet"
-            )
+            hint = "or give static_stiffness, or the geometry as magnet"
+            raise ConfigError("negative_stiffness: is missing", hint=hint)
 
     def _check_inferred(self) -> None:
         entries = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
         for name in self.inferred:
             if name not in entries:
-                raise ConfigError(
-                    f"inferred: '{name}' is no entry of a magnetic bearing", hint=nearest(name, entries)
-                )
+                hint = nearest(name, entries)
+                raise ConfigError(f"inferred: '{name}' is no entry of a magnetic bearing", hint=hint)
 
     @property
     def motion_frequency(self) -> float:

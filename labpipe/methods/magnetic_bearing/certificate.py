@@ -351,22 +351,21 @@ def _measured_amounts(
 
 def _fit(
     settings: CompareSettings,
-    own: CertificateSettings,
+    acceptance: CertificateSettings,
     response: FrequencyResponse,
     matrix: sensitivity.SensitivityMatrix,
     file: MagneticFile,
 ) -> FittedModel:
     if len(matrix.loops) != 1:
-        raise ConfigError(
-            "a bearing file describes one loop", hint="leave theory out, or certify one loop at a time"
-        )
-    rate = own.rate or file.loop.rate
-    fit = loop_fit([recorded_loop(own, response, file)], settings.estimate)
+        hint = "leave theory out, or certify one loop at a time"
+        raise ConfigError("a bearing file describes one loop", hint=hint)
+    rate = acceptance.rate or file.loop.rate
+    fit = loop_fit([recorded_loop(acceptance, response, file)], settings.estimate)
     given = fit.usable or not settings.estimate
     loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
     rejected = ""
     if not sound(fit):
-        cause = cause_of(own, response, file, settings.estimate) or (
+        cause = cause_of(acceptance, response, file, settings.estimate) or (
             "check signs, units, delays and the controller of the bearing file"
         )
         rejected = f"{_why_rejected(fit)}; {cause}"
@@ -386,38 +385,38 @@ def _why_rejected(fit: LoopFit) -> str:
     return "the fit did not converge" if fit.determined else f"{' and '.join(fit.alike)} cannot be told apart"
 
 
-def _zone_limit(own: CertificateSettings, worst: sensitivity.Peak, loop: ClosedLoop | None) -> Limit:
+def _zone_limit(acceptance: CertificateSettings, worst: sensitivity.Peak, loop: ClosedLoop | None) -> Limit:
     """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
     by_model = loop is not None and "sensitivity_peak" in loop.amounts
     peak, error, whose = worst.value, worst.combined, "measured"
     if loop is not None and by_model:
         peak, error = loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak")
         whose = "of the fitted loop"
-    probability = below(np.log(peak), error / peak, np.log(dict(stability.ZONES)[own.zone]))
+    probability = below(np.log(peak), error / peak, np.log(dict(stability.ZONES)[acceptance.zone]))
     zone = f"zone {stability.zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
-    if worst.at_edge and not by_model and probability > 1 - own.confidence:
+    if worst.at_edge and not by_model and probability > 1 - acceptance.confidence:
         why = f"the largest |S| lies at the edge of the band, {worst.frequency:.4g} Hz: widen the band"
-        return Limit("zone", None, f"{zone}; zone {own.zone} or better not judged, since {why}", why)
-    return Limit("zone", probability, f"{zone}; zone {own.zone} or better with {words(probability)}")
+        return Limit("zone", None, f"{zone}; zone {acceptance.zone} or better not judged, since {why}", why)
+    return Limit("zone", probability, f"{zone}; zone {acceptance.zone} or better with {words(probability)}")
 
 
-def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> list[Limit]:
-    if model is None and own.log_decrement is None:
+def _decrement_limits(acceptance: CertificateSettings, model: FittedModel | None) -> list[Limit]:
+    if model is None and acceptance.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
     loop = None if model is None else model.trusted
     if loop is None:
-        text = f"log decrement above {own.least_decrement:g} not judged, since {why}"
+        text = f"log decrement above {acceptance.least_decrement:g} not judged, since {why}"
         return [Limit("log_decrement", None, text, why)]
     if not loop.modes():
         return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
     least = min(loop.modes(), key=lambda name: loop.amounts[name])
     value = loop.amounts[least]
     probability = min(
-        below(-loop.amounts[name], loop.error(name), -own.least_decrement) for name in loop.modes()
+        below(-loop.amounts[name], loop.error(name), -acceptance.least_decrement) for name in loop.modes()
     )
     text = (
-        f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.least_decrement:g} "
+        f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {acceptance.least_decrement:g} "
         f"with {words(probability)}"
     )
     return [Limit("log_decrement", probability, text)]
@@ -445,25 +444,14 @@ def _curves(
         sizes.append(("largest singular value", size, combined))
     for quantity, size, error in sizes:
         reach = matrix.quantile * error
-        curves.append(_curve(frequency, quantity, size, (size - reach, size + reach), fitted))
+        shown = {"matched": fitted, "measured": size, "low": size - reach, "high": size + reach}
+        curves.append(sensitivity.curve_of("", quantity, "1", frequency=frequency, **shown))
     for name, loop in zip(matrix.loops, loops, strict=True):
         label, transfer = f"L {name}" if several else "L", loop.transfer[0]
-        curves.append(_curve(frequency, f"{label} real", transfer.real))
-        curves.append(_curve(frequency, f"{label} imaginary", transfer.imag))
+        for name_of_part, part in (("real", transfer.real), ("imaginary", transfer.imag)):
+            quantity = f"{label} {name_of_part}"
+            curves.append(sensitivity.curve_of("", quantity, "1", frequency=frequency, measured=part))
     return tuple(curves)
-
-
-def _curve(
-    frequency: FloatArray,
-    quantity: str,
-    values: FloatArray,
-    ends: tuple[FloatArray, ...] = (),
-    fitted: FloatArray | None = None,
-) -> Curve:
-    low, high = ends or (np.empty(0), np.empty(0))
-    matched = np.empty(0) if fitted is None else fitted
-    parts = {"frequency": frequency, "matched": matched, "measured": values, "low": low, "high": high}
-    return Curve("", quantity, "1", **{name: tuple(part.tolist()) for name, part in parts.items()})
 
 
 def _findings(worst: sensitivity.Peak, model: FittedModel | None) -> tuple[Finding, ...]:

@@ -4,7 +4,7 @@ certificate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, per_injection
+from labpipe.methods.magnetic_bearing.sensitivity import curve_of, loop_sensitivity, per_injection
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note
@@ -85,9 +85,7 @@ def prediction(settings: CompareSettings, views: Sequence[loop_problem.View]) ->
         condition=settings.condition,
         bands=tuple(bands),
         curves=tuple(
-            _curve(view, letter, changed[n] if changed else None)
-            for n, view in enumerate(views)
-            for letter in LETTERS
+            curve for n, view in enumerate(views) for curve in _curves(view, changed[n] if changed else None)
         ),
         correlations=fitted.correlations,
         findings=findings,
@@ -103,10 +101,8 @@ def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
     pair = (stiffness, "c" + stiffness[1:])
     missing = next((name for name in pair if name not in names), None)
     if missing is not None or not stiffness.startswith("k"):
-        raise ConfigError(
-            f"fit '{fit.name}' has no '{missing or stiffness}' as stiffness and damping",
-            hint=nearest(stiffness, names),
-        )
+        what = f"fit '{fit.name}' has no '{missing or stiffness}' as stiffness and damping"
+        raise ConfigError(what, hint=nearest(stiffness, names))
     return pair
 
 
@@ -191,22 +187,17 @@ def _statement(
     return " ".join(sentences)
 
 
-def _curve(view: loop_problem.View, letter: str, changed: MagneticFile | None) -> Curve:
-    frequency = view.measured.omega / (2 * np.pi)
-    unit = "N/m" if letter == "k" else "N.s/m"
-    theory, matched = (
-        _values(view.file, letter, frequency),
-        () if changed is None else _values(changed, letter, frequency),
-    )
-    return Curve(view.test, letter, unit, frequency=tuple(frequency.tolist()), theory=theory, matched=matched)
-
-
-def _values(
-    file: MagneticFile, letter: str, frequency: np.ndarray[tuple[int], np.dtype[np.floating]]
-) -> tuple[float, ...]:
-    plant, omega = file.levitated(), 2 * np.pi * frequency
-    total = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
-    return tuple((total.real if letter == "k" else total.imag / omega).tolist())
+def _curves(view: loop_problem.View, changed: MagneticFile | None) -> Iterator[Curve]:
+    """k and c over frequency of the bearing file, and of it with the fitted unknowns."""
+    omega = view.measured.omega
+    courses = {}
+    for name, file in (("theory", view.file), ("matched", changed)):
+        if file is not None:
+            plant = file.levitated()
+            courses[name] = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    for letter, unit in zip(LETTERS, ("N/m", "N.s/m"), strict=True):
+        parts = {name: h.real if letter == "k" else h.imag / omega for name, h in courses.items()}
+        yield curve_of(view.test, letter, unit, frequency=omega / (2 * np.pi), **parts)
 
 
 def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
@@ -215,9 +206,8 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
     """
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
-        raise ConfigError(
-            f"is of the kind {file.kind_name}", file.path, f"a loop is predicted for the kind {MAGNETIC}"
-        )
+        hint = f"a loop is predicted for the kind {MAGNETIC}"
+        raise ConfigError(f"is of the kind {file.kind_name}", file.path, hint)
 
     def at(condition: float | None, unit: str) -> MagneticFile:
         return file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])
@@ -282,10 +272,8 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
         wanted = (
             f"no test '{certificate_settings.test}'" if certificate_settings.test else "one test is needed"
         )
-        raise ConfigError(
-            f"a certificate is that of one loop: {wanted} among {names}",
-            hint="one comparison per test, certificate: {test: NAME}",
-        )
+        hint = "one comparison per test, certificate: {test: NAME}"
+        raise ConfigError(f"a certificate is that of one loop: {wanted} among {names}", hint=hint)
     response = tests[0] if isinstance(tests[0], FrequencyResponse) else per_injection(tests[0])
     comparison = certificate(settings, response, _file_of(settings, evidence))
     outputs = [port for port in response.outputs if port.label in certificate_settings.recorded]

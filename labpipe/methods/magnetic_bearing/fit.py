@@ -237,27 +237,26 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
     """One fit, or one per band. ConfigError where settings and channels do not fit together, FitError where
     the lines cannot determine the parameters.
     """
-    _check(settings)
-    return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
-
-
-def _check(settings: FitSettings) -> None:
     if settings.mass == ESTIMATE:
-        hint = "mass: 4 kg +- 5 g, in the rig file or in the fit"
-        raise SettingError(
-            "mass", "the mass of the rotor must be known: all else is in proportion to it", hint
-        )
+        what = "the mass of the rotor must be known: all else is in proportion to it"
+        raise SettingError("mass", what, "mass: 4 kg +- 5 g, in the rig file or in the fit")
+    return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
     magnet_settings: MagnetSettings = settings.model_settings
-    mass = settings.mass if isinstance(settings.mass, float) else _matrix(settings.mass)
+    mass: FloatArray | float = settings.mass if isinstance(settings.mass, float) else np.array(settings.mass)
+    if np.ndim(mass) == 1:
+        mass = np.diag(mass)
     rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
     between = (
         None
         if magnet_settings.hold is None
         else balance.Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
     )
+    if between is not None and rotor.omega[-1] > np.pi * between.rate:
+        what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
+        raise SettingError("hold", what, "hold is the rate of the recording")
     model = balance.magnet_model(
         rotor.labels,
         rotor.bearing,
@@ -301,11 +300,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         budget=budget if best.converged else None,
         discrepancy=error.discrepancy,
     )
-
-
-def _matrix(mass: object) -> FloatArray:
-    values = np.asarray(mass, float)
-    return np.diag(values) if values.ndim == 1 else values
 
 
 def _uncertainties_of_mass(
@@ -419,10 +413,8 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     """
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
-        raise ConfigError(
-            f"a block has one input and one output, not {len(columns)} and {len(rows)}",
-            hint="name them: input, output",
-        )
+        what = f"a block has one input and one output, not {len(columns)} and {len(rows)}"
+        raise ConfigError(what, hint="name them: input, output")
     fits = []
     for band in settings.bands or (settings.band,):
         lines = np.ones(response.frequency.size, bool) if band is None else lines_in(response.frequency, band)
@@ -431,9 +423,8 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
         if not has_noise(measured):
             raise FitError("the noise of the response is not known", hint="average several periods or blocks")
         if measured.omega.size < LEAST_LINES:
-            raise FitError(
-                f"{measured.omega.size} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
-            )
+            hint = f"{LEAST_LINES} or more: widen `band`"
+            raise FitError(f"{measured.omega.size} lines in the band", hint=hint)
         orders = ORDERS[1:] if block_settings.order == AUTO else [block_settings.order]
         minima = [minimum for order in orders if (minimum := _most_likely(measured, int(order))) is not None]
         if not minima:

@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -85,8 +85,6 @@ class SampledPid(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "rate", "derivative_time")
-        if self.delay < 0:
-            raise SettingError("delay", "'delay' must not be negative")
 
 
 @dataclass(frozen=True)
@@ -118,6 +116,9 @@ class LevitatedNoise(Settings):
     force: float = quantity("measured force of a shaker", "N", 0.05)
     disturbance: float = quantity("random force on the rotor at every bearing and axis", "N", 1.0)
     reference: float = quantity("recorded injection, of the unit in which it is recorded", "1", 0.0)
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, "displacement", "current", "force", "disturbance", "reference")
 
 
 @dataclass(frozen=True)
@@ -176,16 +177,12 @@ class LevitatedRig(Settings):
             "a period of the injection holds no whole number of samples",
         )
         if not self.injection.band[1] < self.sample_rate / 2:
-            raise SettingError(
-                "injection", f"the injection's band must lie below {self.sample_rate / 2:g} Hz"
-            )
+            what = f"the injection's band must lie below {self.sample_rate / 2:g} Hz"
+            raise SettingError("injection", what)
         n = len(self.labels)
         if self.control.mixing is not None and np.shape(self.control.mixing) != (n, n):
-            raise SettingError(
-                "control",
-                f"control.mixing is not a {n} x {n} matrix",
-                f"its axes are {', '.join(self.labels)}",
-            )
+            hint = f"its axes are {', '.join(self.labels)}"
+            raise SettingError("control", f"control.mixing is not a {n} x {n} matrix", hint)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -353,9 +350,8 @@ class LevitatedLoop:
         growth = float(np.max(self.poles.real))
         if growth > sampled_loop.ROUNDING * self.rate:
             message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
-            raise SettingError(
-                "control", message, "raise proportional and derivative gain, or shorten the delay"
-            )
+            hint = "raise proportional and derivative gain, or shorten the delay"
+            raise SettingError("control", message, hint)
         outputs = sampled_loop.linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
         return outputs[:, : self.n_axis], fine[:, 0], fine[:, 1]

@@ -195,27 +195,21 @@ def truth(rig: LevitatedRig) -> dict[str, Any]:
 
 
 def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
-    values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass, **_magnets(rig)}
-    if rig.rotor is not None:
-        return values
-    values |= {"k": -rig.negative_stiffness, "c": rig.damping}
-    for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
-        term = f"{rig.labels[row]}_{rig.labels[column]}"
-        values |= {f"k_{term}": float(stiffness), f"c_{term}": rig.damping if row == column else 0.0}
-    return values
-
-
-def _magnets(rig: LevitatedRig) -> dict[str, float]:
-    magnets: dict[str, float] = {}
+    values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass}
+    if rig.rotor is None:
+        values |= {"k": -rig.negative_stiffness, "c": rig.damping}
     glue = "" if rig.rotor is None else "_"
     for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
-        term, direct = f"{rig.labels[row]}{glue}{rig.labels[column]}", float(row == column)
-        magnets |= {
-            f"k_i_{term}": direct * rig.force_per_current,
-            f"k_s_{term}": float(stiffness),
-            f"c_{term}": direct * rig.damping,
+        x, y, direct = rig.labels[row], rig.labels[column], float(row == column)
+        of_magnet = {
+            "k_i": direct * rig.force_per_current,
+            "k_s": float(stiffness),
+            "c": direct * rig.damping,
         }
-    return magnets
+        values |= {f"{name}_{x}{glue}{y}": number for name, number in of_magnet.items()}
+        if rig.rotor is None:
+            values |= {f"k_{x}_{y}": float(stiffness), f"c_{x}_{y}": direct * rig.damping}
+    return values
 
 
 LEVITATED_RIG = kind_of_recordings(

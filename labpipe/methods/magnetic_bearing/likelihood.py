@@ -187,18 +187,15 @@ def magnet_estimate(
     noise, n = noise_of(rotor), len(model.names)
     n_equation = 2 * rotor.omega.size * rotor.channels.shape[1] * rotor.n_axis
     if n_equation <= n:
-        raise FitError(
-            f"{n_equation} real equations cannot determine {n} parameters",
-            hint="widen the band, or `coupling: direct`",
-        )
+        hint = "widen the band, or `coupling: direct`"
+        raise FitError(f"{n_equation} real equations cannot determine {n} parameters", hint=hint)
     _check_noise(rotor, noise)
     problem = MagnetLikelihood(rotor, model)
     try:
         best = minimise(problem, start(problem), NEAR, MOST_STEPS)
     except np.linalg.LinAlgError:
-        raise FitError(
-            "the covariance of the channels is singular on a line", hint="leave out lines without noise"
-        ) from None
+        hint = "leave out lines without noise"
+        raise FitError("the covariance of the channels is singular on a line", hint=hint) from None
     jacobian = problem.jacobian(best.values)
     dof = n_equation - n
     squares, state = 2 * problem.chi2(best.values), problem.at(best.values)
@@ -229,10 +226,8 @@ def magnet_estimate(
 def _check_noise(rotor: Levitation, noise: likelihood.Noise) -> None:
     variance = np.einsum("lrcc->lrc", rotor.covariance).real
     if np.sum(variance) <= NOISE_FREE * np.sum(np.abs(rotor.channels) ** 2):
-        raise FitError(
-            "the noise of the channels is not known, so ml cannot weigh them",
-            hint="measure several periods or blocks",
-        )
+        hint = "measure several periods or blocks"
+        raise FitError("the noise of the channels is not known, so ml cannot weigh them", hint=hint)
     noise.check_dof()
 
 

@@ -66,12 +66,13 @@ class CertificateSettings(Settings):
         if not 0.5 < self.confidence < 1:
             raise SettingError("confidence", "'confidence' must lie between 50 and 100 %")
         require_positive(self, "log_decrement", "rate")
+        signals = [name for name in (*self.after, self.output, self.displacement, self.current) if name]
+        for name in signals:
+            if signals.count(name) > 1:
+                raise ConfigError(f"'{name}' is named for two signals", hint="one response for each")
         if self.before and len(self.before) != len(self.after):
-            raise SettingError(
-                "before",
-                f"{len(self.before)} points ahead of a sum and {len(self.after)} behind",
-                "one per loop",
-            )
+            what = f"{len(self.before)} points ahead of a sum and {len(self.after)} behind"
+            raise SettingError("before", what, "one per loop")
 
     @property
     def least_decrement(self) -> float:
@@ -228,13 +229,15 @@ def _of_ratio(ratio: Parameter) -> Parameter:
     return replace(plain, ci95=(low, high))
 
 
-def _limit(own: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
+def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
     least = min(amounts, key=lambda amount: amount.value)
-    text = f"log decrement {least.value:.3g} ({least.name}) is the least; above {own.least_decrement:g}"
+    text = (
+        f"log decrement {least.value:.3g} ({least.name}) is the least; above {acceptance.least_decrement:g}"
+    )
     if why:
         return Limit(DECREMENT, None, f"{text} not judged, since {why}", why)
     probability = min(
-        below(-amount.value, amount.full_error or 0.0, -own.least_decrement) for amount in amounts
+        below(-amount.value, amount.full_error or 0.0, -acceptance.least_decrement) for amount in amounts
     )
     return Limit(DECREMENT, probability, f"{text} with {words(probability)}")
 
@@ -246,42 +249,40 @@ FITTED_CAUSES = 4
 
 
 def recorded_loop(
-    own: CertificateSettings, response: FrequencyResponse, file: MagneticFile
+    acceptance: CertificateSettings, response: FrequencyResponse, file: MagneticFile
 ) -> LoopObservation:
     """All recorded signals and their prediction.
 
     With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so
     that neither gain nor delay of the recorded excitation counts.
     """
-    rate = own.rate or file.loop.rate
+    rate = acceptance.rate or file.loop.rate
     named = {
-        "after": own.after[0],
-        "output": own.output,
-        "displacement": own.displacement,
-        "current": own.current,
+        "after": acceptance.after[0],
+        "output": acceptance.output,
+        "displacement": acceptance.displacement,
+        "current": acceptance.current,
     }
-    named |= {"before": own.before[0]} if own.before else {}
+    named |= {"before": acceptance.before[0]} if acceptance.before else {}
     signals = {
         signal: chosen_ports(response.outputs, (name,), "response")[0]
         for signal, name in named.items()
         if name
     }
     if len(response.inputs) != 1:
-        raise ConfigError(
-            f"one loop has one excitation, not {len(response.inputs)}",
-            hint="role: input for the excitation alone",
-        )
+        hint = "role: input for the excitation alone"
+        raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint=hint)
     lines = np.ones(response.frequency.size, bool)
     measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
     if measured.covariance is None:
-        raise FitError(
-            "the noise of the response is not known, so nothing has an interval",
-            hint="average several periods or blocks",
-        )
+        hint = "average several periods or blocks"
+        raise FitError("the noise of the response is not known, so nothing has an interval", hint=hint)
     weights = np.linalg.inv(measured.covariance)
 
     def per_added(changed: MagneticFile) -> ComplexArray:
-        signal = open_loop(changed.levitated(), measured.omega, rate, own.filtered).signals(own.injection)
+        signal = open_loop(changed.levitated(), measured.omega, rate, acceptance.filtered).signals(
+            acceptance.injection
+        )
         return np.stack([signal[name] for name in signals], axis=1)
 
     def along(per: ComplexArray, vectors: ComplexArray) -> ComplexArray:
@@ -292,13 +293,13 @@ def recorded_loop(
 
     def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
         per = per_added(changed)
-        return np.asarray((along(per, measured.matrix[:, :, 0]) if own.before else per)[:, :, None])
+        return np.asarray((along(per, measured.matrix[:, :, 0]) if acceptance.before else per)[:, :, None])
 
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
         # Changes of the predicted signals: in proportion to measured ones a gain would shrink their noise
         # with them. What is common to all of them is added then, and cancels to the last digit.
         uncertainties = matrix_errors(replace(measured, matrix=predict(changed, support)))
-        if not own.before:
+        if not acceptance.before:
             return uncertainties
         per = per_added(changed)
         return [
@@ -307,19 +308,19 @@ def recorded_loop(
         ]
 
     return LoopObservation(
-        measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors
+        measured, predict, file, nuisance=2 * measured.omega.size if acceptance.before else 0, errors=errors
     )
 
 
 def cause_of(
-    own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
+    acceptance: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
 ) -> str:
     """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
     empty without one.
     """
     changes = []
-    for what, changed_own, changed in _changes(own, response):
-        observation = recorded_loop(changed_own, changed, file)
+    for what, changed_acceptance, changed in _changes(acceptance, response):
+        observation = recorded_loop(changed_acceptance, changed, file)
         problem = LoopProblem((observation,), (), ())
         changes.append((problem.chi2(problem.start), what, observation))
     for _, what, observation in sorted(changes, key=lambda change: change[0])[:FITTED_CAUSES]:
@@ -335,12 +336,12 @@ def sound(fit: LoopFit) -> bool:
 
 
 def _changes(
-    own: CertificateSettings, response: FrequencyResponse
+    acceptance: CertificateSettings, response: FrequencyResponse
 ) -> Iterator[tuple[str, CertificateSettings, FrequencyResponse]]:
-    place = INPUT if own.injection == OUTPUT else OUTPUT
-    yield f"with injection: {place}", replace(own, injection=place), response
-    signals = list(dict.fromkeys(own.recorded))
-    excitation = [] if own.before else [response.inputs[0].label]
+    place = INPUT if acceptance.injection == OUTPUT else OUTPUT
+    yield f"with injection: {place}", replace(acceptance, injection=place), response
+    signals = list(dict.fromkeys(acceptance.recorded))
+    excitation = [] if acceptance.before else [response.inputs[0].label]
     for name in (*signals, *excitation):
         rows = (
             [chosen_ports(response.outputs, (name,), "response")[0]]
@@ -356,7 +357,7 @@ def _changes(
             covariance = response.covariance * np.outer(scale, scale)
             yield (
                 _words(name, factor),
-                own,
+                acceptance,
                 replace(
                     response, matrix=response.matrix * scale[:, None], covariance=covariance, errors=errors
                 ),

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, SettingError
+from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 
 # Entries of the PID, which a controller of blocks takes the place of.
 PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
@@ -50,12 +50,8 @@ class ControlLoop(Settings):
     )
 
     def __post_init__(self) -> None:
-        for name in ("derivative_time", "lag_time", "delay"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name}: must not be negative, not {getattr(self, name):g} s")
-        for name in ("bandwidth", "sensor_bandwidth"):
-            if getattr(self, name) is not None and not getattr(self, name) > 0:
-                raise ConfigError(f"{name}: must be above zero, not {getattr(self, name):g} Hz")
+        require_not_negative(self, "derivative_time", "lag_time", "delay")
+        require_positive(self, "bandwidth", "sensor_bandwidth")
         self._check_blocks()
 
     def _check_blocks(self) -> None:

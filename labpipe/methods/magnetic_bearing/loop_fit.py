@@ -275,10 +275,8 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     ConfigError for unknown names, FitError for responses without noise estimate. Equation (comp-loop).
     """
     if not all(has_noise(observation.measured) for observation in observations):
-        raise FitError(
-            "the noise of the response is not known, so a loop cannot be compared with it",
-            hint="average several periods or blocks",
-        )
+        what = "the noise of the response is not known, so a loop cannot be compared with it"
+        raise FitError(what, hint="average several periods or blocks")
     unknowns = tuple(unknown(observations[0].file, name) for name in names)
     support = observations[0].support
     errors = ((0, support.stiffness.std_error), (1, support.damping.std_error))

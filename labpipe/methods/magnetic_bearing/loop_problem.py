@@ -92,13 +92,13 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
         owner = {"": file, "loop": file.loop, "magnet": file.magnet}.get(section)
         value = getattr(file.loop.controller[int(section) - 1] if section.isdigit() else owner, field, None)
     if value is None:
-        where = {"": field, "magnet": f"magnet: {{{field}: ...}}"}.get(section, f"loop.{field}")
+        where = {"": field, "magnet": f"magnet: {{{field}: ...}}", "loop": f"loop.{field}"}.get(
+            section, f"{field} of block {section} of the controller"
+        )
         raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
     if value == 0:
-        raise ConfigError(
-            f"estimate: '{name}' is zero in the bearing file",
-            hint="a value near the expected one is needed to start from",
-        )
+        hint = "a value near the expected one is needed to start from"
+        raise ConfigError(f"estimate: '{name}' is zero in the bearing file", hint=hint)
     return Unknown(name, float(value), unit)
 
 
@@ -112,14 +112,14 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     for name, value in values.items():
         section, field, _ = _place(file, name)
         changes.setdefault(section, {})[field] = value
-    own, magnet = changes.get("", {}), changes.get("magnet")
+    of_file, magnet = changes.get("", {}), changes.get("magnet")
     # An explicit negative stiffness replaces the one inferred from the static stiffness.
-    if "negative_stiffness" in own:
-        own["static_stiffness"] = None
+    if "negative_stiffness" in of_file:
+        of_file["static_stiffness"] = None
     blocks = tuple(
         _with_changes(block, changes.get(str(n), {})) for n, block in enumerate(file.loop.controller, 1)
     )
-    changed = replace(file, loop=replace(file.loop, controller=blocks, **changes.get("loop", {})), **own)
+    changed = replace(file, loop=replace(file.loop, controller=blocks, **changes.get("loop", {})), **of_file)
     return changed if magnet is None else replace(changed, magnet=_with_changes(file.magnet, magnet))
 
 
@@ -362,9 +362,8 @@ def checked_view(view: View) -> View:
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
-        raise ConfigError(
-            f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {able}"
-        )
+        hint = f"a loop is predicted for {able}"
+        raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=hint)
     if not isinstance(view.settings.mass, float):
         raise ConfigError(f"fit '{name}' has no known mass", hint="mass: 0.92 kg, as in the rig file")
     if view.file.loop.cross is not None:

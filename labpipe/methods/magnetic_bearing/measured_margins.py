@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -191,7 +192,7 @@ def measured_margins(
             candidates.setdefault(name, []).append(near.of(margin, n))
     units = {"phase_margin": "rad", "delay_margin": "s"}
     chosen = {
-        name: (max if name == "gain_margin_lower" else min)(margins, key=lambda found: found[0])
+        name: (max if name == "gain_margin_lower" else min)(margins, key=itemgetter(0))
         for name, margins in candidates.items()
     }
     return [

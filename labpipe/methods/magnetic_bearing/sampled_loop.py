@@ -133,9 +133,8 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
     `sampled_matrix`.
     """
     if plant.loop.cross is not None:
-        raise SettingError(
-            "cross", "a cross-coupled controller has no loop of one direction", "leave cross out"
-        )
+        hint = "leave cross out"
+        raise SettingError("cross", "a cross-coupled controller has no loop of one direction", hint)
     law = sampled_law(plant.loop, rate, plant.loop.blocks())
     motion, whole = sampled_plant(plant, rate)
 
@@ -203,9 +202,8 @@ def sampled_law(
         )
     continuous, discrete = in_series(blocks)
     if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
-        raise SettingError(
-            "controller", f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz"
-        )
+        what = f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz"
+        raise SettingError("controller", what)
     if len(continuous.zeros) > len(continuous.poles) or len(discrete.zeros) > len(discrete.poles):
         hint = "add a low-pass, or a derivative_time"
         raise SettingError("controller", "controller: more zeros than poles cannot be sampled", hint)

@@ -174,10 +174,8 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     """
     rows, columns = select_ports(response, (), (before, after))
     if len(rows) != 2 or len(columns) != 1:
-        raise ConfigError(
-            f"'{before}' and '{after}' under one excitation are needed",
-            hint="role: input for the excitation alone",
-        )
+        hint = "role: input for the excitation alone"
+        raise ConfigError(f"'{before}' and '{after}' under one excitation are needed", hint=hint)
     return sensitivity_matrix(response, (before,), (after,)).loop(0)
 
 
@@ -247,23 +245,18 @@ class _Theory:
 
 
 def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
-    reach = measured.quantile * measured.combined
-    matched: tuple[float, ...] = ()
+    parts = {} if predicted is None else {"theory": predicted}
     if theory is not None and theory.fitted.usable:
-        matched = tuple(
-            theory.size(with_unknowns(theory.file, theory.fitted.values()), measured.frequency).tolist()
-        )
-    return Curve(
-        measured.response.name,
-        "sensitivity",
-        "1",
-        frequency=tuple(measured.frequency.tolist()),
-        theory=() if predicted is None else tuple(predicted.tolist()),
-        matched=matched,
-        measured=tuple(measured.size.tolist()),
-        low=tuple((measured.size - reach).tolist()),
-        high=tuple((measured.size + reach).tolist()),
-    )
+        fitted = with_unknowns(theory.file, theory.fitted.values())
+        parts["matched"] = theory.size(fitted, measured.frequency)
+    reach = measured.quantile * measured.combined
+    parts |= {"measured": measured.size, "low": measured.size - reach, "high": measured.size + reach}
+    return curve_of(measured.response.name, "sensitivity", "1", frequency=measured.frequency, **parts)
+
+
+def curve_of(test: str, quantity: str, unit: str, **columns: FloatArray) -> Curve:
+    """A curve of *columns* (n_line,) [unit], by the names of its fields."""
+    return Curve(test, quantity, unit, **{name: tuple(part.tolist()) for name, part in columns.items()})
 
 
 def _measured_amounts(
@@ -347,9 +340,8 @@ def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
         raise ConfigError(f"{len(spectra.runs)} run(s) for {len(inputs)} injection(s)", hint=hint)
     injected = spectra.vectors[:, :, inputs].swapaxes(1, 2)
     if np.any(np.linalg.cond(injected) > ONE_INJECTION):
-        raise ConfigError(
-            "the runs do not tell the injections apart", hint="inject into one loop after the other"
-        )
+        hint = "inject into one loop after the other"
+        raise ConfigError("the runs do not tell the injections apart", hint=hint)
     inverse = np.linalg.inv(injected)
     matrix = spectra.vectors[:, :, outputs].swapaxes(1, 2) @ inverse
     return FrequencyResponse(
@@ -496,19 +488,16 @@ def sensitivity_matrix(
         hint = "role: input for the excitations alone, one per loop"
         raise ConfigError(f"{n} loop(s) and {n_input} excitation(s)", hint=hint)
     if response.covariance is None:
-        raise FitError(
-            "the noise of the response is not known, so nothing has an interval",
-            hint="average several periods or blocks",
-        )
+        hint = "average several periods or blocks"
+        raise FitError("the noise of the response is not known, so nothing has an interval", hint=hint)
     h_after = response.matrix[:, rows]
     unit = np.broadcast_to(np.eye(n), h_after.shape).astype(np.complex128)
     added = h_after - response.matrix[:, ahead] if ahead else unit
     if np.any(
         np.linalg.svd(added, compute_uv=False)[:, -1] < SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2))
     ):
-        raise FitError(
-            "both sides of a sum are the same signal", hint="record one ahead of the sum and one behind it"
-        )
+        hint = "record one ahead of the sum and one behind it"
+        raise FitError("both sides of a sum are the same signal", hint=hint)
     inverse = np.linalg.inv(added)
     values = h_after @ inverse
     # dS = (dH_after - S (dH_after - dH_before)) added^-1.

@@ -14,7 +14,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
@@ -63,11 +63,8 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
         np.trim_zeros(np.atleast_1d(np.asarray(power, float)), "f") for power in (numerator, denominator)
     )
     if not below.size:
-        raise SettingError(
-            "denominator",
-            "denominator: is zero",
-            "coefficients in descending powers, for example [1, 20, 100]",
-        )
+        hint = "coefficients in descending powers, for example [1, 20, 100]"
+        raise SettingError("denominator", "denominator: is zero", hint)
     poles = np.roots(below)
     above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
     if not above.size:
@@ -147,10 +144,8 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
             tuple(map(complex, np.atleast_1d(getattr(system, name)))) for name in ("zeros", "poles")
         )
         return [[Transfer(zeros, poles, float(system.gain), rate)]]
-    raise ConfigError(
-        f"a {type(system).__name__} is no transfer function",
-        hint="num and den, zeros, poles and gain, or A, B, C and D",
-    )
+    hint = "num and den, zeros, poles and gain, or A, B, C and D"
+    raise ConfigError(f"a {type(system).__name__} is no transfer function", hint=hint)
 
 
 def _rate_of(interval: Any) -> float | None:
@@ -217,10 +212,8 @@ def _confirm(
             / np.prod([point - pole for pole in fitted.poles])
         )
         if abs(ours - exact) > SAME * abs(exact):
-            raise ConfigError(
-                "the zeros of a state space cannot be told from rounding",
-                hint="give zeros, poles and gain, or filters",
-            )
+            hint = "give zeros, poles and gain, or filters"
+            raise ConfigError("the zeros of a state space cannot be told from rounding", hint=hint)
     return fitted
 
 
@@ -300,23 +293,16 @@ class ControllerBlock(Settings):
         for name, declared in self.__dataclass_fields__.items():
             given = getattr(self, name) != declared.default
             if name in form.needs and not given:
-                raise ConfigError(
-                    f"{name}: is missing for the form {self.form}", hint=declared.metadata["setting"].help
-                )
+                hint = declared.metadata["setting"].help
+                raise ConfigError(f"{name}: is missing for the form {self.form}", hint=hint)
             if given and name not in (*form.needs, *form.takes, "form"):
                 hint = f"{self.form} takes {', '.join((*form.needs, *form.takes))}"
                 raise SettingError(name, f"{name}: is not for the form {self.form}", hint)
-        for name in ("zero", "pole", "frequency", "rate", "width"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise SettingError(name, f"{name}: must be above zero, not {value:g}")
-        for name in ("depth", "damping", "derivative_time"):
-            if getattr(self, name) < 0:
-                raise SettingError(name, f"{name}: must not be negative")
+        require_positive(self, "zero", "pole", "frequency", "rate", "width")
+        require_not_negative(self, "depth", "damping", "derivative_time")
         if self.order not in (1, 2):
-            raise SettingError(
-                "order", f"order: a low-pass has order 1 or 2, not {self.order}", "two blocks for more"
-            )
+            hint = "two blocks for more"
+            raise SettingError("order", f"order: a low-pass has order 1 or 2, not {self.order}", hint)
         _ = self.transfer
 
     @property
@@ -382,9 +368,8 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
     """The sampling rate [Hz] of the discrete blocks, None without one; ConfigError for two rates."""
     rates = sorted({block.rate for block in blocks if block.rate is not None})
     if len(rates) > 1:
-        raise SettingError(
-            "controller", f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop"
-        )
+        what = f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop"
+        raise SettingError("controller", what)
     return rates[0] if rates else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 from labpipe.simulate import linear
 
 KIND = "virtual-magnetic-rig"
@@ -47,6 +47,9 @@ class Noise(Settings):
     force: float = quantity("force transducer", "N", 0.02)
     hover: float = quantity("slow wander of the levitated rotor", "m", 1e-6)
 
+    def __post_init__(self) -> None:
+        require_not_negative(self, "displacement", "force", "hover")
+
 
 @dataclass(frozen=True)
 class VirtualMagneticRig(Settings):
@@ -75,6 +78,8 @@ class VirtualMagneticRig(Settings):
         require_positive(
             self, "pedestal_mass", "rotor_mass", "axial_mass", "pedestal_stiffness", "axial_stiffness"
         )
+        if self.rotor_mass <= self.pedestal_mass:
+            raise SettingError("rotor_mass", "rotor_mass, with the pedestal, is above pedestal_mass")
 
 
 # Two force directions are tested on coefficients that differ in every place, as a fluid-film bearing's do.

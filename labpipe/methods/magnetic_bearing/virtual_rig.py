@@ -224,7 +224,9 @@ def _log(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
     return scipy.signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
 
 
-LOOP_RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], virtual_rigs.SimulatedRun]] = {
+# A run of a rig by its name.
+MakeRun = Callable[[VirtualMagneticRig, str, np.random.Generator], virtual_rigs.SimulatedRun]
+LOOP_RUNS: dict[str, MakeRun] = {
     "loop-0rpm": radial_in_loop,
     **dict.fromkeys(GAINS, radial_in_loop),
     "loop-injection": injection,
@@ -330,9 +332,7 @@ def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
     return tuple(_loop_runs(rig) or RUNS)
 
 
-def _loop_runs(
-    rig: VirtualMagneticRig,
-) -> dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], virtual_rigs.SimulatedRun]]:
+def _loop_runs(rig: VirtualMagneticRig) -> dict[str, MakeRun]:
     return LOOP_RUNS if rig.levitation.law == "control-loop" else {}
 
 
@@ -454,7 +454,7 @@ def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     )
 
 
-RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], virtual_rigs.SimulatedRun]] = {
+RUNS: dict[str, MakeRun] = {
     "pedestal": single,
     "radial-0rpm": radial,
     "radial-8000rpm": radial,

@@ -267,7 +267,7 @@ class Rig:
     """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing*
     of the lines [Hz].
 
-    known: what an earlier test tells, where it is combined with the planned one.
+    earlier: what an earlier test tells, where it is combined with the planned one.
     """
 
     model: PlannedModel
@@ -276,7 +276,7 @@ class Rig:
     directions: ComplexArray
     shakers: tuple[str, ...]
     spacing: float
-    known: EarlierInformation | None = None
+    earlier: EarlierInformation | None = None
 
     @property
     def known_rate(self) -> FloatArray:
@@ -284,7 +284,7 @@ class Rig:
 
         Zero without one.
         """
-        return np.zeros((len(self.model.names),) * 2) if self.known is None else self.known.rate
+        return np.zeros((len(self.model.names),) * 2) if self.earlier is None else self.earlier.rate
 
     def omega(self, test: Multisines) -> FloatArray:
         """Angular frequencies (n_line,) [rad/s] of a test's lines."""
@@ -423,8 +423,8 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
         return None
     seconds = np.array(periods) / rig.spacing
     total = sum(rig.rate(test) * time for test, time in zip(timed.tests, seconds, strict=True))
-    if timed.known is not None:
-        total = total + timed.known.information
+    if timed.earlier is not None:
+        total = total + timed.earlier.information
     n_dof, n_state = rig.model.n_dof, len(free)
     shifts, begins = [], []
     for test, time in zip(timed.tests, seconds, strict=True):
@@ -449,20 +449,20 @@ def crest_factors(test: Multisines) -> FloatArray:
 @dataclass(frozen=True)
 class Campaign:
     """Tests with their shares of the time (n_test,) [1], and what they tell per second: *rate* (n, n) [1/s],
-    relative; *known* besides.
+    relative; *earlier*: besides.
     """
 
     tests: tuple[Multisines, ...]
     shares: FloatArray
     rate: FloatArray
-    known: EarlierInformation | None = None
+    earlier: EarlierInformation | None = None
 
     @property
     def information(self) -> FloatArray:
         """Information per second (n, n) [1/s], what an earlier test tells spread over the planned
         duration.
         """
-        return self.rate if self.known is None else self.rate + self.known.rate
+        return self.rate if self.earlier is None else self.rate + self.earlier.rate
 
     def errors(self, duration: float) -> FloatArray:
         """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before,
@@ -470,14 +470,14 @@ class Campaign:
 
         Equation (plan-earlier).
         """
-        before = 0.0 if self.known is None else self.known.information
+        before = 0.0 if self.earlier is None else self.earlier.information
         return relative_errors(self.rate * duration + before)
 
 
 def with_shares(rig: Rig, tests: Sequence[Multisines], shares: FloatArray) -> Campaign:
     """The tests with *shares* (n_test,) [1] of the time."""
     rates = np.stack([rig.rate(test) for test in tests])
-    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.known)
+    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.earlier)
 
 
 def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
@@ -496,7 +496,7 @@ def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: Float
     design = optimum(criterion, relative, np.eye(wanted.size)[wanted])
     shares = np.maximum(design.shares, 0.02)
     shares = shares / shares.sum()
-    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.known)
+    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.earlier)
 
 
 def score(information: FloatArray, criterion: str, goals: FloatArray) -> float:

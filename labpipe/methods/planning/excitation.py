@@ -298,12 +298,16 @@ def _expected(file: PlanFile) -> Expected:
     if not settings.earlier:
         return Expected(theory | typed)
     path = file.path.parent / settings.earlier
-    fits = {fit.name: fit for fit in read_identification(path).fits}
-    name = settings.fit or next(iter(fits), "")
-    if name not in fits or (not settings.fit and len(fits) > 1):
-        raise SettingError("fit", f"name the fit of {path.name}", nearest(settings.fit, tuple(fits)))
-    coefficients = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
-    return Expected(theory | coefficients | typed, earlier_uncertainties(fits[name], typed))
+    whole = read_identification(path).fits
+    fits = [fit for fit in whole if settings.fit in ("", fit.name)]
+    names = list(dict.fromkeys(fit.name for fit in whole))
+    if not fits or (len(names) > 1 and not settings.fit):
+        raise SettingError("fit", f"name the fit of {path.name}", nearest(settings.fit, names))
+    if len(fits) > 1:
+        what = f"{path.name} holds {len(fits)} fits named '{fits[0].name}', of tests or bands"
+        raise SettingError("fit", what, "the result of one test in one band")
+    coefficients = {p.name: p.value for p in fits[0].parameters if _is_coefficient(p)}
+    return Expected(theory | coefficients | typed, earlier_uncertainties(fits[0], typed))
 
 
 def _is_coefficient(parameter: Parameter) -> bool:

@@ -29,8 +29,8 @@ class PlannedModel:
     """A model linear in its coefficients, with the values *expected* (n_coefficient,) [N/m, N.s/m, kg] of
     those in *names*.
 
-    elements (n_coefficient, 3, n_dof, n_dof) [1]: places of each coefficient in K, C and M; known (3, n_dof,
-    n_dof) [N/m, N.s/m, kg]: what is given in D; stator_mass [kg]: M_s of the balance, zero where no
+    elements (n_coefficient, 3, n_dof, n_dof) [1]: places of each coefficient in K, C and M; given (3, n_dof,
+    n_dof) [N/m, N.s/m, kg]: the rest of D; stator_mass [kg]: M_s of the balance, zero where no
     acceleration is measured.
     """
 
@@ -38,12 +38,12 @@ class PlannedModel:
     names: tuple[str, ...]
     expected: FloatArray
     elements: FloatArray
-    known: FloatArray
+    given: FloatArray
     stator_mass: float = 0.0
 
     @property
     def n_dof(self) -> int:
-        return self.known.shape[-1]
+        return self.given.shape[-1]
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -67,7 +67,7 @@ class PlannedModel:
 
     def stiffness(self, omega: FloatArray) -> ComplexArray:
         """D(jw) = K + jwC - w^2 M, (n_line, n_dof, n_dof) [N/m], at omega (n_line,) [rad/s]."""
-        whole = self.known + np.einsum("n,nkij->kij", self.expected, self.elements)
+        whole = self.given + np.einsum("n,nkij->kij", self.expected, self.elements)
         return np.einsum("lk,kij->lij", _powers(omega), whole)
 
     def receptance(self, omega: FloatArray) -> ComplexArray:
@@ -84,7 +84,7 @@ class PlannedModel:
 
         None where such a motion does not die away.
         """
-        stiffness, damping, mass = self.known + np.einsum("n,nkij->kij", self.expected, self.elements)
+        stiffness, damping, mass = self.given + np.einsum("n,nkij->kij", self.expected, self.elements)
         mass = mass + self.stator_mass * np.eye(self.n_dof)
         if np.any(np.linalg.eigvals(mass).real <= 0):
             return None
@@ -98,7 +98,7 @@ class PlannedModel:
         fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         parts = {"expected": self.expected[kept], "elements": self.elements[kept]}
-        return replace(self, names=names, known=self.known + fixed, **parts)
+        return replace(self, names=names, given=self.given + fixed, **parts)
 
     def with_expected(self, values: FloatArray) -> PlannedModel:
         """The model with other expected values (n_coefficient,) [N/m, N.s/m, kg]."""
@@ -165,12 +165,12 @@ MODELS = {
 
 
 def _of_matrices(
-    kind: str, letters: str, expected: Mapping[str, float], known: FloatArray, stator_mass: float = 0.0
+    kind: str, letters: str, expected: Mapping[str, float], given: FloatArray, stator_mass: float = 0.0
 ) -> PlannedModel:
     """A model whose coefficients are all of the matrices of these letters."""
     names = tuple(f"{letter}_{row}{column}" for letter in letters for row in AXES for column in AXES)
     elements = np.eye(len(names), 12).reshape(-1, 3, 2, 2)
-    return PlannedModel(kind, names, _values(expected, names), elements, known, stator_mass)
+    return PlannedModel(kind, names, _values(expected, names), elements, given, stator_mass)
 
 
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:

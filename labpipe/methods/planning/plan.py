@@ -163,9 +163,9 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     if settings.combine_earlier:
         assert expected.earlier is not None
         common = () if first is None else tuple(source.source for source in first.sources)
-        prior = expected.earlier.known(model, settings.duration, common)
-        rig = replace(rig, known=prior)
-        flats = {phases: replace(of_phases, known=prior) for phases, of_phases in flats.items()}
+        prior = expected.earlier.beside(model, settings.duration, common)
+        rig = replace(rig, earlier=prior)
+        flats = {phases: replace(of_phases, earlier=prior) for phases, of_phases in flats.items()}
         if not np.all(np.diagonal(prior.information) > 0):
             _check_identifiable(rig, lines)
     wanted = Wanted(settings.criterion, aims(limits(goals, first, model.scales), goals), settings.floor)
@@ -188,7 +188,7 @@ def _with_budget(
 ) -> Plan:
     model, goals = question.rig.model, question.goals
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
-    if timed.known is not None and earlier is not None:
+    if timed.earlier is not None and earlier is not None:
         budget = beside_earlier(budget, earlier, timed, model, plan.duration)
     budget = predict(budget, random)
     coefficients = with_uncertainty(plan.coefficients, budget)
@@ -383,7 +383,7 @@ def _plan(
         needed=_needed(question, timed, wanted.goals / factor, duration) if question.goals.any else None,
         mass=settings.mass,
         notes=(*_notes(rig, question.lines, design, wanted), *settling_notes(rig, timed, periods, skip)),
-        combined=rig.known is not None,
+        combined=rig.earlier is not None,
     )
 
 
@@ -419,7 +419,7 @@ def time_needed(campaign: campaigns.Campaign, limits: FloatArray, duration: floa
 
     Infinite where more than LONGEST times the duration would be needed.
     """
-    if campaign.known is None:
+    if campaign.earlier is None:
         return float(duration * np.max(campaign.errors(duration) / limits) ** 2)
     low = float(-np.log(LONGEST))
     return duration * least_factor(low, lambda factor: np.all(campaign.errors(duration * factor) <= limits))

@@ -23,9 +23,10 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind, check_relative
+from labpipe.methods.planning.settings import PlanKind, check_distinct, check_relative
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.joint import MeasuredThreshold
+from labpipe.methods.run_ups.joint import EXPONENTS, MeasuredThreshold
+from labpipe.methods.run_ups.measured import excitation_text
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, scales
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import (
@@ -45,7 +46,6 @@ from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
 RUN_UPS = "run-ups"
-EXPONENTS = ("viscosity_speed", "viscosity_load")
 SPEEDS = ("critical_speed", "threshold")
 # Readings with a larger relative error are not planned with: a fit weighs along and across the measured
 # phasor, which is noise then.
@@ -81,6 +81,8 @@ class TrialSettings(Settings):
         if bool(self.unbalance) == bool(self.shaker):
             hint = "unbalance: {disc 1: 50 g.mm at 0 deg}"
             raise ConfigError("a trial has an unbalance or a shaker", hint=hint)
+        if self.unbalance and not any(size for _, size in self.unbalance):
+            raise SettingError("unbalance", "the trial unbalance is zero", "{disc 1: 50 g.mm at 0 deg}")
         if min(self.force, self.ratio) <= 0:
             raise ConfigError("force and ratio of a shaker are positive")
 
@@ -151,17 +153,19 @@ class RunUpPlanSettings(Settings):
                 if name not in PARAMETERS:
                     what = f"the film has no parameter {name}"
                     raise SettingError(field, what, nearest(name, PARAMETERS))
+        stems = [name.replace(" ", "-") for name, _ in self.trials]
+        if len(set(stems)) < len(stems):
+            raise SettingError("trials", "two trials differ by blanks alone", "their names name files")
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
         if self.rig is not None:
-            self.rig.place.film("a plan of run-ups")
-            for name, trial in self.trials:
-                self._check_planes(self.rig, name, trial)
+            self._check_rotor(self.rig)
 
     def _check_signs(self) -> None:
         require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
         require_positive(self, "displacement_limit", "journal_limit")
+        check_distinct(self, "loads")
         if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
             raise SettingError("loads", "loads are positive, and so is the time between runs")
         if self.speeds[0] <= 0 or self.stretches < 1:
@@ -186,12 +190,15 @@ class RunUpPlanSettings(Settings):
                 raise SettingError("goal", f"{name} is known", "leave one of goal and known out")
         check_relative(self.goal)
 
-    @staticmethod
-    def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
-        for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
-            if plane not in rig.plane_names:
-                what = f"trial {name}: no plane '{plane}'"
-                raise SettingError("trials", what, nearest(plane, rig.plane_names))
+    def _check_rotor(self, rig: RunUpRotor) -> None:
+        rig.place.film("a plan of run-ups")
+        if rig.tabulated is not None:
+            raise SettingError("rotor", "a plan is made of the film, not of `coefficients`", "leave it out")
+        for name, trial in self.trials:
+            for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
+                if plane not in rig.plane_names:
+                    what = f"trial {name}: no plane '{plane}'"
+                    raise SettingError("trials", what, nearest(plane, rig.plane_names))
 
     @property
     def omega(self) -> FloatArray:
@@ -273,7 +280,7 @@ class RunUpChoice:
             end = ", on to the threshold" if candidate.to_threshold else ""
             words = (
                 ("load", f"{candidate.load:.4g} N"),
-                ("excitation", candidate.excitation),
+                ("excitation", excitation_text(candidate.unbalance, candidate.shaker)),
                 ("speeds", f"{low:.0f} to {high:.0f} rpm in {candidate.speed.size} steps{end}"),
                 ("rate", f"{(high - low) / (dwell * max(candidate.speed.size - 1, 1)):.3g} rpm/s"),
             )
@@ -297,7 +304,7 @@ class RunUpChoice:
             quantities=tuple(self._quantities()),
             duration=settings.duration,
             criterion=settings.criterion,
-            known=settings.known,
+            settled=settings.known,
             remedies=tuple(self._remedies()),
         )
         return plan_runs(question, title, settings.model, self._allowed[1])
@@ -315,7 +322,7 @@ class RunUpChoice:
         for size in (1, 2):
             for chosen in combinations(changes, size):
                 extra = tuple(condition for change in chosen for condition in change.conditions)
-                parameters = tuple(parameter for change in chosen for parameter in change.known)
+                parameters = tuple(parameter for change in chosen for parameter in change.settled)
                 words = " and ".join(change.words for change in chosen)
                 yield Change(words, size, (*self.conditions, *extra), parameters)
 
@@ -382,9 +389,7 @@ def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> E
         rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
     usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
     family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
-    noise = settings.noise
-    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
-    return ExpectedRig(rig, family, settings.values(earlier), reading)
+    return ExpectedRig(rig, family, settings.values(earlier), settings.noise)
 
 
 def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
@@ -419,18 +424,6 @@ RUN_UPS_PLAN = PlanKind(RunUpPlanSettings, run_up_files)
 
 
 @dataclass(frozen=True)
-class Reading:
-    """Standard errors at one speed: *amplitude* [1] relative, a *displacement* [m] added in squares, *phase*
-    [rad], *threshold* [1].
-    """
-
-    amplitude: float
-    displacement: float
-    phase: float
-    threshold: float
-
-
-@dataclass(frozen=True)
 class ExpectedRig:
     """The rotor with the family of its film, and the expected logarithms *values* (12,) [-] of PARAMETERS.
 
@@ -440,7 +433,7 @@ class ExpectedRig:
     rig: RunUpRotor
     family: FilmFamily
     values: FloatArray
-    reading: Reading
+    reading: ReadingSettings
 
     def coefficients(self, load: float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_speed, 8) [N/m, N s/m] at a load [N] and speeds (n_speed,) [rad/s]."""
@@ -464,17 +457,6 @@ class RunCandidate:
     unbalance: Mapping[str, complex]
     shaker: Shaker | None = None
     to_threshold: bool = False
-
-    @property
-    def excitation(self) -> str:
-        """What excites the rotor, in words."""
-        if self.shaker is not None:
-            where = f"shaker at {self.shaker.plane}: {self.shaker.x:g} N in x"
-            return f"{where}, {self.shaker.frequency_ratio:g} of the speed"
-        return "; ".join(
-            f"{plane}: {1e6 * abs(size):.4g} g mm at {np.degrees(np.angle(size)):.4g} deg"
-            for plane, size in self.unbalance.items()
-        )
 
 
 @dataclass(frozen=True)

@@ -38,13 +38,13 @@ class RunChoices:
     """Runs to choose from: *cost* (n_run,) [s], *information* (n_run, n, n) [1] of one run each, *prior* (n,
     n) [1] known before.
 
-    known (n,) [1]: parameters that the prior settles for good; none unless given.
+    settled (n,) [1]: parameters that the prior settles for good; none unless given.
     """
 
     cost: FloatArray
     information: FloatArray
     prior: FloatArray
-    known: BoolArray | None = None
+    settled: BoolArray | None = None
 
     def of(self, counts: FloatArray | IntArray) -> FloatArray:
         """Information (n, n) [1] of numbers of runs (n_run,) [1], with what is known before."""
@@ -220,7 +220,7 @@ def undetermined(choices: RunChoices) -> FloatArray:
     is known before.
     """
     n = len(choices.prior)
-    free = np.arange(n) if choices.known is None else np.flatnonzero(~choices.known)
+    free = np.arange(n) if choices.settled is None else np.flatnonzero(~choices.settled)
     total = np.einsum("a,aij->ij", 1 / choices.cost, choices.information)[np.ix_(free, free)]
     root = np.sqrt(np.diagonal(total))
     root = np.where(root > np.sqrt(SINGULAR) * root.max(), root, root.max())
@@ -294,13 +294,13 @@ class Condition:
 @dataclass(frozen=True)
 class Change:
     """A change in *words*, made of *size* single ones: the conditions there would be, and the parameters
-    *known* then.
+    *settled* then.
     """
 
     words: str
     size: int
     conditions: tuple[Condition, ...]
-    known: tuple[str, ...] = ()
+    settled: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ class RunQuestion:
     """What is asked: *parameters* (n names), *prior* (n, n) [1] of what is known before, candidates, numbers
     wanted, time [s].
 
-    units (n,) [parameter units]: sizes in which parameters are compared. known: those that the prior settles.
+    units (n,) [parameter units]: sizes in which parameters are compared. settled: by the prior.
     remedies: changes, the smallest first, each tried before it is named.
     """
 
@@ -319,20 +319,22 @@ class RunQuestion:
     quantities: tuple[Quantity, ...]
     duration: float
     criterion: str
-    known: tuple[str, ...] = ()
+    settled: tuple[str, ...] = ()
     remedies: tuple[Change, ...] = ()
 
     def choices(self) -> RunChoices:
         """The conditions as choices, parameters in their units."""
-        return self._choices(self.conditions, self.known)
+        return self._choices(self.conditions, self.settled)
 
     def changed(self, change: Change) -> RunChoices:
-        return self._choices(change.conditions, (*self.known, *change.known))
+        return self._choices(change.conditions, (*self.settled, *change.settled))
 
-    def _choices(self, conditions: Sequence[Condition], known: Sequence[str]) -> RunChoices:
+    def _choices(self, conditions: Sequence[Condition], settled: Sequence[str]) -> RunChoices:
         cost = np.array([condition.seconds for condition in conditions])
         information = np.stack([condition.information for condition in conditions])
-        return RunChoices(cost, information, self.prior, np.isin(self.parameters, known)).in_units(self.units)
+        return RunChoices(cost, information, self.prior, np.isin(self.parameters, settled)).in_units(
+            self.units
+        )
 
 
 @dataclass(frozen=True)

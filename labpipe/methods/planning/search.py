@@ -179,7 +179,7 @@ def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
     omega = 2 * np.pi * rig.spacing * lines
     of_lines = candidates(rig.model, rig.noise, omega, rig.directions, share, stroke)
-    if rig.known is None:
+    if rig.earlier is None:
         return of_lines
     tests = flat(rig, lines, ONE_BY_ONE, LEAST_CREST).tests
     price = of_lines.cost.reshape(lines.size, -1)

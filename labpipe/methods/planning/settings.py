@@ -60,6 +60,15 @@ def check_relative(goals: Iterable[tuple[str, tuple[float, ...]]]) -> None:
             raise SettingError("goal", what, f"{name}: 2 %")
 
 
+def check_distinct(settings: Any, *fields: str) -> None:
+    """ConfigError for a list of candidates that is empty, or holds one twice."""
+    for field in fields:
+        values = getattr(settings, field)
+        if not values or len(set(values)) < len(values):
+            what = "one is there twice" if values else "there is none"
+            raise SettingError(field, f"{field}: {what}", "candidates differ, and there is one at least")
+
+
 @dataclass(frozen=True)
 class TheorySettings(Settings):
     """A bearing whose theory is expected: of a bearing file at its load and speed, or on the rotor of a rotor

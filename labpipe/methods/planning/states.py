@@ -31,6 +31,7 @@ from labpipe.methods.planning.settings import (
     NoiseSettings,
     PlanKind,
     PlanSettings,
+    check_distinct,
     check_relative,
 )
 from labpipe.project.bearing_file import BearingFile, open_bearing
@@ -100,7 +101,8 @@ class StatePlanSettings(Settings):
     skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
 
     def __post_init__(self) -> None:
-        if min((*self.loads, *self.speeds), default=0.0) <= 0 or not (self.loads and self.speeds):
+        check_distinct(self, "loads", "speeds", *(["estimate"] if self.estimate else []))
+        if min(*self.loads, *self.speeds) <= 0:
             raise SettingError("loads", "loads and speeds are positive")
         if self.changeover < 0 or self.duration <= 0:
             raise SettingError("duration", "times are positive")

@@ -175,7 +175,7 @@ class Earlier:
         whole[np.ix_(there, there)] = self.covariance(without)[np.ix_(here, here)]
         return whole
 
-    def known(
+    def beside(
         self, model: PlannedModel, duration: float, common: Sequence[str] = ()
     ) -> campaigns.EarlierInformation:
         """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as
@@ -419,9 +419,9 @@ def beside_earlier(
     budget: Budget, earlier: Earlier, campaign: campaigns.Campaign, model: PlannedModel, duration: float
 ) -> Budget:
     """The budget of a test of *duration* [s] and the earlier result together. Equation (plan-beside)."""
-    assert campaign.known is not None
+    assert campaign.earlier is not None
     information, scales = campaign.rate * duration, model.scales
-    weight = np.linalg.inv(information + campaign.known.information)
+    weight = np.linalg.inv(information + campaign.earlier.information)
     places = earlier.places(model)
     changes = []
     for source, change in zip(budget.sources, budget.changes, strict=True):
@@ -430,7 +430,7 @@ def beside_earlier(
             before = np.zeros(len(scales))
             for there, here in places:
                 before[there] = earlier.changes[earlier.sources.index(source.source), here]
-            pulled = pulled + campaign.known.information @ (before / scales)
+            pulled = pulled + campaign.earlier.information @ (before / scales)
         changes.append(scales * (weight @ pulled))
     return replace(budget, changes=np.array(changes))
 

@@ -28,7 +28,7 @@ from labpipe.methods.planning.plan_file import PIPELINE, PlanFile, write_runs
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind
+from labpipe.methods.planning.settings import PlanKind, check_distinct
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import Support
@@ -122,6 +122,7 @@ class WearPlanSettings(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "duration", "sample_rate", "force", "run", "block")
+        check_distinct(self, "speeds", "bands", *(["loads"] if self.loads else []))
         if min(self.speeds, default=0.0) <= 0:
             raise SettingError("speeds", "speeds are positive")
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
@@ -174,11 +175,16 @@ class ResponseTest:
     exclude: tuple[tuple[float, float], ...] = ()
 
     def lines(self, band: tuple[float, float]) -> FloatArray:
-        """Frequencies (n_line,) [Hz] of a band that tell something."""
+        """Frequencies (n_line,) [Hz] of a band that tell something; ConfigError where there is none."""
         low, high = (round(end / self.spacing) for end in band)
         lines = np.arange(max(low, 1), high + 1) * self.spacing
         left_out = [(lines >= first) & (lines <= last) for first, last in self.exclude]
-        return np.asarray(lines[~np.any(left_out, axis=0)] if left_out else lines)
+        kept = np.asarray(lines[~np.any(left_out, axis=0)] if left_out else lines)
+        if not kept.size:
+            what = f"no line is left between {band[0]:g} and {band[1]:g} Hz"
+            hint = "lines about the speeds are left out: widen it, or longer blocks"
+            raise SettingError("bands", what, hint)
+        return kept
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from labpipe.methods.rotor import shaft
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
-from labpipe.records.settings import Settings, quantity
+from labpipe.records.settings import Settings, quantity, require_not_negative, settings_of
 
 # What a film's curve over the Sommerfeld number takes.
 ON_CURVE = ("clearance", "viscosity")
@@ -150,6 +150,9 @@ class SmallErrors(Settings):
     together: float = quantity(
         "stiffness and damping of all bearings alike, running against standing", "1", 0.0
     )
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, *settings_of(SmallErrors))
 
 
 @dataclass(frozen=True)

@@ -101,12 +101,13 @@ def _band(text: str, speed: float) -> tuple[float, float]:
 
     if not text:
         if speed == 0:
-            raise ConfigError(
-                "--speeds is needed, since the file's speed is zero", hint="--speeds '5-200 Hz'"
-            )
+            hint = "--speeds '5-200 Hz'"
+            raise ConfigError("--speeds is needed, since the file's speed is zero", hint=hint)
         return 0.05 * speed, 2 * speed
     try:
         low, high = to_band(text, Setting("band", "speeds", unit="Hz"))
     except UnitError as error:
         raise ConfigError(f"--speeds: {error.what}", hint=error.hint) from None
+    if low <= 0:
+        raise ConfigError("--speeds must begin above zero", hint="--speeds '5-200 Hz'")
     return low, high

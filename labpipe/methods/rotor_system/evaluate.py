@@ -210,11 +210,15 @@ def _dof(system: RotorSystem, place: tuple[int, str]) -> int:
 def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
     """Modes as they stand in the section, or of a modal fit."""
     if test.fit:
-        fit = next((fit for fit in work.fits if fit.name == test.fit), None)
-        if fit is None or (modes := fit.detail(Modes)) is None:
-            names = [fit.name for fit in work.fits if fit.detail(Modes) is not None]
-            what = f"test '{test.name}': there is no modal fit '{test.fit}'"
-            raise ConfigError(what, hint=nearest(test.fit, names))
+        modal = [fit for fit in work.fits if fit.detail(Modes) is not None]
+        chosen = [fit for fit in modal if fit.name == test.fit]
+        if len(chosen) != 1:
+            what = f"test '{test.name}': there are {len(chosen) or 'no'} modal fits '{test.fit}'"
+            hint = "name one test, in one band" if chosen else nearest(test.fit, [fit.name for fit in modal])
+            raise ConfigError(what, hint=hint)
+        (fit,) = chosen
+        modes = fit.detail(Modes)
+        assert modes is not None
         # By the interval: it holds the model error as well.
         errors = {
             parameter.name: (parameter.ci95[1] - parameter.ci95[0]) / (2 * NORMAL)
@@ -244,9 +248,8 @@ def _responses(
     test: SystemTest, response: FrequencyResponse, built: Built, system: RotorSystem
 ) -> evidence.Responses:
     if response.form not in DERIVATIVES:
-        raise DataError(
-            f"test '{test.name}': its FRF is a {response.form}", hint="a response to a force is needed"
-        )
+        hint = "a response to a force is needed"
+        raise DataError(f"test '{test.name}': its FRF is a {response.form}", hint=hint)
     variance = response.variance
     if variance is None:
         raise DataError(f"test '{test.name}': the noise of its FRF is not known")
@@ -311,9 +314,8 @@ def _place(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str)
         with suppress(UnitError):
             return place_of(name if directed else name.removeprefix("node"), directed)
     example = "3 y" if directed else "3"
-    raise ConfigError(
-        f"test '{test.name}': where on the rotor is '{names[0]}'?", hint=f"places: {{{names[0]}: {example}}}"
-    )
+    hint = f"places: {{{names[0]}: {example}}}"
+    raise ConfigError(f"test '{test.name}': where on the rotor is '{names[0]}'?", hint=hint)
 
 
 def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) -> evidence.RunUpVectors:
@@ -361,12 +363,16 @@ def declared_result(system: RotorSystem, band: tuple[float, float]) -> records.R
     """What a rotor file says before anything is measured, over speeds [Hz]: intervals by what it declares."""
     built = build(system, SmallErrors(), {})
     posterior = fit_system(built.model, [], estimate_sizes=False)
+    return _result(system, built, posterior, band, {}, predictions.DRAWS // 2, 1)
+
+
+def _unbalanced(posterior: SystemPosterior, built: Built) -> SystemPosterior:
+    """No unbalance in the middle, as without a run-up, makes no peak: that of its uncertainty does."""
     values = posterior.values.copy()
     for _, real, imaginary in built.planes.values():
-        # No unbalance in the middle makes no peak: that of its uncertainty does.
         if values[real] == values[imaginary] == 0:
             values[real] = built.model.errors[real]
-    return _result(system, built, replace(posterior, values=values), band, {}, predictions.DRAWS // 2, 1)
+    return replace(posterior, values=values)
 
 
 def _result(
@@ -389,7 +395,8 @@ def _result(
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
         outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
-        criticals = predictions.critical_speeds(posterior, built, band, operating, outputs, n_draw, seed)
+        shaken = _unbalanced(posterior, built)
+        criticals = predictions.critical_speeds(shaken, built, band, operating, outputs, n_draw, seed)
     return records.RotorSystemResult(
         rig.name,
         operating,

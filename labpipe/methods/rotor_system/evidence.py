@@ -52,6 +52,9 @@ class FreeModes:
         """
         plane = np.flatnonzero(np.isin(np.arange(model.n_shaft) % 4, (0, 3)))
         roots = model.roots(values, 0.0, int(self.numbers.max()), dofs=plane, supported=False)
+        if roots.values.size < self.numbers.max():
+            there = f"{roots.values.size} bending modes, not {self.numbers.max()}"
+            raise FitError(f"test '{self.name}': the rotor has {there}", hint="other `numbers`")
         eigenvalues, slopes = roots.values[self.numbers - 1], roots.slopes[self.numbers - 1]
         size = np.abs(eigenvalues)
         if np.any(eigenvalues.real >= 0):
@@ -126,8 +129,7 @@ class Responses:
 
     def predicted(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, Derivatives]:
         """H (n_line, n_output, n_input) [unit of the FRF] and its derivatives (n_unknown, ...)."""
-        forces = np.eye(model.n_dof)[:, list(self.inputs)]
-        spin = np.full(self.omega.size, self.spin)
+        forces, spin = np.eye(model.n_dof)[:, list(self.inputs)], np.full(self.omega.size, self.spin)
         acting = np.where(model.acting(self.name), values, 0.0)
         motion, slopes, _ = model.response(acting, spin, self.omega, forces, self.outputs, self.supported)
         gains = np.exp(acting[list(self.gains)])[:, None] if self.gains else 1.0
@@ -154,8 +156,7 @@ class Responses:
         """At *values* (n_unknown,) [SI units], see Evidence."""
         few = slice(None, None, max(1, self.omega.size // FEW_LINES))
         thinned = replace(self, omega=self.omega[few], measured=self.measured[few], error=self.error[few])
-        modelled, _ = thinned.predicted(model, values)
-        size = np.maximum(np.abs(thinned.measured), np.abs(modelled))
+        size = np.maximum(np.abs(thinned.measured), np.abs(thinned.predicted(model, values)[0]))
         return replace(thinned, error=np.hypot(thinned.error, share * size))
 
 
@@ -218,8 +219,7 @@ class RunUpVectors:
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
         vectors, slopes, _ = self.readings(model, values)
-        misfit = self.measured - vectors
-        white = np.einsum("pij,jp->ip", self.whitener, misfit).ravel()
+        white = np.einsum("pij,jp->ip", self.whitener, self.measured - vectors).ravel()
 
         def jacobian() -> FloatArray:
             moved = np.einsum("pij,ujp->uip", self.whitener, -slopes())
@@ -278,8 +278,8 @@ class Deflections:
         acting = np.where(model.acting(self.name), values, 0.0)
         parts: list[tuple[FloatArray, FloatArray]] = []
         if self.measured.size:
-            forces = np.eye(model.n_dof)[:, list(self.inputs)]
-            motion, slopes, _ = model.response(acting, np.zeros(1), np.zeros(1), forces, self.outputs)
+            forces, rest = np.eye(model.n_dof)[:, list(self.inputs)], np.zeros(1)
+            motion, slopes, _ = model.response(acting, rest, rest, forces, self.outputs)
             there = np.isfinite(self.measured)
             error = self.error[there]
             misfit = (self.measured - motion[0].real)[there] / error
@@ -290,8 +290,8 @@ class Deflections:
             whole = model.matrices(acting, 0.0, supported=False).mass
             mass = float((rigid @ whole @ rigid.T)[0, 0])
             moved = model.slopes(acting, 0.0, rigid, rigid.T, 1.0, supported=False)[:, 0, 0].real / mass
-            misfit = np.array([(self.mass - np.log(mass)) / self.mass_error])
-            parts.append((misfit, -moved[None] / self.mass_error))
+            misfit = np.array([self.mass - np.log(mass)])
+            parts.append((misfit / self.mass_error, -moved[None] / self.mass_error))
         residual, jacobian = (np.concatenate(both) for both in zip(*parts, strict=True))
         return residual, lambda: jacobian * model.acting(self.name)
 

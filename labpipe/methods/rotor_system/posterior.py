@@ -255,10 +255,8 @@ def _descend(
     problem = replace(problem, base=start, free=problem.free if free is None else free)
     minimum = minimise(problem, start[problem.free], NEAR, most_steps)
     if not minimum.converged and most_steps == MOST_STEPS:
-        raise FitError(
-            "the tests of the rotor lead to no minimum",
-            hint="check nodes, directions and units of the tests, or declare more uncertainty",
-        )
+        hint = "check nodes, directions and units of the tests, or declare more uncertainty"
+        raise FitError("the tests of the rotor lead to no minimum", hint=hint)
     return problem.whole(minimum.values)
 
 

@@ -10,7 +10,7 @@ from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import check_unknown
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, require_not_negative, setting
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
@@ -107,6 +107,9 @@ class SystemTest(Settings):
         if not needed[self.kind]:
             words = {MODES: "one of fit and frequencies", STATIC: "deflections or mass"}
             raise SettingError(KEYS[self.kind][0], f"{words.get(self.kind, KEYS[self.kind][0])}: is missing")
+        require_not_negative(self, "speed", "gain", "slow_roll")
+        if len(set(self.numbers)) < len(self.numbers) or any(n < 1 or n % 1 for n in self.numbers):
+            raise SettingError("numbers", "'numbers' are whole, from 1 on, and differ", "numbers: [1, 3]")
         if self.mass is not None and not 0 < self.mass.std_error < self.mass.value:
             raise SettingError("mass", "'mass' needs its uncertainty", "mass: 33 kg +- 0.1 kg")
         self._check_texts()
@@ -199,6 +202,13 @@ class RotorSystemSettings(Settings):
                 raise SettingError("tests", f"a second test named '{name}'", "names must differ")
         if self.draws < 20:
             raise SettingError("draws", "at least 20 draws are needed")
+        if self.speeds is not None and self.speeds[0] <= 0:
+            raise SettingError("speeds", "'speeds' must begin above zero", "5-200 Hz")
+        if self.balance_speeds and min(self.balance_speeds) <= 0:
+            raise SettingError("balance_speeds", "'balance_speeds' must be above zero")
+        if self.balance_speeds and all(test.kind != RUN_UP for test in self.tests):
+            what = "weights need a run-up among the tests, whose probes they calm"
+            raise SettingError("balance_speeds", what, "add one, or leave balance_speeds out")
         if self.system is not None:
             check_unknown(self.system)
             self._check_places(self.system)

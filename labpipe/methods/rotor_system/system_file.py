@@ -280,11 +280,8 @@ def _linear(
 def check_unknown(system: RotorSystem) -> None:
     """ConfigError where nothing of a rotor is unknown."""
     if not system.is_uncertain:
-        raise SettingError(
-            "rotor",
-            "nothing of the rotor is unknown",
-            f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]",
-        )
+        hint = f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]"
+        raise SettingError("rotor", "nothing of the rotor is unknown", hint)
 
 
 ROTOR_SYSTEM_FILE = FileKind(load_system)

@@ -59,6 +59,10 @@ class RotorTestRig(Settings):
         require_positive(self, "amplitude", "spacing", "duration", "sample_rate")
         if self.periods < 2:
             raise SettingError("periods", "at least two periods are needed")
+        if any(node % 1 for node in (*self.accelerations, *self.probes)):
+            raise SettingError("probes", "nodes are whole numbers")
+        if np.ceil(self.band[0] / self.spacing) > np.floor(self.band[1] / self.spacing):
+            raise SettingError("band", f"no line every {self.spacing:g} Hz lies in the band")
         if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
             raise SettingError("sample_rate", "the sampling rate is too low for band and speeds")
 

@@ -50,10 +50,8 @@ class SearchLimits:
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_mesh <= self.first_mesh <= self.largest_mesh <= 1:
-            raise ConfigError(
-                "meshes of a pattern search rise: smallest, first, largest, up to 1",
-                hint="for example 1e-4, 0.25, 0.5",
-            )
+            hint = "for example 1e-4, 0.25, 0.5"
+            raise ConfigError("meshes of a pattern search rise: smallest, first, largest, up to 1", hint=hint)
         if self.most_evaluations < 1 or not 0 <= self.target_share < 1:
             raise ConfigError("a search needs one evaluation or more, and a target below the first objective")
 
@@ -201,9 +199,8 @@ def _trace(
     except ValueError as error:
         if "Unknown solver" not in str(error):
             raise
-        raise ConfigError(
-            "this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern"
-        ) from error
+        hint = "install scipy 1.14 or newer, or search by method: pattern"
+        raise ConfigError("this scipy has no COBYQA", hint=hint) from error
     return _Trace(np.array(points), np.array(objectives), not outcome.success)
 
 
@@ -299,10 +296,8 @@ def fit_amplitudes(
     no start, or an unknown method. Equation (run-amplitudes).
     """
     if not (0 < bound < 1 and starts >= 1):
-        raise ConfigError(
-            "the bound of the factors lies between 0 and 100 %, with one start or more",
-            hint="for example 30 %",
-        )
+        what = "the bound of the factors lies between 0 and 100 %, with one start or more"
+        raise ConfigError(what, hint="for example 30 %")
     search_named(method)
     rng = np.random.default_rng(seed)
     return [_fit_load(rig, group, bound, method, starts, rng, limits) for group in runs_by_load(rig, runs)]

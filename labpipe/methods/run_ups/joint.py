@@ -107,10 +107,8 @@ def nearby_threshold(
         if abs(step) < SEARCH_TOLERANCE * start:
             return speed - step, by_speed
         speed = float(np.clip(speed - step, 0.7 * speed, 1.4 * speed))
-    raise FitError(
-        "the computed threshold of instability is far from the measured one",
-        hint="check load, unit of speed and rotor file",
-    )
+    hint = "check load, unit of speed and rotor file"
+    raise FitError("the computed threshold of instability is far from the measured one", hint=hint)
 
 
 # Chi-square probability below which the family is rejected.
@@ -351,7 +349,5 @@ def fit_jointly(
         problem = replace(
             problem, free=problem.free & ~beyond, base=np.clip(values, -rotor.BOUND, rotor.BOUND)
         )
-    raise FitError(
-        "no minimum of the joint fit was found",
-        hint="check unbalance, phases, standard errors and the rotor file",
-    )
+    hint = "check unbalance, phases, standard errors and the rotor file"
+    raise FitError("no minimum of the joint fit was found", hint=hint)

@@ -105,11 +105,18 @@ class Judgement:
 
     @property
     def not_run(self) -> str:
-        """Speeds at which a critical one would break a margin, and that were not run."""
-        if self.speed_range is None or self.fine[-1] >= (1 + MOST_ABOVE) * self.speed_range[1]:
+        """Speeds of operation, and those at which a critical one would break a margin, that were not run."""
+        if self.speed_range is None:
             return ""
-        top, asked = 60 * self.fine[-1], 60 * (1 + MOST_ABOVE) * self.speed_range[1]
-        return f"critical speeds from {top:.0f} to {asked:.0f} rpm, beyond the run, are not judged"
+        (low, high), first, last = self.speed_range, self.fine[0], self.fine[-1]
+        asked, parts = (1 + MOST_ABOVE) * high, []
+        if low < first or high > last:
+            run = f"{60 * first:.0f} to {60 * last:.0f} rpm"
+            parts.append(f"the speed range is not accepted: the run goes from {run} only")
+        if last < asked:
+            ends = f"{60 * last:.0f} to {60 * asked:.0f} rpm"
+            parts.append(f"critical speeds from {ends}, beyond the run, are not judged")
+        return "; ".join(parts)
 
 
 def judge(
@@ -129,9 +136,8 @@ def judge(
     """
     speed, readings, deviation = _by_speed(track)
     if speed.size < FEWEST:
-        raise DataError(
-            f"{speed.size} different speeds are too few to judge a run-up", hint=f"{FEWEST} at least"
-        )
+        hint = f"{FEWEST} at least"
+        raise DataError(f"{speed.size} different speeds are too few to judge a run-up", hint=hint)
     rng = np.random.default_rng(SEED)
     smooth = _Smooth(speed, readings, deviation)
     # The first is the reading itself.
@@ -248,10 +254,8 @@ def _slow_roll(
     """
     slow = (speed >= band[0]) & (speed <= band[1])
     if slow.sum() < FEWEST_SLOW:
-        raise ConfigError(
-            f"--slow-roll: {int(slow.sum())} stretches of the run lie in it",
-            hint=f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm",
-        )
+        hint = f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm"
+        raise ConfigError(f"--slow-roll: {int(slow.sum())} stretches of the run lie in it", hint=hint)
     square = (speed[slow] / critical) ** 2
     # A peak so near to slow speeds that it has made a force half as much again is none to go by.
     design = np.column_stack([np.ones(slow.sum()), square / (1 - square) if square[-1] < 1 / 3 else square])

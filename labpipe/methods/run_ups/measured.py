@@ -136,7 +136,7 @@ def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
         run.name,
         run.load,
         settings.role,
-        excitation=excitation_text(run),
+        excitation=excitation_text(run.unbalance, run.shaker),
         speed=column(run.speed),
         motions=motions(run.planes, run.response, run.amplitude_error, run.phase_error),
         critical_speed=critical,
@@ -151,12 +151,12 @@ def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
     return record, reason
 
 
-def excitation_text(run: records.RunUp) -> str:
-    if run.shaker is not None:
-        force = f"{run.shaker.x:g} N in x, {run.shaker.y:g} N in y at {run.shaker.plane}"
-        return f"shaker: {force}, {run.shaker.frequency_ratio:g} of the speed"
+def excitation_text(unbalance: Mapping[str, complex], shaker: records.Shaker | None) -> str:
+    if shaker is not None:
+        force = f"{shaker.x:g} N in x, {shaker.y:g} N in y at {shaker.plane}"
+        return f"shaker: {force}, {shaker.frequency_ratio:g} of the speed"
     parts = []
-    for plane, size in run.unbalance.items():
+    for plane, size in unbalance.items():
         angle = to_display(float(np.angle(size)), "deg")
         parts.append(f"{plane}: {GRAM_MM * abs(size):.4g} g mm at {angle:.4g} deg")
     return "; ".join(parts)
@@ -205,16 +205,13 @@ def run_up_of(
         raise DataError(f"recording '{name}' has no plane with two responses in known directions", hint=hint)
     names = planes or tuple(plane.name for plane in track.planes)
     if len(names) != len(track.planes):
-        raise DataError(
-            f"recording '{name}' has {len(track.planes)} planes, {len(names)} are named",
-            hint=", ".join(names),
-        )
+        what = f"recording '{name}' has {len(track.planes)} planes, {len(names)} are named"
+        raise DataError(what, hint=", ".join(names))
     response, deviation = _in_planes(track)
     speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
-        raise DataError(
-            f"recording '{name}' has a constant speed", hint="a run-up needs a speed that changes"
-        )
+        hint = "a run-up needs a speed that changes"
+        raise DataError(f"recording '{name}' has a constant speed", hint=hint)
     size = np.maximum(np.abs(response), np.finfo(float).tiny)
     return records.RunUp(
         name,
@@ -277,10 +274,8 @@ def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:
     planes or loads differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
     """
     if run.planes != residual.planes:
-        raise DataError(
-            f"runs '{run.name}' and '{residual.name}' were measured at other planes",
-            hint="subtract runs of one rig",
-        )
+        hint = "subtract runs of one rig"
+        raise DataError(f"runs '{run.name}' and '{residual.name}' were measured at other planes", hint=hint)
     if abs(residual.load / run.load - 1) > 0.01:
         raise DataError(
             f"runs '{run.name}' and '{residual.name}' have loads of {run.load:.4g} and {residual.load:.4g} N"
@@ -290,9 +285,8 @@ def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:
     near = np.abs(run.speed[:, None] / residual.speed - 1)
     common, partner = np.flatnonzero(near.min(axis=1) < SAME_SPEED), near.argmin(axis=1)
     if common.size == 0:
-        raise DataError(
-            f"runs '{run.name}' and '{residual.name}' share no speed", hint="measure them at the same speeds"
-        )
+        hint = "measure them at the same speeds"
+        raise DataError(f"runs '{run.name}' and '{residual.name}' share no speed", hint=hint)
     return _vector_difference(run, residual, common, partner[common])
 
 
@@ -332,10 +326,8 @@ def _vector_difference(
     planes = dict.fromkeys([*run.unbalance, *residual.unbalance])
     unbalance = {plane: run.unbalance.get(plane, 0j) - residual.unbalance.get(plane, 0j) for plane in planes}
     if not any(abs(size) > 0 for size in unbalance.values()):
-        raise DataError(
-            f"runs '{run.name}' and '{residual.name}' have the same known unbalance",
-            hint="state what was added in between",
-        )
+        hint = "state what was added in between"
+        raise DataError(f"runs '{run.name}' and '{residual.name}' have the same known unbalance", hint=hint)
     return replace(
         run,
         speed=run.speed[common],

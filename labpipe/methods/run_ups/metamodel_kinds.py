@@ -12,7 +12,7 @@ and the physical fit, the film's family with the parameters of a joint fit.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -56,8 +56,7 @@ class Grid:
         n = np.size(self.load)
         if np.shape(self.load) != np.shape(self.speed) or np.shape(self.eight) != (n, 8) or n == 0:
             raise DataError("a metamodel needs one load, one speed and eight coefficients per point")
-        places = np.stack([self.load, self.speed])
-        if not (np.all(np.isfinite(self.eight)) and np.all(places > 0)):
+        if not (np.all(np.isfinite(self.eight)) and np.all(np.append(self.load, self.speed) > 0)):
             raise DataError("loads and speeds of a metamodel are positive and its coefficients finite")
 
     @classmethod
@@ -79,11 +78,8 @@ class Grid:
 
     @property
     def loads(self) -> tuple[float, ...]:
-        distinct: list[float] = []
-        for load in np.sort(self.load).tolist():
-            if not distinct or load > distinct[-1] * (1 + SAME_LOAD):
-                distinct.append(load)
-        return tuple(distinct)
+        rising = np.sort(self.load)
+        return tuple(rising[np.append(True, rising[1:] > rising[:-1] * (1 + SAME_LOAD))].tolist())
 
     def only(self, load: float) -> Grid:
         return self._where(np.abs(self.load / load - 1) <= SAME_LOAD)
@@ -106,8 +102,7 @@ class Extent:
 
     @classmethod
     def of(cls, grid: Grid) -> Extent:
-        ends = [(float(np.min(axis)), float(np.max(axis))) for axis in (grid.load, grid.speed)]
-        return cls(ends[0], ends[1])
+        return cls(*((float(np.min(axis)), float(np.max(axis))) for axis in (grid.load, grid.speed)))
 
     def coded(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Coded coordinates (n_point, 2) [-] of loads [N] and speeds [rad/s]."""
@@ -230,8 +225,8 @@ def _terms(coded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and
-    speeds of the fit.
+    """Logarithms *values* (12,) and *covariance* (12, 12), widened, of all sources, [-] of a *family*;
+    *extent*: loads and speeds of the fit.
     """
 
     extent: Extent
@@ -249,7 +244,7 @@ class PhysicalFit:
     def of(cls, fit: JointFit, speeds: tuple[float, float]) -> PhysicalFit:
         """Of a joint fit to run-ups between two *speeds* [rad/s]."""
         extent = Extent((min(fit.loads), max(fit.loads)), speeds)
-        return cls(extent, fit.model, fit.values, fit.covariance * fit.widening**2)
+        return cls(extent, fit.model, fit.values, fit.whole_covariance)
 
     @property
     def statement(self) -> str:
@@ -288,13 +283,18 @@ class PhysicalFit:
         return cls(Extent.from_entries(entries), family, values, covariance)
 
 
-def physical_without(rig: RunUpRotor, runs: Iterable[RunUp]) -> Callable[[float], PhysicalFit]:
-    """For a validation: the joint fit of all *runs* but those of one load [N], again for every load."""
-    all_runs = list(runs)
+def physical_without(
+    rig: RunUpRotor, runs: Sequence[RunUp], known: Sequence[str] = ()
+) -> Callable[[float], PhysicalFit]:
+    """For a validation: the joint fit of all *runs* but those of one load [N], again for every load, *known*
+    parameters those of the rotor file. FitError where there is no other load.
+    """
 
     def refitted(load: float) -> PhysicalFit:
-        training = [run for run in all_runs if abs(run.load / load - 1) > SAME_LOAD]
+        training = [run for run in runs if abs(run.load / load - 1) > SAME_LOAD]
+        if not training:
+            raise FitError("there is no other load to fit")
         speeds = (min(float(run.speed[0]) for run in training), max(float(run.speed[-1]) for run in training))
-        return PhysicalFit.of(fit_jointly(rig, training), speeds)
+        return PhysicalFit.of(fit_jointly(rig, training, known=known), speeds)
 
     return refitted

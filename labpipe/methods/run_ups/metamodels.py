@@ -316,17 +316,14 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
     """The metamodel of its `to_entries`; DataError where they are not those of one."""
     kind = entries.get("kind") if isinstance(entries, Mapping) else None
     if kind not in READERS:
-        raise DataError(
-            f"these are not the entries of a metamodel: kind '{kind}'", hint=nearest(str(kind), READERS)
-        )
+        hint = nearest(str(kind), READERS)
+        raise DataError(f"these are not the entries of a metamodel: kind '{kind}'", hint=hint)
     try:
         model = READERS[kind](entries)
         shape = model.predict(model.extent.loads[0], np.array([model.extent.speeds[0]])).shape
     except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
-        raise DataError(
-            f"the entries of this {kind} metamodel are damaged: {error}",
-            hint="write it again from its run-ups",
-        ) from error
+        hint = "write it again from its run-ups"
+        raise DataError(f"the entries of this {kind} metamodel are damaged: {error}", hint=hint) from error
     if shape != (1, 8):
         raise DataError(f"this {kind} metamodel does not give eight coefficients")
     return model

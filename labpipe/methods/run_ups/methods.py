@@ -39,13 +39,14 @@ class AtLoad:
     """Prediction of a method at one load: K and C over speed, coefficients and their errors (n_speed, 8)
     [N/m, N s/m] at the run's speeds.
 
-    critical, threshold: with their errors, where the method has them; else they are computed from *at_speed*.
+    critical (at a plane, '' the last one), threshold: with their errors, where the method has them; else they
+    are computed from *at_speed*.
     """
 
     at_speed: CoefficientsAtSpeed
     coefficients: FloatArray
     std_error: FloatArray | None = None
-    critical: Callable[[], Uncertain] | None = None
+    critical: Callable[[str], Uncertain] | None = None
     threshold: Callable[[], Uncertain | None] | None = None
     notes: tuple[str, ...] = ()
 
@@ -82,11 +83,11 @@ def predict(
     if isinstance(solution, str):
         return records.RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
-    stated = solution.critical if plane in ("", rig.plane_names[-1]) else None
     critical = threshold = None
     try:
         if run.shaker is None:
-            critical = _amount(stated() if stated else rig.critical_speed(solution.at_speed, plane))
+            stated = solution.critical
+            critical = _amount(stated(plane) if stated else rig.critical_speed(solution.at_speed, plane))
     except FitError as error:
         notes.append(f"no critical speed: {error.what}")
     try:
@@ -159,9 +160,8 @@ def fit_points(
     ConfigError unless positive. Equation (run-points).
     """
     if not (bound > 0 and ridge > 0):
-        raise ConfigError(
-            "bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %"
-        )
+        hint = "for example 30 % and 15 %"
+        raise ConfigError("bound and ridge of the coefficients are positive", hint=hint)
     return [_fit_load(rig, group, bound, ridge) for group in runs_by_load(rig, runs)]
 
 
@@ -216,10 +216,8 @@ def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float,
         cost = np.where(better, new_cost, cost)
         residual = np.where(better[:, None], new_residual, residual)
         slopes = np.where(better[:, None, None], new_slopes, slopes)
-    raise FitError(
-        f"the coefficients under {group.load:.4g} N were not found in {MOST_STEPS} steps",
-        hint="check unbalance, phases, standard errors",
-    )
+    what = f"the coefficients under {group.load:.4g} N were not found in {MOST_STEPS} steps"
+    raise FitError(what, hint="check unbalance, phases, standard errors")
 
 
 def _cost(residual: FloatArray, parts: FloatArray, ridge: float) -> FloatArray:
@@ -295,6 +293,8 @@ def solve_start(
 
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     unbalanced = [run for run in trained if run.shaker is None]
+    if not unbalanced:
+        raise FitError("every trained run is under a shaker", hint="amplitudes are those of an unbalance")
     fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
     fit = fits[len(fits) // 2]
     point = int(np.argmax(fit.evaluations))
@@ -431,7 +431,7 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
             fit.at_load(run.load),
             eight,
             error,
-            lambda: run_fit.critical_speed(run.load),
+            lambda plane: run_fit.critical_speed(run.load, plane),
             lambda: run_fit.threshold(run.load),
             notes,
         )

@@ -226,12 +226,14 @@ def rank_statements(
     if coefficients is not None:
         eight = np.asarray(coefficients, np.float64)[None]
     unit = scales(eight)[0]
-    first = _slopes(rig, place, eight, rig.known_unbalance) * unit
-    other = {rig.plane_names[-1]: 1j * max(abs(size) for size in rig.known_unbalance.values())}
+    # Of runs under a shaker alone no unbalance is known; its size says nothing of ranks.
+    unbalance = rig.known_unbalance or {rig.plane_names[0]: 1.0 + 0j}
+    first = _slopes(rig, place, eight, unbalance) * unit
+    other = {rig.plane_names[-1]: 1j * max(abs(size) for size in unbalance.values())}
     second = _slopes(rig, place, eight, other) * unit
     shaker = _slopes(rig, place, eight, None) * unit
     both = np.concatenate([first, second])
-    amplitudes = displacement_slopes(*_response(rig, place, eight, rig.known_unbalance)) * unit
+    amplitudes = displacement_slopes(*_response(rig, place, eight, unbalance)) * unit
     return (
         _statement(AMPLITUDES, amplitudes),
         _statement(COMPLEX, first),

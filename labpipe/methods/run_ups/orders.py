@@ -350,7 +350,7 @@ def track_and_write(
     baseline: Path | None = None,
     centreline: bool = False,
 ) -> int:
-    if order <= 0:
+    if not 0 < order < np.inf:
         raise ConfigError("--order must be positive")
     bands = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
@@ -484,19 +484,19 @@ def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
     newtons = _value("--load", load, "N")
     if newtons is None or not unbalance:
-        raise ConfigError(
-            "--save-run-up needs --load and --unbalance",
-            hint="--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'",
-        )
+        hint = "--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'"
+        raise ConfigError("--save-run-up needs --load and --unbalance", hint=hint)
     return newtons, _unbalances(unbalance)
 
 
 def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
     unbalances = {}
     for text in texts:
-        plane, _, size = text.partition("=")
+        plane, _, size = (part.strip() for part in text.partition("="))
+        if plane in unbalances:
+            raise ConfigError(f"--unbalance: '{plane}' is named twice", hint="give the sum of both")
         with _option(f"--unbalance {text}"):
-            unbalances[plane.strip()] = parse_phasor(size.strip(), "kg.m")
+            unbalances[plane] = parse_phasor(size, "kg.m")
     return unbalances
 
 

@@ -284,10 +284,8 @@ def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
 def _minimum(problem: Problem[ProcessFamily], start: FloatArray) -> tuple[FloatArray, int]:
     minimum = minimise(problem, start, NEAR)
     if not minimum.converged:
-        raise FitError(
-            "no minimum of the fit with smooth factors was found",
-            hint="check unbalance, phases, standard errors, rotor file",
-        )
+        hint = "check unbalance, phases, standard errors, rotor file"
+        raise FitError("no minimum of the fit with smooth factors was found", hint=hint)
     return minimum.values, minimum.steps
 
 

@@ -82,12 +82,14 @@ class RunUp:
         for name in ("amplitude_error", "phase_error"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, shape))
             if not np.all(getattr(self, name) > 0):
-                raise DataError(
-                    f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere",
-                    hint="weights need it",
-                )
+                what = f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere"
+                raise DataError(what, hint="weights need it")
         self._check_plain()
         self._check_excitation()
+        if np.any(self.response == 0):
+            at = self.rpm[np.argwhere(self.response == 0)[0, 0]]
+            what = f"a probe of run '{self.name}' does not move at {at:.4g} rpm: it has no phase there"
+            raise DataError(what, hint="leave out that speed, or look at the probe")
 
     def _check_plain(self) -> None:
         if not 0 < self.load < np.inf:
@@ -97,18 +99,15 @@ class RunUp:
         if self.speed.size == 0 or self.speed[0] <= 0 or np.any(np.diff(self.speed) <= 0):
             raise DataError(f"the speeds of run '{self.name}' must rise from above zero")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
-            raise DataError(
-                f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty"
-            )
+            what = f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty"
+            raise DataError(what)
 
     def _check_excitation(self) -> None:
         named = [*self.unbalance, *([self.shaker.plane] if self.shaker is not None else [])]
         for plane in named:
             if plane not in self.planes:
-                raise DataError(
-                    f"run '{self.name}' is excited at '{plane}', which is not among its planes",
-                    hint=", ".join(self.planes),
-                )
+                what = f"run '{self.name}' is excited at '{plane}', which is not among its planes"
+                raise DataError(what, hint=", ".join(self.planes))
         if bool(self.unbalance) == (self.shaker is not None):
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
 

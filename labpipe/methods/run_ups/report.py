@@ -282,11 +282,10 @@ def validation_table(models: Sequence[records.MetamodelResult]) -> Table:
     rows = []
     for model in models:
         for validation in model.left_out:
-            errors = [f"{100 * error:.1f}" for error in validation.errors]
+            sizes = (*validation.errors, validation.rms)
+            errors = ["none" if validation.failed else f"{100 * error:.1f}" for error in sizes]
             position = "outside" if validation.outside else "between"
-            rows.append(
-                (model.title, f"{validation.load:.4g}", position, *errors, f"{100 * validation.rms:.1f}")
-            )
+            rows.append((model.title, f"{validation.load:.4g}", position, *errors))
     caption = (
         f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to "
         "the others"
@@ -400,6 +399,12 @@ def _metamodels(result: records.RunUpResult) -> tuple[Block, ...]:
         Paragraph(f"{text} ({', '.join(runs)}).", "note") for text, runs in _notes(result.metamodels).items()
     ]
     for model in result.metamodels:
-        blocks += [Paragraph(f"{model.title}: {' '.join(model.remarks)}")] if model.remarks else []
+        failed = [
+            f"Without {validation.load:.4g} N it could not be fitted: {validation.failed}."
+            for validation in model.left_out
+            if validation.failed
+        ]
+        remarks = " ".join((*model.remarks, *failed))
+        blocks += [Paragraph(f"{model.title}: {remarks}")] if remarks else []
         blocks += figures.surface_figures(model)
     return tuple(blocks)

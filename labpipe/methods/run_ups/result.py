@@ -58,7 +58,8 @@ def metamodels(
     by_name = {method.method.name: method for method in solved}
     grid = _grid(by_name[settings.metamodels_of], trained)
     joint = by_name["joint"].anywhere if "joint" in by_name else None
-    refitted = physical_without(rig, trained) if "physical" in settings.metamodels else None
+    by_film = "physical" in settings.metamodels
+    refitted = physical_without(rig, trained, settings.known) if by_film else None
     kinds = [KINDS[name][0] for name in settings.metamodels if name != "physical"]
     left_out = leave_one_load_out(grid, kinds, refitted, settings.seed)
     results = []

@@ -235,10 +235,8 @@ class RunUpRotor:
 
     def __post_init__(self) -> None:
         if not self.planes:
-            raise ConfigError(
-                "planes: a run-up needs a plane at which it is measured",
-                hint="for example planes: {disc 1: 2}",
-            )
+            hint = "for example planes: {disc 1: 2}"
+            raise ConfigError("planes: a run-up needs a plane at which it is measured", hint=hint)
         if len({node for _, node in self.planes}) < len(self.planes):
             raise ConfigError("planes: two planes sit on one node")
         for node in (self.place.node, *(node for _, node in self.planes)):
@@ -251,10 +249,8 @@ class RunUpRotor:
     def search(self) -> SpeedSearch:
         """Range of the search; ConfigError where neither the rotor file nor a run-up gives one."""
         if self.speeds is None:
-            raise ConfigError(
-                "speeds: are missing, and there is no run-up to take them from",
-                hint="for example speeds: 400-3000 rpm",
-            )
+            hint = "for example speeds: 400-3000 rpm"
+            raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint=hint)
         return SpeedSearch(*self.speeds)
 
     @cached_property
@@ -289,9 +285,8 @@ class RunUpRotor:
         for name, here in self.planes:
             if here == node:
                 return name
-        raise ConfigError(
-            f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:"
-        )
+        hint = "name it under planes:"
+        raise ConfigError(f"there is no plane at node {node}, where an unbalance sits", hint=hint)
 
     def condensed(
         self, speed: FloatArray, unbalance: Mapping[str, complex], shaker: Shaker | None = None
@@ -310,7 +305,7 @@ class RunUpRotor:
 
     def excited(self, run: RunUp) -> CondensedRotor:
         """Condensed at the speeds, and under the excitation, of a run. DataError when the run has other
-        planes.
+        planes, or no excitation.
         """
         if run.planes != self.plane_names:
             raise DataError(
@@ -318,6 +313,10 @@ class RunUpRotor:
                 f"{', '.join(self.plane_names)}",
                 hint="name the planes alike in the rotor file and the run-up, in one order",
             )
+        acting = run.unbalance.values() if run.shaker is None else (run.shaker.x, run.shaker.y)
+        if not any(acting):
+            what = f"run '{run.name}' was excited by nothing: its unbalance or force is zero"
+            raise DataError(what, hint="state what was added, or subtract the run")
         return self.condensed(run.speed, run.unbalance, run.shaker)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.artefacts.json_file import read_digested
-from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError, SettingError
 from labpipe.methods.rotor.rig import Unbalance
 from labpipe.methods.rotor.rotor_file import read_parts, tried
 from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
@@ -44,6 +44,10 @@ class PinnedSettings(Settings):
     coefficients: str = setting(
         "text", "FILE#NAME: a metamodel of an identification.json, instead of the film", default=""
     )
+
+    def __post_init__(self) -> None:
+        if self.speeds is not None and self.speeds[0] <= 0:
+            raise SettingError("speeds", "'speeds' must begin above zero", "for example 400-3000 rpm")
 
 
 def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
@@ -124,9 +128,8 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     try:
         entries = read_digested(path, "identification.json")
     except FileNotFoundError as error:
-        raise ConfigError(
-            f"no such file '{path}'", hint="paths are relative to the file that names them"
-        ) from error
+        hint = "paths are relative to the file that names them"
+        raise ConfigError(f"no such file '{path}'", hint=hint) from error
     except DataError as error:
         raise DataError(f"'{path}' {error.what}", hint=error.hint) from error
     try:
@@ -134,10 +137,8 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     except (KeyError, TypeError):
         models = {}
     if not models:
-        raise DataError(
-            f"'{path}' holds no metamodels",
-            hint="name the identification.json of run-ups whose section asks for metamodels:",
-        )
+        hint = "name the identification.json of run-ups whose section asks for metamodels:"
+        raise DataError(f"'{path}' holds no metamodels", hint=hint)
     if name not in models:
         raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, models))
     return from_entries(models[name])

@@ -33,16 +33,7 @@ from labpipe.raw_files.text_table import CsvTable, open_unpacked
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
-SPEED = "speed"
-PLAIN_KEYS = (
-    "load",
-    "threshold",
-    "amplitude error",
-    "phase error",
-    "shaker",
-    "shaker frequency",
-    "unbalance PLANE",
-)
+KEYS = ("load", "threshold", "amplitude error", "phase error", "shaker", "shaker frequency")
 _COLUMN = re.compile(
     r"^(?P<plane>.+) (?P<direction>[xy]) (?P<what>amplitude|phase|amplitude error|phase error)\s*(\[.*\])?$"
 )
@@ -53,18 +44,22 @@ _SHAKER = re.compile(r"^(?P<x>.+?)\s+in\s+x\s*,\s*(?P<y>.+?)\s+in\s+y\s+at\s+(?P
 UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error": "rad"}
 
 
-def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
+def read_run_up_csv(
+    path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None, load: float | None = None
+) -> RunUp:
     """The run-up of a table; DataError names the file, the line or column, and the remedy. *unbalance* [kg m]
-    by plane, for a table without unbalance lines; empty for a run with its residual unbalance only.
+    by plane, for a table without unbalance lines; empty for a run with its residual unbalance only. *load*
+    [N]: for a table without a line of it.
     """
     if not path.exists():
         raise DataError("no such file", path)
     read = _Reader(path)
     speed = read.speed
-    amplitude, phase = read.stack("amplitude"), read.stack("phase")
+    amplitude, phase = read.amplitudes(), read.stack("phase")
     amplitude_error = read.errors("amplitude error", amplitude, "1")
     phase_error = read.errors("phase error", np.ones_like(phase), "rad")
-    load = read.value("load", "N")
+    if load is None or "load" in read.head:
+        load = read.value("load", "N")
     try:
         shaker, unbalances = read.shaker(), read.unbalances()
         if not unbalances and shaker is None and unbalance is not None:
@@ -97,7 +92,7 @@ class _Reader:
         return DataError(what, self.path, hint)
 
     def _columns(self) -> dict[tuple[str, str, str], str]:
-        names = {}
+        names: dict[tuple[str, str, str], str] = {}
         for column in self.table.columns:
             if _SPEED.match(column):
                 continue
@@ -105,7 +100,10 @@ class _Reader:
             if match is None:
                 hint = "columns are named 'disc 1 x amplitude [um]', 'disc 1 x phase [deg]'"
                 raise self.fault(f"the column '{column}' does not belong to a run-up", hint)
-            names[(match["plane"], match["direction"], match["what"])] = column
+            place = (match["plane"], match["direction"], match["what"])
+            if place in names:
+                raise self.fault(f"the columns '{names[place]}' and '{column}' hold one quantity", "keep one")
+            names[place] = column
         if not names:
             raise self.fault("has no plane", "for example a column 'disc 1 x amplitude [um]'")
         return names
@@ -113,10 +111,11 @@ class _Reader:
     @property
     def speed(self) -> FloatArray:
         """(n_speed,) [rad/s]."""
-        for column in self.table.columns:
-            if _SPEED.match(column):
-                return 2 * np.pi * self.in_si(column, "Hz")
-        raise self.fault("no column 'speed'", "for example 'speed [rpm]'")
+        columns = [column for column in self.table.columns if _SPEED.match(column)]
+        if len(columns) != 1:
+            hint = "for example 'speed [rpm]'"
+            raise self.fault(f"it has {len(columns) or 'no'} column 'speed' where one is needed", hint)
+        return 2 * np.pi * self.in_si(columns[0], "Hz")
 
     def in_si(self, column: str, si_unit: str) -> FloatArray:
         check_columns(self.table, [column])
@@ -143,6 +142,15 @@ class _Reader:
                 raise self.fault(f"no column '{plane} {direction} {what}'", hint)
             rows.append(self.in_si(self.columns[(plane, direction, what)], UNITS[what]))
         return np.stack(rows, -1).reshape(-1, len(self.planes), len(DIRECTIONS))
+
+    def amplitudes(self) -> FloatArray:
+        """(n_speed, n_plane, 2) [m], above zero."""
+        sizes = self.stack("amplitude")
+        for row, plane, direction in np.argwhere(sizes <= 0):
+            column = self.columns[self.planes[plane], DIRECTIONS[direction], "amplitude"]
+            what = f"column '{column}': the amplitude in row {row + 1} of the table is not above zero"
+            raise self.fault(what, "leave out the row where a probe does not move; a turn is in the phase")
+        return sizes
 
     def errors(self, what: str, size: FloatArray, unit: str) -> FloatArray:
         """Columns of their own, else the number above the table times *size*."""
@@ -186,6 +194,9 @@ class _Reader:
 
     def shaker(self) -> Shaker | None:
         if "shaker" not in self.head:
+            if "shaker frequency" in self.head:
+                where = self.head["shaker frequency"][1]
+                raise DataError("shaker frequency: there is no shaker", where, "add a line '# shaker: ...'")
             return None
         text, where = self.head["shaker"]
         match = _SHAKER.match(text)
@@ -213,9 +224,10 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
             if match is None:
                 continue
             key, where = match["key"], f"{path}:{number}"
-            if key not in PLAIN_KEYS[:-1] and not key.startswith("unbalance "):
-                if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
-                    raise DataError(f"unknown entry '{key}'", where, nearest(key, PLAIN_KEYS))
+            if key not in KEYS and not key.startswith("unbalance "):
+                names = (*KEYS, "unbalance PLANE")
+                if difflib.get_close_matches(key.lower(), names, 1, 0.75):
+                    raise DataError(f"unknown entry '{key}'", where, nearest(key, names))
                 continue
             if key in entries:
                 raise DataError(f"'{key}' appears twice", where)

@@ -65,10 +65,11 @@ def run_as_measured(
 
 
 def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
-    table = read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None)
+    table = read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None, settings.load)
     run = replace(_statement(settings, table), uncertainties=probes.errors(table.planes))
     if settings.subtracted is not None:
-        run = difference(run, read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}))
+        residual = read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}, settings.load)
+        run = difference(run, residual)
     return ReadRun(settings, run)
 
 
@@ -86,10 +87,10 @@ def _statement(settings: RunSettings, run: records.RunUp) -> records.RunUp:
 
 def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRun:
     lines = ShaftLines(tacho=settings.tacho, pulses=settings.pulses, harmonics=settings.harmonics)
-    recording = _open(settings.path, settings, output, folder)
+    recording = _open(settings.path, settings.name, settings, output, folder)
     run = _track(recording, lines, settings, dict(settings.unbalance))
     if settings.subtracted is not None:
-        residual = _open(settings.subtracted, settings, output, folder)
+        residual = _open(settings.subtracted, f"{settings.name}-residual", settings, output, folder)
         # Nothing was added before the residual run, where the run has its weights.
         still = dict.fromkeys(dict(settings.unbalance), 0j)
         subtracted = _track(residual, lines, settings, still)
@@ -99,12 +100,12 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
     return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
 
 
-def _open(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
+def _open(
+    path: Path, name: str, settings: RunSettings, output: OutputFolder, folder: Path
+) -> StoredRecording:
     if settings.recorded_by is None and not is_recording(path):
         raise DataError("a raw file needs its rig file", path, "add rig: FILE to the entry")
-    return ingest(
-        path, settings.recorded_by or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder
-    )
+    return ingest(path, settings.recorded_by or Rig("", ()), output, f"recordings/{name}", folder)
 
 
 def _track(
@@ -206,10 +207,10 @@ def _of_method(
     predictor = _predictor(rule, address, result)
     if isinstance(predictor, records.MetamodelResult):
         if address.item != "left_out":
-            raise rule.fault(
-                f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
-            )
-        worst = max((validation.rms for validation in predictor.left_out), default=None)
+            hint = nearest(address.item, [*SPEEDS, "left_out"])
+            raise rule.fault(f"a metamodel has no '{address.item}'", hint)
+        # Not a number where a fit without one of the loads failed.
+        worst = float(np.max([validation.rms for validation in predictor.left_out]))
         return rule.outcome(*compare_number(rule, worst, "1"))
     if address.item == "verdict":
         return rule.outcome(predictor.verdict, predictor.verdict == rule.bound)

@@ -118,27 +118,31 @@ class RunSettings(Settings):
         if not self.name:
             object.__setattr__(self, "name", Path(self.file or self.recording).name.split(".")[0])
         if bool(self.file) == bool(self.recording):
-            raise ConfigError(
-                "one of 'file' and 'recording' is needed",
-                hint="file: load-1.csv, or recording: run.parquet with tacho:",
-            )
+            hint = "file: load-1.csv, or recording: run.parquet with tacho:"
+            raise ConfigError("one of 'file' and 'recording' is needed", hint=hint)
         if self.recording:
             self._check_recording()
+        else:
+            declared = type(self).__dataclass_fields__
+            for name in ("rig", "tacho", "pulses", "harmonics", "revolutions"):
+                if getattr(self, name) != declared[name].default:
+                    raise SettingError(name, f"'{name}' belongs to a recording", "leave it out of a table")
         if self.load is not None and self.load <= 0:
             raise ConfigError("'load' must be positive")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
             raise ConfigError("'threshold' needs its uncertainty", hint="for example 2772 rpm +- 6 rpm")
         for name in ("printed_critical_speed", "printed_threshold"):
-            if len(getattr(self, name)) not in (0, 3):
-                raise ConfigError(f"'{name}' has three values", hint="measured, original and enhanced")
+            values = getattr(self, name)
+            if values and not (len(values) == 3 and min(values) > 0):
+                hint = "measured, original and enhanced"
+                raise SettingError(name, f"'{name}' has three values above zero", hint)
 
     def _check_recording(self) -> None:
         if not self.tacho:
             raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
         if self.load is None:
-            raise ConfigError(
-                "'load' is missing", hint="a recording does not state it; for example load: 3.66 N"
-            )
+            hint = "a recording does not state it; for example load: 3.66 N"
+            raise ConfigError("'load' is missing", hint=hint)
         if not self.unbalance:
             hint = "a recording does not state it; for example {disc 1: 50 g.mm at 0 deg}"
             raise SettingError("unbalance", "unbalance: is missing", hint)
@@ -226,15 +230,17 @@ class RunUpSettings(Settings):
 
     def __post_init__(self) -> None:
         for field, table in (("methods", METHODS), ("metamodels", METAMODELS), ("known", PARAMETERS)):
-            for name in getattr(self, field):
+            names = getattr(self, field)
+            for name in names:
                 if name not in table:
                     raise SettingError(field, f"unknown name '{name}'", nearest(name, table))
+                if names.count(name) > 1:
+                    raise SettingError(field, f"'{name}' is named twice", "leave one out")
         if len(set(self.known)) == len(PARAMETERS):
             raise SettingError("known", "nothing is left to estimate", "leave some out")
         if not (0 < self.bound < 1 and self.ridge > 0):
-            raise ConfigError(
-                "'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %"
-            )
+            hint = "for example bound: 30 %"
+            raise ConfigError("'bound' lies between 0 and 100 %, 'ridge' above 0", hint=hint)
         if self.plane and self.rig is not None and self.plane not in self.rig.plane_names:
             hint = nearest(self.plane, self.rig.plane_names)
             raise SettingError("plane", f"no plane '{self.plane}' in {self.rig.name}", hint)

@@ -49,9 +49,8 @@ class RunUpNoise(Settings):
 
     def __post_init__(self) -> None:
         if min(self.amplitude, self.phase, self.threshold) <= 0:
-            raise ConfigError(
-                "the noise of a run-up is positive", hint="fits weigh by it; for example amplitude: 1 %"
-            )
+            hint = "fits weigh by it; for example amplitude: 1 %"
+            raise ConfigError("the noise of a run-up is positive", hint=hint)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +101,8 @@ class VirtualUnbalanceRig(Settings):
         if not 2 <= self.count <= MOST_SPEEDS or not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError(f"a run-up has 2 to {MOST_SPEEDS} speeds that rise from above zero")
         if not self.loads or min(*self.loads, self.held_out) <= 0:
-            raise ConfigError(
-                "every static load must be positive", hint="for example loads: [3.66 N, 5.88 N]"
-            )
+            hint = "for example loads: [3.66 N, 5.88 N]"
+            raise ConfigError("every static load must be positive", hint=hint)
         if not max(abs(self.viscosity_error), abs(self.clearance_error)) < 0.5 or not 0 <= self.heating < 0.5:
             raise ConfigError(
                 "viscosity_error and clearance_error lie between -50 % and 50 %, heating between 0 and 50 %"
@@ -154,7 +152,8 @@ def smooth_factors(
     coefficients differ. Equation (sim-factors).
     """
     u = (np.asarray(speed) - speeds[0]) / (speeds[1] - speeds[0])
-    v = (load - loads[0]) / (loads[1] - loads[0])
+    # One load alone lies at the lower end.
+    v = (load - loads[0]) / ((loads[1] - loads[0]) or 1.0)
     phase = 2 * np.pi * np.mod(np.arange(1, 25) * 0.6180339887, 1).reshape(3, 8)
     wave = (
         np.cos(1.5 * np.pi * u[:, None] + phase[0])

@@ -189,7 +189,7 @@ def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
     )
     dry = replace(fitted(drawn(heavy.dry()), motion="absolute", stator_mass="60 kg", form="kc"), name="dry")
     assert "model-mismatch" in [f.code for f in dry.findings]
-    (uncertainty,) = settings_of((dry,), baseline="dry").model_settings.known.uncertainties
+    (uncertainty,) = settings_of((dry,), baseline="dry").model_settings.fitted_baseline.uncertainties
     errors = [p.std_error_inflated for p in dry.parameters]
     assert np.sqrt(np.sum(uncertainty.changes**2, axis=0)) == pytest.approx(errors, rel=1e-9)
 
@@ -416,6 +416,9 @@ def test_one_run_is_not_enough_for_least_squares() -> None:
     [
         ({"baseline": "dry", "baseline_stiffness": "1 MN/m"}, "'baseline' is given twice"),
         ({"stator_mass": "-1 kg"}, "'stator_mass' is negative"),
+        ({"rotor_mass": "0 kg"}, "'rotor_mass' is that of a rotor"),
+        ({"rotor_stiffness": 1e6}, "'rotor_stiffness' goes with a rotor's mass"),
+        ({"viscosity": 0.03}, "'viscosity' goes with a clearance"),
         ({"band_width": "10 Hz"}, "'band_width' goes with form: bands"),
         ({"form": "bands", "band_width": "0 Hz"}, "band_width must be positive"),
         ({"forms": ["kc", "pads"]}, "'pads' cannot be compared"),
@@ -424,6 +427,11 @@ def test_one_run_is_not_enough_for_least_squares() -> None:
 def test_settings_that_contradict_themselves_are_refused(keys: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         DynamicStiffnessSettings(**keys)
+
+
+def test_forms_are_compared_where_that_is_asked_for() -> None:
+    with pytest.raises(ConfigError, match="'forms' are those of `compare: true`"):
+        fitted(drawn(), forms=("kc",), **GIVEN)
 
 
 def test_two_forces_of_one_direction_are_not_added_unasked() -> None:

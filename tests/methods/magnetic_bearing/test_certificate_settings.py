@@ -30,6 +30,7 @@ def test_points_one_per_loop_and_limits_that_can_be_kept(entries: dict[str, Any]
     [
         ({"before": ("a", "b"), "after": ("c",)}, "before"),
         ({"before": ("a",)}, "before"),
+        ({"after": ("a",), "displacement": "a"}, ""),
         ({"confidence": 0.5}, "confidence"),
         ({"confidence": 1.0}, "confidence"),
         ({"log_decrement": 0.0}, "log_decrement"),

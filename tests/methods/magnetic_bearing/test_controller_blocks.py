@@ -355,6 +355,7 @@ def test_entries_of_blocks_can_be_unknowns() -> None:
     for name, message in (
         ("controller.3.frequency", "no block"),
         ("controller.2.form", "no number of a block"),
+        ("controller.1.zero", "give it as zero of block 1 of the controller"),
     ):
         with pytest.raises(ConfigError, match=message):
             unknown(file, name)

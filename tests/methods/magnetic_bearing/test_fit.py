@@ -293,6 +293,27 @@ def test_channels_that_do_not_pair_are_named() -> None:
         fitted(long_rotor())
 
 
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"mass": 0.0}, "mass of the rotor is above zero, not 0 kg"),
+        ({"mass": ((-4.0,),)}, "mass matrix is that of no rotor"),
+        ({"mass": ((0.0,),)}, "mass matrix is that of no rotor"),
+        ({"inertia": "0.05 kg.m^2"}, "'inertia' belongs to a rotor on two bearings"),
+        ({"centre": 0.1}, "'centre' belongs to a rotor on two bearings"),
+        ({"hold": "20 Hz"}, "lines up to .* Hz are beyond half of `hold`"),
+    ],
+)
+def test_a_rotor_that_cannot_be_is_refused(keys: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        fitted(Rotor().spectra(), **keys)
+
+
+def test_a_mass_matrix_is_symmetric() -> None:
+    with pytest.raises(ConfigError, match="mass matrix is that of no rotor"):
+        fitted(COUPLED.spectra(), mass=((4.0, 1.0), (0.0, 4.0)))
+
+
 def test_noise_free_channels_cannot_be_weighed() -> None:
     spectra = Rotor().spectra()
     with pytest.raises(FitError, match="noise of the channels is not known"):

@@ -192,6 +192,8 @@ def test_what_cannot_float_is_refused() -> None:
         one_axis(sample_rate=3000.0)
     with pytest.raises(ConfigError, match="need both axes"):
         shipped(axes="x")
+    with pytest.raises(ConfigError, match="disturbance must not be negative"):
+        LevitatedNoise(disturbance=-1.0)
     with pytest.raises(ConfigError, match="2 x 2"):
         shipped(control=replace(shipped().control, mixing=((1.0,),)))
     with pytest.raises(ConfigError, match="two different places"):

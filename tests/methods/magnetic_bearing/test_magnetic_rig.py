@@ -105,6 +105,10 @@ def test_same_seed_same_samples_whatever_else_is_made(name: str) -> None:
 
 
 def test_unknown_runs_are_named() -> None:
+    with pytest.raises(ConfigError, match="is above pedestal_mass"):
+        VirtualMagneticRig("virtual-magnetic-rig", pedestal_mass=0.8, rotor_mass=0.8)
+    with pytest.raises(ConfigError, match="force must not be negative"):
+        Noise(force=-0.02)
     with pytest.raises(ConfigError, match="no run 'pedestel'") as caught:
         simulate(RIG, 1, ["pedestel"])
     assert caught.value.hint == "did you mean 'pedestal'?"

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
 
-from labpipe.methods.planning.excitation import earlier_uncertainties
+import numpy as np
+import pytest
+
+from labpipe.artefacts.identification_file import write_identification
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import ConfigError
+from labpipe.methods.planning.excitation import EXCITATION, earlier_uncertainties
+from labpipe.methods.planning.plan_file import PlanFile, plan_files
+from labpipe.methods.planning.settings import NoiseSettings, PlanSettings
 from labpipe.records.finding import Parameter
-from labpipe.records.identification import Fit, Goodness
+from labpipe.records.identification import Fit, Goodness, Identification
 from labpipe.records.uncertain import Budget, Uncertainty
 
 
@@ -30,6 +40,19 @@ def fit(budget: Budget | None) -> Fit:
         correlation=np.array([[1.0, 0.5], [0.5, 1.0]]),
         budget=budget,
     )
+
+
+def test_fits_of_several_bands_are_not_one_expectation(tmp_path: Path) -> None:
+    """A sliding fit has one name for all of its bands."""
+    first = fit(None)
+    second = replace(first, band_hz=(9.0, 18.0))
+    write_identification(tmp_path / "earlier.json", Identification((first, second), version="1"))
+    limits = {"band": (60.0, 72.0), "period": 2.0, "sample_rate": 2e3, "duration": 40.0, "force_limit": 1.0}
+    noise = NoiseSettings(0.02, 3e-7)
+    settings = PlanSettings("sdof", **limits, noise=noise, mass=0.8, earlier="earlier.json", fit="fit")
+    plan = PlanFile(tmp_path / "plan.yaml", "t", EXCITATION, settings)
+    with pytest.raises(ConfigError, match="holds 2 fits named 'fit'"):
+        plan_files(plan, cast("OutputFolder", None))
 
 
 def test_without_a_budget_the_stated_errors_are_noise() -> None:

@@ -220,7 +220,7 @@ def test_what_is_written_obeys_the_limits(
         int(np.ceil(6400 / plan.sample_rate)),
     )
     stiffness, damping, mass = (
-        model.known + np.einsum("n,nkij->kij", model.expected, model.elements)
+        model.given + np.einsum("n,nkij->kij", model.expected, model.elements)
     ) * np.ones((3, n_dof, n_dof))
     inverse = np.linalg.inv(mass)
     states = np.block([[np.zeros((n_dof, n_dof)), np.eye(n_dof)], [-inverse @ stiffness, -inverse @ damping]])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
+from labpipe.errors import ConfigError
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
@@ -21,6 +22,7 @@ from labpipe.methods.planning.run_ups import (
     RunCandidate,
     RunUpChoice,
     RunUpPlanSettings,
+    TrialSettings,
     at_allowed_speeds,
     expected_rig,
     expected_run,
@@ -29,6 +31,7 @@ from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import PARAMETERS, PRIOR
+from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv, write_run_up_csv
 from labpipe.records.uncertain import Uncertain
 from tests.conftest import Command
@@ -61,6 +64,15 @@ def _write(folder: Path, **changes: object) -> Path:
     entries = {name: value for name, value in {**PLAN, **changes}.items() if value is not None}
     path.write_text(yaml.safe_dump({"title": "Film", "plan": entries}), encoding="utf-8")
     return path
+
+
+def test_a_plan_takes_no_table_for_the_film() -> None:
+    """The rotor file goes into the plan's folder, where a relative path of it leads nowhere."""
+    rig = replace(load_run_up_rotor(ROTOR), tabulated=object())  # type: ignore[arg-type]
+    trials = (("a", TrialSettings(unbalance=(("disc 1", 1e-5 + 0j),))),)
+    times = {"step": 5.0, "dwell": 10.0, "duration": 600.0}
+    with pytest.raises(ConfigError, match="made of the film, not of `coefficients`"):
+        RunUpPlanSettings("run-ups", "r", loads=(5.0,), speeds=(10.0, 50.0), trials=trials, rig=rig, **times)
 
 
 def _read(run: RunUp, rng: np.random.Generator) -> RunUp:
@@ -142,6 +154,12 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
         ({"known": ["oil"]}, "the film has no parameter oil"),
         ({"trials": {}}, "no way to excite the rotor"),
         ({"trials": {"a": {}}}, "a trial has an unbalance or a shaker"),
+        ({"trials": {"a": {"unbalance": {"disc 1": "0 g.mm"}}}}, "the trial unbalance is zero"),
+        (
+            {"trials": {name: {"unbalance": {"disc 1": "1 g.mm"}} for name in ("a b", "a-b")}},
+            "two trials differ by blanks alone",
+        ),
+        ({"loads": ["6 N", "6 N"]}, "loads: one is there twice"),
         ({"trials": {"a": {"unbalance": {"disc 3": "1 g.mm"}}}}, "no plane 'disc 3'"),
         ({"displacement_limit": "1 nm"}, "no run keeps within the limits"),
         ({"expected": {"viscosity": 50}}, "beyond what a joint fit looks for"),

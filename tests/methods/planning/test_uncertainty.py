@@ -73,7 +73,7 @@ def test_the_source_that_must_be_known_better() -> None:
 def test_systematic_errors_of_two_tests_together() -> None:
     # The mean weighted by information: a source of both tests with one effect stays, one of the new test
     # alone is thinned out.
-    known = Earlier(("k", "c"), np.diag(NOISE**2), ("probe",), PROBE[None]).known(
+    known = Earlier(("k", "c"), np.diag(NOISE**2), ("probe",), PROBE[None]).beside(
         sdof({"k": 1000.0, "c": 10.0}, 1.0), 5.0, ("probe",)
     )
     # The new test tells three times as much of k, and a third of c.

@@ -5,12 +5,19 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 import yaml
 
+from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system import predictions
+from labpipe.methods.rotor_system.evaluate import _modes
+from labpipe.methods.rotor_system.settings import SystemTest
+from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig
+from labpipe.project.work import Work
 
 ROOT = Path(__file__).parents[3]
 # Of a rotor as declared: its interval is many times wider than they can move it.
@@ -139,6 +146,10 @@ def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> Non
         ({"tests.0.test": "fre"}, "rotor_system", "no FRF 'fre'; did you mean 'free'?"),
         ({"tests.4.fit": "x"}, "rotor_system.tests", "'fit' is of kind modes or response"),
         ({"tests.4.mass": "33 kg"}, "rotor_system.tests", "'mass' needs its uncertainty"),
+        ({"tests.1.speed": "-10 Hz"}, "rotor_system.tests.2.speed", "speed must not be negative"),
+        ({"rotor_system": {"speeds": "0-100 Hz"}}, "rotor_system.speeds", "must begin above zero"),
+        ({"rotor_system": {"balance_speeds": ["0 Hz"]}}, "rotor_system.balance_speeds", "above zero"),
+        ({"rotor_system": {"small_errors": {"phase": "-1 deg"}}}, "phase", "must not be negative"),
     ],
 )
 def test_faults_are_said_at_their_place(tmp_path: Path, labpipe, change: dict, where: str, said: str) -> None:
@@ -200,6 +211,43 @@ def test_what_tests_of_a_rotor_cannot_take_is_refused(tmp_path: Path, labpipe, t
     assert ended.code == 2 and said in ended.err
 
 
+HAMMER = """title: t
+rotor_system:
+  rotor: {root}/configs/rotors/two-discs.yaml
+  draws: 20
+  small_errors: {{elements: 0, inertia: 0, bearings: 0, apparent_mass: 0, phase: 0}}
+  tests:
+    - {{name: hammer, kind: modes, frequencies: [111 Hz +- 1 Hz, 240 Hz +- 3 Hz], numbers: {numbers}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ("[0, 1]", "'numbers' are whole, from 1 on"),
+        ("[1, 2.5]", "'numbers' are whole, from 1 on"),
+        ("[1, 99]", "bending modes, not 99"),
+    ],
+)
+def test_modes_that_a_rotor_has_not(tmp_path: Path, labpipe, numbers: str, said: str) -> None:
+    (tmp_path / "p.yaml").write_text(HAMMER.format(root=ROOT, numbers=numbers))
+    ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 2 and said in ended.err
+
+
+def test_a_fit_of_several_bands_is_no_test_of_modes() -> None:
+    fits = [SimpleNamespace(name="modes", detail=lambda _: object())] * 2
+    with pytest.raises(ConfigError, match="there are 2 modal fits 'modes'"):
+        _modes(SystemTest(name="hammer", kind="modes", fit="modes"), cast("Work", SimpleNamespace(fits=fits)))
+
+
+def test_critical_speeds_without_a_run_up(tmp_path: Path, labpipe_without_report) -> None:
+    """No unbalance in the middle, as the file declares it, has no response; that of its uncertainty has."""
+    (tmp_path / "p.yaml").write_text(HAMMER.format(root=ROOT, numbers="[1, 2]"))
+    ended = labpipe_without_report("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0 and "critical speed" in ended.out
+
+
 @pytest.mark.long
 def test_modes_of_a_modal_fit_are_a_test(tmp_path: Path) -> None:
     """The rotor on strings by a modal fit in place of its responses: the same free modes."""
@@ -259,3 +307,17 @@ def test_a_rotor_in_oil_films_by_theory(tmp_path: Path, labpipe, monkeypatch) ->
     assert critical < speed < 2.2 * critical and 0.001 < error < 0.2
     low, high = said["criticals"][0]["speed_interval"]
     assert low < critical < high
+
+
+@pytest.mark.parametrize(
+    ("probes", "band", "said"),
+    [
+        ((3.5,), (10.0, 300.0), "nodes are whole numbers"),
+        ((3.0,), (10.2, 10.8), "no line every 1 Hz lies in the band"),
+    ],
+)
+def test_a_virtual_rotor_that_cannot_be_tested_is_refused(
+    probes: tuple[float, ...], band: tuple[float, float], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), probes, (5.0, 50.0), band=band)

@@ -234,3 +234,5 @@ def test_a_run_is_accepted_where_the_speeds_were_run_and_all_margins_are_kept() 
     assert judged(top=126.0).not_run == judged(top=50.0, speed_range=None).not_run == ""
     said = "critical speeds from 7200 to 7560 rpm, beyond the run, are not judged"
     assert judged(top=120.0).not_run == said and said in judgement_lines(judged(top=120.0), "displacement")
+    short = judged(PEAK, top=140.0, speed_range=(4.0, 100.0))
+    assert short.not_run == "the speed range is not accepted: the run goes from 300 to 8400 rpm only"

@@ -330,6 +330,13 @@ def test_a_kind_that_cannot_do_without_a_load_says_so() -> None:
     assert all("three loads" in row.failed and np.isnan(row.rms) for row in rows)
 
 
+def test_the_physical_fit_of_one_load_cannot_be_validated() -> None:
+    (run,) = trained("inside")[:1]
+    grid = Grid(np.full(2, run.load), np.array([100.0, 200.0]), np.ones((2, 8)))
+    (row,) = leave_one_load_out(grid, [], physical_without(RIG, [run]))["physical"]
+    assert row.failed == "there is no other load to fit" and np.isnan(row.rms)
+
+
 @pytest.mark.long
 def test_the_physical_fit_predicts_a_load_it_never_saw_best() -> None:
     """On the rig outside its family: against the coefficients of the joint fit of all loads, and at the

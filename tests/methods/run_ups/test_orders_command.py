@@ -93,6 +93,8 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "m"), "'m'"),
         (("--speed", "50 N"), "--speed: 'N' has the wrong dimension"),
         (("--tacho", "n", "--order", "-1"), "--order must be positive"),
+        (("--tacho", "n", "--order", "nan"), "--order must be positive"),
+        (("--speed", "1.5 kHz"), "order 1 of recording 'run' reaches 1500 Hz, beyond half its sample rate"),
         (("--tacho", "n", "--revolutions", "5000"), "shorter than 5000 revolutions"),
     ],
 )

@@ -30,7 +30,7 @@ def at_load(**more: object) -> AtLoad:
 
 def test_a_method_with_intervals_keeps_them() -> None:
     found = at_load(
-        critical=lambda: Uncertain(150.0, 0.5), threshold=lambda: Uncertain(280.0, 2.0), notes=("beyond",)
+        critical=lambda _: Uncertain(150.0, 0.5), threshold=lambda: Uncertain(280.0, 2.0), notes=("beyond",)
     )
     told = predict(RIG, RUN, found, "")
     assert told.critical_speed is not None and told.critical_speed.ci95 == pytest.approx(
@@ -41,7 +41,7 @@ def test_a_method_with_intervals_keeps_them() -> None:
 
 
 def test_curves_are_closer_about_the_peak() -> None:
-    told = predict(RIG, RUN, at_load(critical=lambda: Uncertain(150.0, 0.5)), "")
+    told = predict(RIG, RUN, at_load(critical=lambda _: Uncertain(150.0, 0.5)), "")
     speed = np.array(told.speed)
     assert np.all(np.diff(speed) > 0)
     about = np.abs(speed - 150) < 10 * RPM * 8
@@ -49,14 +49,17 @@ def test_curves_are_closer_about_the_peak() -> None:
 
 
 def test_another_plane_has_a_critical_speed_of_its_own() -> None:
-    """An interval is of the last plane; at another the speed is computed without one."""
-    told = predict(RIG, RUN, at_load(critical=lambda: Uncertain(150.0, 0.5)), "disc 1")
-    assert told.critical_speed is not None and told.critical_speed.std_error is None
-    assert told.critical_speed.value == pytest.approx(RIG.critical_speed(RIG.start(RUN.load), "disc 1"))
+    """With its interval where the method has one, else computed."""
+    at_plane = {"disc 1": Uncertain(150.0, 0.5), "": Uncertain(160.0, 0.6)}
+    told = predict(RIG, RUN, at_load(critical=at_plane.__getitem__), "disc 1").critical_speed
+    assert told is not None and (told.value, told.std_error) == (150.0, 0.5)
+    told = predict(RIG, RUN, at_load(), "disc 1").critical_speed
+    assert told is not None and told.std_error is None
+    assert told.value == pytest.approx(RIG.critical_speed(RIG.start(RUN.load), "disc 1"))
 
 
 def test_what_fails_or_does_not_exist_is_said() -> None:
-    def fails() -> Uncertain:
+    def fails(_plane: str = "") -> Uncertain:
         raise FitError("the response has no peak")
 
     told = predict(RIG, RUN, at_load(critical=fails, threshold=lambda: None), "")

@@ -12,6 +12,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.measured import measured_critical_speed, run_up_of
+from labpipe.methods.run_ups.metamodel_kinds import PhysicalFit
 from labpipe.methods.run_ups.methods import fit_points, joint_method
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.settings import ProbeSettings, ProbeUncertainties
@@ -64,6 +65,13 @@ def test_probes_that_are_off_do_not_reject_the_family(runs: tuple[RunUp, ...]) -
     )
     assert without.chi2_p < 1e-6 < 0.01 < with_uncertainties.chi2_p
     np.testing.assert_allclose(with_uncertainties.values, without.values, rtol=1e-9)
+
+
+def test_a_metamodel_takes_the_uncertainties(runs: tuple[RunUp, ...]) -> None:
+    """The physical one has the errors of the fit that it is."""
+    fit, speed = fit_jointly(RIG, runs), np.array([100.0, 200.0])
+    model = PhysicalFit.of(fit, (100.0, 200.0))
+    np.testing.assert_allclose(model.std_error(5.0, speed), fit.coefficients(5.0, speed)[1], rtol=1e-12)
 
 
 def test_coefficients_and_peaks_take_the_uncertainties(runs: tuple[RunUp, ...]) -> None:

@@ -4,9 +4,12 @@ measured.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from labpipe.errors import DataError
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.run_ups.misfit import (
     ADVICE,
@@ -74,6 +77,18 @@ def test_the_runs_at_hand_get_the_advice_when_only_the_unbalance_differs() -> No
         ADVICE,
     )
     assert (statement("load-2", "load-2-shaker").rank, statement("load-2", "load-2-shaker").advice) == (8, "")
+
+
+def test_ranks_do_not_need_a_known_unbalance() -> None:
+    """A rotor of which only a shaker's force is known; ranks are those of any unbalance."""
+    rows = rank_statements(dataclasses.replace(RIG, unbalances=()), 5.9, 150.0)
+    assert [row.rank for row in rows] == [2, 4, 4, 8]
+
+
+def test_a_run_that_nothing_excites_is_refused() -> None:
+    (run,) = run_ups(virtual("inside"), 1, ["load-2"])
+    with pytest.raises(DataError, match="was excited by nothing"):
+        RIG.excited(dataclasses.replace(run, unbalance={"disc 1": 0j}))
 
 
 def test_rank_and_condition_of_matrices_by_hand() -> None:

@@ -14,6 +14,7 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rig import Unbalance
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import RPM, largest_displacement
+from labpipe.methods.run_ups.rotor_file import PinnedSettings
 from tests.methods.run_ups.run_up_cases import RIG
 
 POUND = 4.4482216
@@ -131,6 +132,12 @@ def test_a_run_of_other_planes_is_refused() -> None:
 def test_rotors_that_cannot_be_are_refused(changes: dict[str, object], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         dataclasses.replace(RIG, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("low", [0.0, -5.0])
+def test_a_search_begins_above_zero(low: float) -> None:
+    with pytest.raises(ConfigError, match="'speeds' must begin above zero"):
+        PinnedSettings(speeds=(low, 50.0))
 
 
 def test_unknown_planes_get_the_nearest_name() -> None:

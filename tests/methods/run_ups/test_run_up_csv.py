@@ -128,6 +128,11 @@ def test_other_units_of_the_lab(tmp_path: Path) -> None:
         ("1200,30", "1200,ten", "is not a number"),
         ("1200,", "500,", "must rise"),
         ("amplitude error: 1 %", "amplitude error: 0 %", "not positive everywhere"),
+        ("600,10,90,20", "600,10,90,0", "y amplitude.*: the amplitude in row 1 of the table is not above"),
+        ("1200,30", "1200,-30", "x amplitude.*: the amplitude in row 2 of the table is not above zero"),
+        ("y amplitude [um]", "x amplitude [mm]", "x amplitude .*x amplitude .* hold one quantity"),
+        ("disc 1 y amplitude [um]", "speed [Hz]", "it has 2 column 'speed' where one is needed"),
+        ("# recorded", "# shaker frequency: 0.9\n# recorded", "shaker frequency: there is no shaker"),
         (
             ",disc 1 y phase [deg]\n600,10,90,20,0\n1200,30,-90,40,180",
             "\n600,10,90,20\n1200,30,-90,40",
@@ -143,6 +148,22 @@ def test_what_cannot_be_used_is_refused_in_plain_words(tmp_path: Path, old: str,
         read_run_up_csv(path)
     assert caught.value.where.startswith(str(path))
     assert re.search(said, str(caught.value))
+
+
+def test_a_load_that_the_table_does_not_state(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(TABLE.replace("# load: 3.66 N\n", ""))
+    assert read_run_up_csv(path, load=5.0).load == 5.0
+    path.write_text(TABLE)
+    assert read_run_up_csv(path, load=5.0).load == 3.66
+
+
+def test_a_probe_that_stands_still_has_no_phase(rng: np.random.Generator) -> None:
+    """60 rad/s are 573 rpm."""
+    response = made(rng).response.copy()
+    response[1, 0, 1] = 0
+    with pytest.raises(DataError, match=r"does not move at 573 rpm"):
+        made(rng, response=response)
 
 
 def test_a_fault_above_the_table_is_named_with_its_line(tmp_path: Path) -> None:

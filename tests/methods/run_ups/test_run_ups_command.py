@@ -149,6 +149,10 @@ def test_a_recording_becomes_a_run_up_table(command: list[object], tmp_path: Pat
             "excited at 'middle', which is not among its planes",
         ),
         (("--load", "3 N", "--unbalance", "front=1 g.mm", "--order", "2"), "a run-up is of order 1, not 2"),
+        (
+            ("--load", "3 N", "--unbalance", "rear=1 g.mm", "--unbalance", "rear = 2 g.mm"),
+            "--unbalance: 'rear' is named twice",
+        ),
     ],
 )
 def test_what_a_recording_does_not_say_is_asked_for(

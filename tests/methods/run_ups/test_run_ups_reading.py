@@ -58,5 +58,5 @@ def test_the_residual_of_a_recorded_run_has_no_weights(monkeypatch: pytest.Monke
     run = read_run(settings, cast("RunUpRotor", Anything()), cast("OutputFolder", None), Path()).run
     np.testing.assert_allclose(run.speed, np.arange(150.0, 301.0, 10.0))
     np.testing.assert_allclose(run.response, 2e-5 + 1e-5j)
-    assert excitation_text(run) == "disc 2: 20 g mm at 0 deg"
+    assert excitation_text(run.unbalance, run.shaker) == "disc 2: 20 g mm at 0 deg"
     assert all(np.all(values > 0) for values in (run.amplitude_error, run.phase_error))

@@ -327,15 +327,18 @@ def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: P
     known = RIG.known_unbalance
     left = {"disc 2": 2e-5j}
     recorded(
-        tmp_path / "run.parquet", {"disc 1": known["disc 1"], "disc 2": known["disc 2"] + left["disc 2"]}
+        tmp_path / "sweep.run.parquet",
+        {"disc 1": known["disc 1"], "disc 2": known["disc 2"] + left["disc 2"]},
     )
-    recorded(tmp_path / "left.parquet", left)
+    recorded(tmp_path / "sweep.left.parquet", left)
     (tmp_path / "rig.yaml").write_text(RECORDED, encoding="utf-8")
     what = (
         "rig: rig.yaml, tacho: n, load: 8 N, unbalance: {disc 1: 50 g.mm, disc 2: 30 g.mm at 60 deg}, "
         "revolutions: 15"
     )
-    result = identified(tmp_path, f"    - {{recording: run.parquet, {what}, subtract: left.parquet}}\n")
+    result = identified(
+        tmp_path, f"    - {{recording: sweep.run.parquet, {what}, subtract: sweep.left.parquet}}\n"
+    )
     (run,) = result.runs
     assert run.critical_speed is not None and run.critical_speed.value == pytest.approx(
         RIG.critical_speed(RIG.start(LOAD)), rel=3e-3
@@ -350,7 +353,10 @@ def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: P
     cascade = run.cascades[0]
     peaks = np.array(cascade.frequency)[np.argmax(np.array(cascade.amplitude), axis=1)]
     np.testing.assert_allclose(peaks, cascade.speed, atol=1.1)
-    assert (tmp_path / "out/recordings").is_dir()
+    assert {path.name for path in (tmp_path / "out/recordings").iterdir()} == {
+        "sweep.recording.parquet",
+        "sweep-residual.recording.parquet",
+    }
 
 
 def test_a_raw_recording_needs_its_rig(tmp_path: Path) -> None:

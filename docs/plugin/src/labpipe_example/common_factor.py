@@ -140,8 +140,8 @@ def _at(fit: CommonFactor, rotor: RunUpRotor, run: RunUp) -> AtLoad:
 
         return at_speed
 
-    def critical() -> Uncertain:
-        low, middle, high = (rotor.critical_speed(scaled(factor)) for factor in fit.about)
+    def critical(plane: str) -> Uncertain:
+        low, middle, high = (rotor.critical_speed(scaled(factor), plane) for factor in fit.about)
         return Uncertain(middle, abs(high - low) / 2)
 
     def threshold() -> Uncertain | None:
