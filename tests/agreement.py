@@ -8,6 +8,7 @@ import itertools
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from html import unescape
 from pathlib import Path
@@ -288,76 +289,169 @@ def _of_rotor_system(result: Entry) -> Iterator[str]:
             yield f"balance {balance['before']} to {balance['after']}"
 
 
-def _tables(page: str) -> Iterator[tuple[str, list[dict[str, str]]]]:
-    """Caption and rows by their heads of every table of a page."""
+def _tables(page: str) -> Iterator[tuple[str, list[list[tuple[str, str]]]]]:
+    """Caption of every table of a page, and its rows as (head, cell)."""
     for table in re.findall(r"<table.*?</table>", page, re.DOTALL):
         caption = unescape("".join(re.findall(r"<caption>(.*?)</caption>", table)))
         heads, *rows = (
             [unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
             for row in re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)
         )
-        yield caption, [dict(zip(heads, row, strict=True)) for row in rows]
-
-
-def _printed(text: str) -> tuple[float, float]:
-    """A printed number, and half of its last place."""
-    mantissa, _, power = text.strip().partition(" × 10")
-    size = 10.0 ** float(power.translate(POWERS) or 0)
-    return float(mantissa) * size, 0.500001 * 10.0 ** -len(mantissa.partition(".")[2]) * size
+        yield caption, [list(zip(heads, row, strict=True)) for row in rows]
 
 
 def _differs(text: str, value: float | None, per: float = 1.0) -> bool:
-    """Whether a cell says anything else than a value [SI], *per*: SI per unit of the cell."""
-    try:
-        number, half = _printed(text)
-    except ValueError:
-        return value is not None
-    size = max(half, 0.0 if "." in text else 10.0 ** (math.floor(math.log10(abs(number) or 1)) - 4))
-    return value is None or abs(number - value / per) > size + 1e-12 * abs(number)
+    """Whether a cell says anything else than a value [SI] to its last place, *per*: SI per unit of the cell.
+
+    Zeros at the end of a whole number may stand for digits that its error does not support.
+    """
+    mantissa, _, power = text.strip().rstrip("*").partition(" × 10")
+    if not re.fullmatch(r"[+-]?[\d.]+", mantissa):
+        return bool(value) and text not in ("none", "")
+    zeros = len(mantissa) - len(mantissa.rstrip("0")) if "." not in mantissa and float(mantissa) else 0
+    size = 10.0 ** float(power.translate(POWERS) or 0)
+    half = 0.500001 * 10.0 ** (zeros - len(mantissa.partition(".")[2]))
+    return value is None or abs(float(mantissa) - value / per / size) > half
+
+
+Row = Sequence[tuple[str, str]]
+Cells = Iterator[tuple[str, float | None, float]]
+
+
+def _parameter_cells(row: Mapping[str, str], p: Entry, per: float) -> Cells:
+    """Value, error, interval, t-ratio and inflation of a parameter or an amount."""
+    yield row["value"], p["value"], per
+    yield row["std. error"], _full(p), per
+    ends = row["95 % interval"].split(" to ")
+    yield from ((text, end, per) for text, end in zip(ends, p["ci95"] or (), strict=False))
+    yield row.get("t-ratio", ""), None if p["derived"] else p["t_ratio"], 1.0
+    yield row.get("VIF", ""), p["vif"], 1.0
+
+
+def _budget_cells(row: Mapping[str, str], p: Entry, per: float) -> Cells:
+    for head in ("value", "systematic", "combined", "expanded"):
+        yield row[head], p[head], per
+    yield row["k"], p["coverage_factor"], 1.0
+    yield row.get("relative", "").removesuffix(" %"), 100 * p["expanded"] / abs(p["value"] or 1.0), 1.0
+
+
+def _band_cells(row: Mapping[str, str], fit: Entry) -> Cells:
+    yield row["centre [Hz]"], sum(fit["band_hz"]) / 2, 1.0
+    yield row["G.o.F"], fit["gof"]["r2_adjusted"], 1.0
+    of = {p["name"]: p for p in fit["parameters"]}
+    for head, cell in row.items():
+        if (name := head.partition(" [")[0]) in of and "(" not in cell:
+            value, _, error = cell.removesuffix(" n.s.").partition(" ± ")
+            yield value, of[name]["value"], _factor_of(head)
+            yield error, _full(of[name]) if error else None, _factor_of(head)
+
+
+def _run_cells(row: Mapping[str, str], run: Entry) -> Cells:
+    """Speeds of the file are rad/s, those of the report revolutions per minute."""
+    rpm = 2 * math.pi / 60
+    yield row["load [N]"], run["load"], 1.0
+    number, low, high = re.findall(r"[\d.]+", row["speeds [rpm]"])
+    yield from ((number, len(run["speed"]), 1.0), (low, run["speed"][0], rpm), (high, run["speed"][-1], rpm))
+    for name in ("critical_speed", "threshold"):
+        value, _, error = row.get(f"{name.replace('_', ' ')} [rpm]", "").partition(" ± ")
+        if run[name] is not None and error:
+            yield value, run[name]["value"], rpm
+            yield error, run[name]["std_error"], rpm
+
+
+def _mode_cells(row: Mapping[str, str], modes: Entry) -> Cells:
+    number = int(row["mode"]) - 1
+    yield row["f [Hz]"], modes["frequency"][number], 1.0
+    yield row["zeta [%]"], modes["damping_ratio"][number], 0.01
+    yield row["phase collinearity"], modes["collinearity"][number], 1.0
+
+
+def _circle_cells(row: Row, case: Entry, speed: Sequence[float]) -> Cells:
+    forward, backward = (np.array(case[name]) for name in ("forward", "backward"))
+    cells = [cell for _, cell in row]
+    yield cells[1], case["depth"], 1e-6
+    for text, radius in ((cells[3], forward), (cells[5], backward)):
+        yield text.partition(" ± ")[0], radius.max(), 1e-6
+    for text, radius in ((cells[4], forward), (cells[6], backward)):
+        yield text, speed[int(np.argmax(radius))], 1.0
+    yield cells[7], backward.max() / forward.max(), 1.0
+
+
+# As on the first page: 134.50 ± 0.81 kN/m, (1.2 ± 0.1) × 10⁻⁷ m, 3.707 (3.612 to 3.796) N s/m.
+IN_PRINT = re.compile(r"([-\d.]+) (?:± ([\d.]+)|\(([-\d.]+) to ([-\d.]+)\))(?: ([^×]*))?")
+
+
+def _first_page_cells(rows: Sequence[Mapping[str, str]], number: int, fits: Sequence[Entry]) -> Cells:
+    """A coefficient with its interval, of the fit that was named last."""
+    named = [row["result of"] for row in rows[: number + 1] if row.get("result of")]
+    name = rows[number]["coefficient"].split()[-1]
+    p = next(
+        p
+        for fit in fits
+        if not named or _title(fit) == named[-1]
+        for p in fit["parameters"]
+        if p["name"] == name
+    )
+    match = IN_PRINT.fullmatch(rows[number]["value with its 95 % interval"])
+    if match is None or p["ci95"] is None:
+        return
+    value, reach, low, high, unit = match.groups()
+    per, half = _factor((unit or "").replace(" ", ".")), (p["ci95"][1] - p["ci95"][0]) / 2
+    yield value, p["value"], per
+    yield from ((reach, half, per),) if reach else ((low, p["ci95"][0], per), (high, p["ci95"][1], per))
+    relative = rows[number]["relative"].strip("± %")
+    yield relative, 100 * half / abs(p["value"]) if relative else None, 1.0
+
+
+def _factor_of(head: str) -> float:
+    unit = re.search(r"\[(.*)\]", head)
+    return _factor(unit[1].replace(" ", ".") if unit else None)
+
+
+def _cells(caption: str, rows: Sequence[Row], number: int, result: Entry) -> Cells:
+    """The cells of a row that a result has numbers for, by the caption of their table."""
+    row, pairs = dict(rows[number]), rows[number]
+    per = _factor(row.get("unit", "").replace(" ", "."))
+    what, _, title = caption.partition(" of ")
+    fits = [fit for fit in result.get("fits", ()) if title in (_title(fit), fit["name"])]
+    if what in ("Parameters", "Uncertainty") and len(fits) == 1:
+        (p,) = (p for p in fits[0]["parameters"] if p["name"] == row["parameter"])
+        yield from (_parameter_cells if what == "Parameters" else _budget_cells)(row, p, per)
+    if what == "Bands" and fits:
+        yield from _band_cells(row, [fit for fit in fits if _title(fit) == title][number])
+    if what == "Modes" and len(fits) == 1:
+        yield from _mode_cells(row, fits[0]["modes"])
+    if what == "Amounts":
+        for comparison in result.get("comparisons", ()):
+            if comparison["name"] == title:
+                (p,) = (p for p in comparison["amounts"] if p["name"] == row["amount"])
+                yield from _parameter_cells({"std. error": "", "95 % interval": "", **row}, p, per)
+    if caption.startswith("Run-ups as measured"):
+        yield from _run_cells(row, result["run_ups"]["runs"][number])
+    if what.startswith("Results") and "coefficient" in row:
+        keys = [(fit["name"], fit["term"], fit["test"]) for fit in result["fits"]]
+        alone = [fit for fit, key in zip(result["fits"], keys, strict=True) if keys.count(key) == 1]
+        yield from _first_page_cells([dict(other) for other in rows], number, alone)
+    if caption.startswith("Largest radii"):
+        yield from _circle_cells(pairs, result["unbalance"]["cases"][number], result["unbalance"]["speed"])
 
 
 def misprints(page: str, result: Entry) -> list[str]:
-    """Cells of a report's tables of parameters and of their uncertainty that differ from the result."""
-    fits = {f"Parameters of {_title(fit)}": fit for fit in result.get("fits", ())}
-    budgets = {f"Uncertainty of {fit['name']}": fit for fit in result.get("fits", ())}
-    wrong: list[str] = []
-    for caption, rows in _tables(page):
-        for row in rows if caption in fits else ():
-            p = next(p for p in fits[caption]["parameters"] if p["name"] == row["parameter"])
-            wrong += [f"{caption}: {text}" for text in _parameter_row(row, p)]
-        for row in rows if caption in budgets and len(result["fits"]) == 1 else ():
-            p = next(p for p in budgets[caption]["parameters"] if p["name"] == row["parameter"])
-            per = _factor(row["unit"].replace(" ", "."))
-            wanted = {head: p[head] for head in ("systematic", "combined", "expanded")}
-            wrong += [
-                f"{caption}: {p['name']} {head} {row[head]}, not {value}"
-                for head, value in wanted.items()
-                if _differs(row[head], value, per)
-            ]
-            if _differs(row["k"], p["coverage_factor"]):
-                wrong.append(f"{caption}: {row['k']}")
-            if row.get("relative") and _differs(
-                row["relative"].rstrip(" %"), 100 * p["expanded"] / abs(p["value"])
-            ):
-                wrong.append(f"{caption}: {row['relative']}")
-    return wrong
+    """Cells of a report's tables that say anything else than the result."""
+    return [
+        f"{caption}, row {number}: {text} is {value}, a unit {per}"
+        for caption, rows in _tables(page)
+        for number in range(len(rows))
+        for text, value, per in _cells(caption, rows, number, result)
+        if _differs(text, value, per)
+    ]
 
 
 def _title(fit: Entry) -> str:
-    return f"{fit['name']}, test {fit['test']}" if fit["test"] else fit["name"]
+    name = f"{fit['name']} of {fit['term']}" if fit["term"] else fit["name"]
+    return f"{name}, test {fit['test']}" if fit["test"] else name
 
 
-def _parameter_row(row: Mapping[str, str], p: Entry) -> Iterator[str]:
-    per = _factor(row["unit"].replace(" ", "."))
-    wanted: dict[str, tuple[str, float | None, float]] = {
-        "value": (row["value"], p["value"], per),
-        "std. error": (row["std. error"], _full(p), per),
-        "t-ratio": (row.get("t-ratio", ""), None if p["derived"] else p["t_ratio"], 1.0),
-        "VIF": (row.get("VIF", ""), p["vif"], 1.0),
-    }
-    ends = row["95 % interval"].split(" to ")
-    for n, end in enumerate(p["ci95"] or ()):
-        wanted[f"end {n}"] = (ends[n], end, per)
-    for head, (text, value, unit) in wanted.items():
-        if _differs(text, value, unit):
-            yield f"{p['name']} {head} {text} {row['unit']}, not {value}"
+if __name__ == "__main__":
+    for folder in sys.argv[1:]:
+        held(Path(folder))
