@@ -46,13 +46,16 @@ def disagreements(result: Entry) -> list[str]:
         *itertools.chain.from_iterable(_of_matrix(entry) for entry in result.get("matrices", ())),
         *itertools.chain.from_iterable(_of_response(entry) for entry in result.get("responses", ())),
         *itertools.chain.from_iterable(_of_rule(rule) for rule in (*result["accept"], *result["expect"])),
-        *(_of_run_ups(result["run_ups"]) if result.get("run_ups") else ()),
         *(_of_rotor_system(result["rotor_system"]) if result.get("rotor_system") else ()),
     ]
 
 
 def _is(a: float, b: float, size: float = 0.0) -> bool:
     return abs(a - b) <= SAME * max(abs(a), abs(b), size)
+
+
+def _outside(value: float | None, ends: Sequence[float] | None = (0, 1)) -> bool:
+    return value is not None and ends is not None and not ends[0] <= value <= ends[1]
 
 
 def _of_fit(fit: Entry) -> Iterator[str]:
@@ -75,6 +78,7 @@ def _of_fit(fit: Entry) -> Iterator[str]:
             yield f"{title}: lines {lines[0]} to {lines[-1]} Hz"
     if fit["budget"] is not None:
         yield from (f"{title}: {text}" for text in _budget(fit["budget"], parameters))
+    yield from (f"{title}: {text}" for text in _modes(fit))
 
 
 def _of_parameter(p: Entry, is_fitted: bool = False) -> Iterator[str]:
@@ -83,7 +87,7 @@ def _of_parameter(p: Entry, is_fitted: bool = False) -> Iterator[str]:
     budget, repeats = p["budget"], p["repeats"]
     statements = {
         f"at its bound with {error}": p["at_bound"] and error is not None,
-        f"{value} outside {p['ci95']}": p["ci95"] is not None and not p["ci95"][0] <= value <= p["ci95"][1],
+        f"{value} outside {p['ci95']}": _outside(value, p["ci95"]),
         f"{full} below {error} of noise": error is not None and full < error * (1 - SAME),
         f"t {p['t_ratio']} of {value} and {full}": p["t_ratio"] is not None
         and bool(full)
@@ -117,16 +121,28 @@ def _full(p: Entry) -> float | None:
     return p["std_error"] if p["std_error_inflated"] is None else p["std_error_inflated"]
 
 
+def _modes(fit: Entry) -> Iterator[str]:
+    """Modes are those of the parameters, and as like themselves as nothing else."""
+    if (modes := fit.get("modes")) is None:
+        return
+    of = {p["name"]: p["value"] for p in fit["parameters"] if p["fitted"] is None and p["repeats"] is None}
+    for number, pair in enumerate(zip(modes["frequency"], modes["damping_ratio"], strict=True), 1):
+        for name, value in zip((f"f_n_{number}", f"zeta_{number}"), pair, strict=True):
+            if name in of and not _is(of[name], value):
+                yield f"{name} {of[name]}, of the modes {value}"
+    mac = np.array(modes["mac"])
+    if not (
+        np.allclose(np.diag(mac), 1) and np.allclose(mac, mac.T) and np.all((mac > -SAME) & (mac < 1 + SAME))
+    ):
+        yield f"MAC {mac}"
+
+
 def _goodness(fit: Entry) -> Iterator[str]:
-    gof, n = fit["gof"], fit["equations"]
-    if not gof["r2_adjusted"] <= gof["r2"] <= 1:
-        yield f"R2 {gof}"
-    if gof["chi2_reduced"] is not None and gof["chi2_reduced"] < 0:
-        yield f"chi2 {gof}"
-    if gof["chi2_p"] is not None and not 0 <= gof["chi2_p"] <= 1:
-        yield f"chi2 {gof}"
-    if not 0 < fit["dof"] < n:
-        yield f"{fit['dof']} degrees of freedom of {n} equations"
+    gof = fit["gof"]
+    if not gof["r2_adjusted"] <= gof["r2"] <= 1 or (gof["chi2_reduced"] or 0) < 0 or _outside(gof["chi2_p"]):
+        yield f"goodness {gof}"
+    if not 0 < fit["dof"] < fit["equations"]:
+        yield f"{fit['dof']} degrees of freedom of {fit['equations']} equations"
 
 
 def _derived(parameters: Sequence[Entry]) -> Iterator[str]:
@@ -172,37 +188,21 @@ def _of_comparison(comparison: Entry) -> Iterator[str]:
     for amount in comparison["amounts"]:
         yield from (f"{comparison['name']} {text}" for text in _of_parameter(amount))
     for band in comparison["bands"]:
-        where = f"{comparison['name']} {band['test']} {band['parameter']}"
-        if (
-            band["other"]
-            and band["ratio"] is not None
-            and not _is(band["ratio"], band["value"] / band["other"])
-        ):
-            yield f"{where}: ratio {band['ratio']} of {band['value']} and {band['other']}"
-        if (
-            band["ratio_ci95"] is not None
-            and not band["ratio_ci95"][0] <= band["ratio"] <= band["ratio_ci95"][1]
-        ):
-            yield f"{where}: ratio {band['ratio']} outside {band['ratio_ci95']}"
-        if band["p_value"] is not None and not 0 <= band["p_value"] <= 1:
-            yield f"{where}: p {band['p_value']}"
+        where, ratio = f"{comparison['name']} {band['test']} {band['parameter']}", band["ratio"]
+        if band["other"] and ratio is not None and not _is(ratio, band["value"] / band["other"]):
+            yield f"{where}: ratio {ratio} of {band['value']} and {band['other']}"
+        if _outside(ratio, band["ratio_ci95"]) or _outside(band["p_value"]):
+            yield f"{where}: ratio {ratio}, {band['ratio_ci95']}, p {band['p_value']}"
     for point in comparison["points"]:
-        where = f"{comparison['name']} {point['test']}"
-        if point["ci95"] is not None and not point["ci95"][0] <= point["value"] <= point["ci95"][1]:
-            yield f"{where}: {point['value']} outside {point['ci95']}"
-        if point["ratio_ci95"] is not None and not (
-            point["ratio_ci95"][0] <= point["ratio"] <= point["ratio_ci95"][1]
-        ):
-            yield f"{where}: ratio {point['ratio']} outside {point['ratio_ci95']}"
+        if _outside(point["value"], point["ci95"]) or _outside(point["ratio"], point["ratio_ci95"]):
+            yield f"{comparison['name']}: {point} outside its interval"
 
 
 def _of_matrix(matrix: Entry) -> Iterator[str]:
     for point in matrix["points"]:
         for value in point["values"]:
-            yield from (
-                f"{matrix['name']} {point['place']} {text}" for text in _of_parameter(value["parameter"])
-            )
-            if value["p_value"] is not None and not 0 <= value["p_value"] <= 1:
+            yield from (f"{matrix['name']} {text}" for text in _of_parameter(value["parameter"]))
+            if _outside(value["p_value"]):
                 yield f"{matrix['name']}: {value}"
     for amount in matrix["amounts"]:
         yield from (f"{matrix['name']} {text}" for text in _of_parameter(amount))
@@ -259,29 +259,15 @@ def _of_rule(rule: Entry) -> Iterator[str]:
         yield f"{rule['rule']}: {rule['value']} is said to be {rule['passed']}"
 
 
-def _of_run_ups(result: Entry) -> Iterator[str]:
-    for run in result["runs"]:
-        speed, critical = run["speed"], run["critical_speed"]
-        if critical is not None and not speed[0] <= critical["value"] <= speed[-1]:
-            yield f"{run['name']}: critical speed {critical} outside {speed[0]} to {speed[-1]}"
-    for method in result["methods"]:
-        if method["unknowns"] and method["rank"] is not None and method["rank"] > method["unknowns"]:
-            yield f"{method['name']}: rank {method['rank']} of {method['unknowns']}"
-        if method["chi2_p"] is not None and not 0 <= method["chi2_p"] <= 1:
-            yield f"{method['name']}: p {method['chi2_p']}"
-        for parameter in method["parameters"]:
-            yield from (f"{method['name']} {text}" for text in _of_parameter(parameter))
-
-
 def _of_rotor_system(result: Entry) -> Iterator[str]:
     for critical in result["criticals"]:
         for name in ("speed", "amplification", "amplitude"):
-            low, high = critical[f"{name}_interval"]
-            if not low <= critical[name] <= high:
-                yield f"{critical['place']}: {name} {critical[name]} outside {low} to {high}"
-    if not 0 <= result["decrement"][2] <= 1 or any(
-        not 0 <= test["probability"] <= 1 for test in result["tests"]
-    ):
+            if _outside(critical[name], critical[f"{name}_interval"]):
+                yield f"{critical['place']}: {name} of {critical}"
+        apart = 100 * abs(1 - critical["speed"] / result["operating"])
+        if critical["margin"] is not None and not _is(critical["margin"][0], apart):
+            yield f"{critical['place']}: margin {critical['margin']}, by its speed {apart}"
+    if any(map(_outside, (result["decrement"][2], *(test["probability"] for test in result["tests"])))):
         yield f"decrement {result['decrement']}, tests {result['tests']}"
     if (balance := result["balance"]) is not None:
         vibration = balance["vibration"]
@@ -289,15 +275,15 @@ def _of_rotor_system(result: Entry) -> Iterator[str]:
             yield f"balance {balance['before']} to {balance['after']}"
 
 
-def _tables(page: str) -> Iterator[tuple[str, list[list[tuple[str, str]]]]]:
-    """Caption of every table of a page, and its rows as (head, cell)."""
+def _tables(page: str) -> Iterator[tuple[str, list[dict[str, str]]]]:
+    """Caption and rows by their heads of every table of a page."""
     for table in re.findall(r"<table.*?</table>", page, re.DOTALL):
         caption = unescape("".join(re.findall(r"<caption>(.*?)</caption>", table)))
         heads, *rows = (
             [unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
             for row in re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)
         )
-        yield caption, [list(zip(heads, row, strict=True)) for row in rows]
+        yield caption, [dict(zip(heads, row, strict=True)) for row in rows]
 
 
 def _differs(text: str, value: float | None, per: float = 1.0) -> bool:
@@ -314,7 +300,6 @@ def _differs(text: str, value: float | None, per: float = 1.0) -> bool:
     return value is None or abs(float(mantissa) - value / per / size) > half
 
 
-Row = Sequence[tuple[str, str]]
 Cells = Iterator[tuple[str, float | None, float]]
 
 
@@ -335,105 +320,19 @@ def _budget_cells(row: Mapping[str, str], p: Entry, per: float) -> Cells:
     yield row.get("relative", "").removesuffix(" %"), 100 * p["expanded"] / abs(p["value"] or 1.0), 1.0
 
 
-def _band_cells(row: Mapping[str, str], fit: Entry) -> Cells:
-    yield row["centre [Hz]"], sum(fit["band_hz"]) / 2, 1.0
-    yield row["G.o.F"], fit["gof"]["r2_adjusted"], 1.0
-    of = {p["name"]: p for p in fit["parameters"]}
-    for head, cell in row.items():
-        if (name := head.partition(" [")[0]) in of and "(" not in cell:
-            value, _, error = cell.removesuffix(" n.s.").partition(" ± ")
-            yield value, of[name]["value"], _factor_of(head)
-            yield error, _full(of[name]) if error else None, _factor_of(head)
-
-
-def _run_cells(row: Mapping[str, str], run: Entry) -> Cells:
-    """Speeds of the file are rad/s, those of the report revolutions per minute."""
-    rpm = 2 * math.pi / 60
-    yield row["load [N]"], run["load"], 1.0
-    number, low, high = re.findall(r"[\d.]+", row["speeds [rpm]"])
-    yield from ((number, len(run["speed"]), 1.0), (low, run["speed"][0], rpm), (high, run["speed"][-1], rpm))
-    for name in ("critical_speed", "threshold"):
-        value, _, error = row.get(f"{name.replace('_', ' ')} [rpm]", "").partition(" ± ")
-        if run[name] is not None and error:
-            yield value, run[name]["value"], rpm
-            yield error, run[name]["std_error"], rpm
-
-
-def _mode_cells(row: Mapping[str, str], modes: Entry) -> Cells:
-    number = int(row["mode"]) - 1
-    yield row["f [Hz]"], modes["frequency"][number], 1.0
-    yield row["zeta [%]"], modes["damping_ratio"][number], 0.01
-    yield row["phase collinearity"], modes["collinearity"][number], 1.0
-
-
-def _circle_cells(row: Row, case: Entry, speed: Sequence[float]) -> Cells:
-    forward, backward = (np.array(case[name]) for name in ("forward", "backward"))
-    cells = [cell for _, cell in row]
-    yield cells[1], case["depth"], 1e-6
-    for text, radius in ((cells[3], forward), (cells[5], backward)):
-        yield text.partition(" ± ")[0], radius.max(), 1e-6
-    for text, radius in ((cells[4], forward), (cells[6], backward)):
-        yield text, speed[int(np.argmax(radius))], 1.0
-    yield cells[7], backward.max() / forward.max(), 1.0
-
-
-# As on the first page: 134.50 ± 0.81 kN/m, (1.2 ± 0.1) × 10⁻⁷ m, 3.707 (3.612 to 3.796) N s/m.
-IN_PRINT = re.compile(r"([-\d.]+) (?:± ([\d.]+)|\(([-\d.]+) to ([-\d.]+)\))(?: ([^×]*))?")
-
-
-def _first_page_cells(rows: Sequence[Mapping[str, str]], number: int, fits: Sequence[Entry]) -> Cells:
-    """A coefficient with its interval, of the fit that was named last."""
-    named = [row["result of"] for row in rows[: number + 1] if row.get("result of")]
-    name = rows[number]["coefficient"].split()[-1]
-    p = next(
-        p
-        for fit in fits
-        if not named or _title(fit) == named[-1]
-        for p in fit["parameters"]
-        if p["name"] == name
-    )
-    match = IN_PRINT.fullmatch(rows[number]["value with its 95 % interval"])
-    if match is None or p["ci95"] is None:
-        return
-    value, reach, low, high, unit = match.groups()
-    per, half = _factor((unit or "").replace(" ", ".")), (p["ci95"][1] - p["ci95"][0]) / 2
-    yield value, p["value"], per
-    yield from ((reach, half, per),) if reach else ((low, p["ci95"][0], per), (high, p["ci95"][1], per))
-    relative = rows[number]["relative"].strip("± %")
-    yield relative, 100 * half / abs(p["value"]) if relative else None, 1.0
-
-
-def _factor_of(head: str) -> float:
-    unit = re.search(r"\[(.*)\]", head)
-    return _factor(unit[1].replace(" ", ".") if unit else None)
-
-
-def _cells(caption: str, rows: Sequence[Row], number: int, result: Entry) -> Cells:
+def _cells(caption: str, number: int, row: Mapping[str, str], result: Entry) -> Cells:
     """The cells of a row that a result has numbers for, by the caption of their table."""
-    row, pairs = dict(rows[number]), rows[number]
     per = _factor(row.get("unit", "").replace(" ", "."))
     what, _, title = caption.partition(" of ")
     fits = [fit for fit in result.get("fits", ()) if title in (_title(fit), fit["name"])]
     if what in ("Parameters", "Uncertainty") and len(fits) == 1:
         (p,) = (p for p in fits[0]["parameters"] if p["name"] == row["parameter"])
         yield from (_parameter_cells if what == "Parameters" else _budget_cells)(row, p, per)
-    if what == "Bands" and fits:
-        yield from _band_cells(row, [fit for fit in fits if _title(fit) == title][number])
-    if what == "Modes" and len(fits) == 1:
-        yield from _mode_cells(row, fits[0]["modes"])
     if what == "Amounts":
         for comparison in result.get("comparisons", ()):
             if comparison["name"] == title:
                 (p,) = (p for p in comparison["amounts"] if p["name"] == row["amount"])
                 yield from _parameter_cells({"std. error": "", "95 % interval": "", **row}, p, per)
-    if caption.startswith("Run-ups as measured"):
-        yield from _run_cells(row, result["run_ups"]["runs"][number])
-    if what.startswith("Results") and "coefficient" in row:
-        keys = [(fit["name"], fit["term"], fit["test"]) for fit in result["fits"]]
-        alone = [fit for fit, key in zip(result["fits"], keys, strict=True) if keys.count(key) == 1]
-        yield from _first_page_cells([dict(other) for other in rows], number, alone)
-    if caption.startswith("Largest radii"):
-        yield from _circle_cells(pairs, result["unbalance"]["cases"][number], result["unbalance"]["speed"])
 
 
 def misprints(page: str, result: Entry) -> list[str]:
@@ -441,8 +340,8 @@ def misprints(page: str, result: Entry) -> list[str]:
     return [
         f"{caption}, row {number}: {text} is {value}, a unit {per}"
         for caption, rows in _tables(page)
-        for number in range(len(rows))
-        for text, value, per in _cells(caption, rows, number, result)
+        for number, row in enumerate(rows)
+        for text, value, per in _cells(caption, number, row, result)
         if _differs(text, value, per)
     ]
 

@@ -4,61 +4,39 @@ and bands that differ.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
 from labpipe.records.finding import Parameter
 from labpipe.report import loop_figures
-from labpipe.report.chart import Chart, Panel, Series
+from labpipe.report.chart import Chart, Panel
 from labpipe.report.document import Figure
+from tests.report.test_comparison_figures import BASE, named
 
 LINES = (10.0, 20.0, 40.0)
 
 
 def band(low: float, test: str, value: float, p_value: float, name: str = "k") -> ComparedBand:
     """From *low* on 10 Hz wide, 2 kN/m expected, 10 % known."""
-    ratio = value / 2000.0
+    ends, ratio = (0.9 * value, 1.1 * value), value / 2000.0
+    beside = {"ratio": ratio, "ratio_ci95": (0.9 * ratio, 1.1 * ratio), "p_value": p_value}
     return ComparedBand(
-        test,
-        name,
-        "N/m" if name == "k" else "N.s/m",
-        band_hz=(low, low + 10.0),
-        value=value,
-        ci95=(0.9 * value, 1.1 * value),
-        other=2000.0,
-        ratio=ratio,
-        ratio_ci95=(0.9 * ratio, 1.1 * ratio),
-        p_value=p_value,
-    )
+        test, name, "N/m", band_hz=(low, low + 10), value=value, ci95=ends, other=2e3, **beside
+    )  # type: ignore[arg-type]
 
 
 def comparison(**entries: object) -> Comparison:
-    amounts = (
-        Parameter("different", 2.0, "1"),
-        Parameter("peak", 3.5, "1"),
-        Parameter("peak_frequency", 20.0, "Hz"),
-    )
-    return Comparison(
-        name="loop",
-        kind="prediction",
-        subject="k, fit a",
-        unit="N/m",
-        points=(),
-        amounts=amounts,
-        verdict="as predicted",
-        statement="It is.",
-        **entries,  # type: ignore[arg-type]
-    )
+    named_amounts = (("different", 2.0), ("peak", 3.5), ("peak_frequency", 20.0))
+    amounts = tuple(Parameter(name, value, "1") for name, value in named_amounts)
+    return replace(BASE, points=(), line=(), amounts=amounts, subject="k, fit a", **entries)  # type: ignore[arg-type]
 
 
 def panels(figure: Figure) -> tuple[Panel, ...]:
     assert isinstance(figure.graphic, Chart)
     return figure.graphic.panels
-
-
-def named(panel: Panel) -> dict[str, Series]:
-    return {series.name: series for series in panel.series}
 
 
 def test_the_circle_is_where_a_loop_is_as_sensitive_as_zone_a_allows() -> None:
