@@ -32,6 +32,7 @@ import numpy as np
 import pytest
 
 from labpipe.cli.main import run_command
+from tests.agreement import held
 
 ROOT = Path(__file__).parent.parent
 
@@ -57,12 +58,16 @@ Command = Callable[..., Ended]
 
 @pytest.fixture
 def command_line(capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run a labpipe command in this process; an unexpected exception fails the test with its traceback."""
+    """Run a labpipe command in this process; an unexpected exception fails the test with its traceback, and
+    so does a result whose numbers contradict each other.
+    """
 
     def run(*arguments: object) -> Ended:
         capsys.readouterr()
         code = run_command([str(argument) for argument in arguments])
         captured = capsys.readouterr()
+        if arguments[0] == "run" and "-o" in arguments and code in (0, 1):
+            held(Path(str(arguments[arguments.index("-o") + 1])))
         return Ended(code, captured.out, captured.err)
 
     return run

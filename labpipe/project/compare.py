@@ -87,18 +87,21 @@ def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMat
     """
 
     def matrix(entry: MatrixSettings) -> ConditionMatrix:
-        theory = _theory(entry, work.pipeline.folder)
+        theory = point_theory(entry, work.pipeline.folder)
         return condition_matrix(entry, work.fits, work.conditions, theory)
 
     return _each(settings, MATRIX_PREFIX, work, matrix)
 
 
-def _theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
+def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
+    """What a bearing file or a table in the *folder* of the pipeline says of the coefficients at conditions
+    [SI]; None where the matrix names neither. DataError, ConfigError for a file that does not fit.
+    """
     if settings.theory is None:
         return None
     if settings.theory.bearing:
         return _bearing_theory(folder / settings.theory.bearing, settings.theory)
-    return table_theory(folder / settings.theory.table, settings.over, settings.tolerance)
+    return _table_theory(folder / settings.theory.table, settings.over, settings.tolerance)
 
 
 def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
@@ -143,7 +146,7 @@ def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Ma
     }
 
 
-def table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheory:
+def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheory:
     """Coefficients of another program: linear between the rows of a table along the first condition, at the
     level of all others.
 

@@ -126,12 +126,16 @@ def _write_document(document: Any, path: Path, figures: Path | None) -> None:
 
 
 def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
-    """Reports of an earlier result go where a new one is about to take its place: should drawing fail, no
-    report contradicts the result.
+    """Reports of an earlier result go where a new one is about to take its place, also those of formats that
+    are not drawn now: no report contradicts the result. What was edited or signed since stays until it is
+    drawn anew.
     """
-    if (folder.staging / NAME).exists():
-        for name in formats:
-            folder.outdate(f"report.{name}")
+    if not (folder.staging / NAME).exists():
+        return
+    for name in {*formats, *COMMENTS}:
+        path = folder.target / f"report.{name}"
+        if name in formats or (path.is_file() and is_drawn(path, stamped_source(path.read_bytes()))):
+            folder.outdate(path.name)
 
 
 def write_reports(

@@ -61,7 +61,9 @@ def test_at_one_sommerfeld_number_stiffness_is_load_over_clearance(tmp_path: Pat
     apart = journal(tmp_path, "0.1044 Pa.s +- 1 %", "58.82 N +- 1 %")
     assert apart.uncertainties is not None
     np.testing.assert_allclose(relative(apart).sum(axis=0), relative(both)[0], rtol=2e-3)
-    np.testing.assert_allclose(apart.uncertainties.stiffness_error, np.hypot(*apart.uncertainties.stiffness))
+    for what in ("stiffness", "damping", "rest"):
+        each = getattr(apart.uncertainties, what)
+        np.testing.assert_allclose(getattr(apart.uncertainties, f"{what}_error"), np.hypot(*each))
 
 
 def test_a_temperature_is_a_viscosity(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.estimation.damping import PROPORTIONAL, FactorModel, damp
+from labpipe.estimation.damping import HYSTERETIC, PROPORTIONAL, FactorModel, damp
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import MODELS, FitSettings
@@ -108,9 +108,14 @@ def test_proportional_damping_is_refused_where_it_means_nothing(sdof_response) -
         ):
             FitSettings(model, damping="proportional")
     setup = Setup((), (), FitSettings("sdof"))
+    ports = replace(setup, outputs=sdof_response().outputs, inputs=sdof_response().inputs)
+    model = MODELS["sdof"].model(ports)
     with pytest.raises(ConfigError, match="several damping coefficients"):
-        ports = replace(setup, outputs=sdof_response().outputs, inputs=sdof_response().inputs)
-        PROPORTIONAL(MODELS["sdof"].model(ports))
+        PROPORTIONAL(model)
+    # A loss factor asks for one coefficient in whose place it stands.
+    undamped = replace(model, terms=tuple(term for term in model.terms if term.name != "c"))
+    with pytest.raises(ConfigError, match="needs a model with a damping coefficient"):
+        HYSTERETIC(undamped)
 
 
 @pytest.mark.parametrize(

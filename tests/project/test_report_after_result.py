@@ -81,6 +81,13 @@ def test_no_report_of_an_earlier_result_stays_beside_a_new_one(
     assert read_identification(lab / "out/identification.json").fits[0].band_hz == (12.0, 38.0)
     assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out").code == 0
     assert "12–38 Hz" in (lab / "out/report.md").read_text() and "12–38 Hz" not in first
+    # Nor one that is not drawn any more, unless somebody has written in it.
+    undrawn = ("--set", "report.formats=[]", "-o", lab / "out")
+    assert labpipe("run", lab / "pipeline.yaml", *undrawn, "--set", "title=same").code == 0
+    assert not (lab / "out/report.md").exists()
+    (lab / "out/report.md").write_text("noted by hand")
+    assert labpipe("run", lab / "pipeline.yaml", *undrawn, "--set", "title=other").code == 0
+    assert (lab / "out/report.md").read_text() == "noted by hand"
 
 
 def test_a_damaged_report_of_the_same_result_stays_until_it_is_drawn_again(

@@ -265,6 +265,7 @@ def test_damaged_bytes_end_in_one_message_or_in_numbers(tmp_path: Path, rng, com
 @pytest.mark.parametrize(
     ("place", "value", "fragment"),
     [
+        (127, ord("X"), "damaged or cut off"),
         (128, 9, "is no variable"),
         (132, 0xFF, "damaged or cut off"),
         (136, 5, "has no flags"),

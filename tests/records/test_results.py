@@ -105,6 +105,11 @@ def test_accepted_needs_every_rule_and_every_test(
         (FIT,), outcomes=tuple(map(outcome, outcomes)), failed=tuple(Failed(name, "gap") for name in failed)
     )
     assert whole.accepted is accepted
+    verdict = "INCOMPLETE" if failed else "no rules" if accepted and not outcomes else "accepted"
+    verdict = verdict if accepted or failed else "NOT ACCEPTED"
+    assert repr(whole) == f"<Identification : 1 fits; {verdict}>"
+    of_sections = dataclasses.replace(whole, title="Rig", sections={"matrix": (), "run_ups": ()})
+    assert repr(of_sections) == f"<Identification Rig: 1 fits, matrix, run_ups; {verdict}>"
 
 
 def response(name: str, **conditions: str) -> FrequencyResponse:

@@ -105,6 +105,11 @@ def test_local_functions_move_two_poles_exactly() -> None:
     # size.
     np.testing.assert_allclose(found, response(s), atol=0.004 * np.abs(response(s)).max())
     np.testing.assert_allclose(found[[25, 51]], response(s)[[25, 51]], rtol=0.004)
+    # Both ends take the same part of their own line and of their neighbours inside.
+    even = response(2j * np.pi * (frequency - frequency.mean()) + shift)
+    gains = without_added_damping(frequency, even, 1 / shift).gains[:, :, 0, 0]
+    np.testing.assert_allclose(gains[-1, ::-1].conj(), gains[0], rtol=1e-6, atol=1e-9)
+    assert np.all(gains[0, 4:] != 0) and not np.any(gains[0, :4])
     constant = np.full((9, 1, 1), 2.0 + 0j)
     np.testing.assert_allclose(
         without_added_damping(frequency[:9], constant, 0.3).matrix, constant, rtol=1e-12

@@ -64,6 +64,9 @@ def test_the_speed_range_is_not_that_of_single_pulses(rng: np.random.Generator) 
     low, high = ShaftMotion(times, np.arange(200.0)).speed_range
     # 1 ms at either end of 10 revolutions of 40 ms: 0.5 % at most.
     assert 25 / 1.005 < low < 25.0 < high < 25 / 0.995
+    # Fewer revolutions have one speed, their mean: four within 0.5 s.
+    few = ShaftMotion(np.array([0.0, 0.2, 0.3, 0.4, 0.5]), np.arange(5.0))
+    assert few.speed_range == pytest.approx((8.0, 8.0))
 
 
 def test_several_pulses_per_revolution() -> None:

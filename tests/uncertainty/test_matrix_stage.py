@@ -14,11 +14,12 @@ import pytest
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.cli.main import run_command
 from labpipe.errors import ConfigError, ConfigErrors, DataError
-from labpipe.project.compare import _theory, table_theory
+from labpipe.project.compare import point_theory
 from labpipe.project.matrix_table import matrix_table, rotor_sheets, write_rotor_xlsx
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.uncertainty.matrix import PointTheory
 from labpipe.uncertainty.settings import MatrixSettings, MatrixTheorySettings
 
 SPEEDS, LOADS, REPEATS = (1500, 3000), (1, 2), 3
@@ -169,12 +170,24 @@ def test_ross_reads_the_rotor_table(result: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(speeds, 2 * np.pi * np.array([1501, 3001]) / 60, rtol=1e-6)
 
 
+def of_table(path: Path, *over: str) -> PointTheory:
+    entries = MatrixTheorySettings(table=path.name)
+    theory = point_theory(MatrixSettings(fit="a", over=over, tolerance=0.02, theory=entries), path.parent)
+    assert theory is not None
+    return theory
+
+
 def test_a_table_is_linear_along_the_first_condition(folder: Path) -> None:
-    theory = table_theory(folder / "theory.csv", ("speed", "load"), 0.02)
+    theory = of_table(folder / "theory.csv", "speed", "load")
     between = theory((37.5, 1000.0), ("Hz", "N"))
     assert between["k_xy"] == pytest.approx((2e3 * 1500 + 2e3 * 3000) / 2)
     assert theory((80.0, 1000.0), ("Hz", "N")) == {}
     assert theory((30.0, 1500.0), ("Hz", "N")) == {}
+    # Also where its conditions are small in SI: beyond the tolerance of the last row it says nothing.
+    (folder / "gap.csv").write_text("gap [um],k_xx [N/m]\n10,1\n20,3\n")
+    theory = of_table(folder / "gap.csv", "gap")
+    at = [theory((gap,), ("m",)) for gap in (5e-6, 15e-6, 20.3e-6, 21e-6)]
+    assert at == [{}, pytest.approx({"k_xx": 2.0}), {"k_xx": 3.0}, {}]
 
 
 def test_a_bearing_file_is_asked_in_the_axes_of_the_rig(tmp_path: Path) -> None:
@@ -190,7 +203,7 @@ def test_a_bearing_file_is_asked_in_the_axes_of_the_rig(tmp_path: Path) -> None:
     def beside(**axes: tuple[str, ...]) -> dict[str, float]:
         entries = MatrixTheorySettings(bearing="b.yaml", entries=("k_yy", "none"), **axes)
         settings = MatrixSettings(fit="a", over=("spring", "load"), theory=entries)
-        return dict(_theory(settings, tmp_path)((5e6, 7.0), ("N/m", "N")))
+        return dict(point_theory(settings, tmp_path)((5e6, 7.0), ("N/m", "N")))
 
     names = [f"{letter}_{axes}" for letter in "kc" for axes in ("xx", "xy", "yx", "yy")]
     assert beside() == dict(zip(names, [5e6, 0.3e6, -0.4e6, 2e6, 10, 3, 4, 20], strict=True))
@@ -202,10 +215,10 @@ def test_a_bearing_file_is_asked_in_the_axes_of_the_rig(tmp_path: Path) -> None:
 
 def test_faults_of_a_table_are_named(folder: Path) -> None:
     with pytest.raises(DataError, match="has no column of the condition 'pressure'"):
-        table_theory(folder / "theory.csv", ("speed", "pressure"), 0.02)
+        of_table(folder / "theory.csv", "speed", "pressure")
     (folder / "wrong.csv").write_text("speed [rpm],k_xx [N.s/m]\n1,2\n")
     with pytest.raises(DataError, match=r"N.s/m is no unit of 'k_xx'"):
-        table_theory(folder / "wrong.csv", ("speed",), 0.02)
+        of_table(folder / "wrong.csv", "speed")
 
 
 @pytest.mark.parametrize(

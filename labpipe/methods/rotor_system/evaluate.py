@@ -67,6 +67,8 @@ FAINT = 0.15
 # Fall of chi-square by one further unknown from which tests disagree, the square of standard errors; falls
 # that differ by less, a factor of 20 between likelihoods, tell nothing.
 TELLING, UNDECIDED = 16.0, 6.0
+# Relative uncertainty of a number that is stated without one, where one is needed.
+EXACT = 1e-6
 # Share of the critical speed up to which one more run-up would go.
 NEARER = 0.95
 
@@ -360,8 +362,12 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
 
 
 def declared_result(system: RotorSystem, band: tuple[float, float]) -> records.RotorSystemResult:
-    """What a rotor file says before anything is measured, over speeds [Hz]: intervals by what it declares."""
-    built = build(system, SmallErrors(), {})
+    """What a rotor file says before anything is measured, over speeds [Hz]: intervals by what it declares.
+
+    An unbalance without uncertainty drives the response as well, known as good as exactly.
+    """
+    stated = ((node, mean, error or EXACT * abs(mean)) for node, mean, error in system.unbalances)
+    built = build(replace(system, unbalances=tuple(stated)), SmallErrors(), {})
     posterior = fit_system(built.model, [], estimate_sizes=False)
     return _result(system, built, posterior, band, {}, predictions.DRAWS // 2, 1)
 

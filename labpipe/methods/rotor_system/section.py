@@ -74,7 +74,7 @@ def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber
     the result does not have.
     """
     if rule.item == "warnings":
-        return rule.outcome(*compare_warnings(rule, result.findings)[:2])
+        return rule.outcome(*compare_warnings(rule, result.findings))
     decisions = _decisions(result)
     if rule.item in decisions:
         word = decisions[rule.item]

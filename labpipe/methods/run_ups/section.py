@@ -182,7 +182,7 @@ class _Address:
 def run_up_outcome(rule: Rule, result: records.RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
-        return rule.outcome(*compare_warnings(rule, result.findings)[:2])
+        return rule.outcome(*compare_warnings(rule, result.findings))
     match = _ADDRESS.match(rule.item)
     if match is None:
         raise rule.fault("is no address", "write run_ups.joint[held-out].critical_speed")

@@ -367,6 +367,12 @@ def test_a_rule_on_what_there_is_not_is_refused(bench, labpipe, rule, word):
     assert refused.code == 2 and word in refused.err
 
 
+def test_a_run_that_the_virtual_rig_does_not_have_is_refused(root, labpipe):
+    simulated = ("--simulate", root / "configs/virtual-hmb.yaml", "--run", "pedestl")
+    refused = labpipe("live", root / "pipelines/pedestal.yaml", *simulated)
+    assert refused.code == 2 and "no run 'pedestl'; did you mean 'pedestal'?" in refused.err
+
+
 def test_a_test_that_ends_before_its_goal_fails(bench, follow):
     write_csv(bench / "test.csv", samples(6))
     follow(bench / "test.csv", "--until", "k.expanded<=1e-4%", code=1)

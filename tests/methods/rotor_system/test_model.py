@@ -15,7 +15,7 @@ from labpipe.methods.journal_bearing.curve import CURVE_MESH as FINE
 from labpipe.methods.rotor.response import modes
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Sleeve, Support, free_rotor
-from labpipe.methods.rotor_system.build import LinearBearing, RotorSystem, SmallErrors, build
+from labpipe.methods.rotor_system.build import LinearBearing, RotorSystem, SmallErrors, Theory, build
 from labpipe.methods.rotor_system.evidence import FreeModes
 from labpipe.methods.rotor_system.system_file import load_system
 from tests.methods.rotor_system.two_discs import (
@@ -233,6 +233,25 @@ def test_eigenvalues_of_a_controlled_bearing_are_zeros_of_its_dynamic_stiffness(
             if values is of.model.means:
                 point = place.bearing.at(OperatingPoint((0.0, -100.0), spin, float(root.imag)))
                 assert (whole.stiffness - free)[4:6, 4:6] == pytest.approx(point.stiffness, rel=1e-9)
+
+
+def test_magnets_off_their_stated_values_are_those_of_the_values_drawn() -> None:
+    """K = K_i C(w) - k_s is linear in both: at +1/2 and -3/2 standard uncertainties of them, whatever lies
+    between and beyond the bearings it is made from.
+    """
+    place = variant("magnets").rig.bearings[0]
+    gain, pull = place.uncertainties
+    theory = Theory(place, (0.0, -100.0), np.array([[0.0, 1.0], [0.0, 1.0]]))
+    omega, magnets = np.array([50.0, 400.0]), place.bearing.settings
+    moved = replace(
+        magnets,
+        force_per_current=magnets.force_per_current + gain.uncertainty.std_error / 2,
+        negative_stiffness=magnets.negative_stiffness - 1.5 * pull.uncertainty.std_error,
+    )
+    expected = place.bearing.kind.dynamic(moved, omega)
+    for matrix, values in (("stiffness", expected.real), ("damping", expected.imag / omega[:, None, None])):
+        drawn_values = theory.block(matrix, np.ones((2, 2)), omega, omega, np.array([0.5, -1.5]))
+        assert drawn_values == pytest.approx(values, rel=1e-9)
 
 
 def test_a_seal_acts_as_long_as_the_rotor_turns() -> None:

@@ -69,6 +69,8 @@ def test_unknowns_of_the_raw_recordings_hold_the_truth(result) -> None:
             z = (math.log(unknown.value / nominal) - truth[unknown.name]) * unknown.value / unknown.error
         assert abs(z) < 4, unknown.name
     assert all(test.probability > 1e-3 for test in system.tests)
+    # Speeds that nobody states are 5 % to 150 % of the file's.
+    assert system.campbell.speed[[0, -1]] == pytest.approx([0.05 * 70, 1.5 * 70])
 
 
 def test_rules_address_it_and_the_report_shows_it(result) -> None:
