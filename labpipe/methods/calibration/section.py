@@ -191,8 +191,7 @@ class CalibrationSettings(Settings):
         require_positive(self, "tolerance", "x_power")
         if len({self.x, self.y, self.group}) < 3:
             name = "y" if self.x == self.y else "group"
-            what = f"'{getattr(self, name)}' is a column of the line already"
-            raise SettingError(name, what, "name another")
+            raise SettingError(name, f"'{getattr(self, name)}' is a column of the line already")
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,9 @@ def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
     if not np.all(np.isfinite(values)):
         row, column = (int(n) for n in np.argwhere(~np.isfinite(values))[0])
         raise DataError(f"column '{names[column]}' has no number in row {row + 1}")
-    x = _power(_column(table, settings.x, settings.x_unit, values[:, 0]), settings.x_power)
+    x, power = _column(table, settings.x, settings.x_unit, values[:, 0]), settings.x_power
+    if power > 1:
+        x = _Column(x.values**power, x.unit if x.unit == "1" else f"{x.unit}^{power}")
     y = _column(table, settings.y, settings.y_unit, values[:, 1])
     if settings.group:
         return _group(settings, x, y, _column(table, settings.group, "", values[:, 2]))
@@ -268,10 +269,6 @@ def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column
     except UnitError as error:
         raise ConfigError(f"unit of column '{name}': {error.what}", hint=error.hint) from None
     return _Column(values * unit.factor + unit.offset, si_name(unit))
-
-
-def _power(x: _Column, power: int) -> _Column:
-    return x if power == 1 else _Column(x.values**power, x.unit if x.unit == "1" else f"{x.unit}^{power}")
 
 
 def _units(x: _Column, y: _Column) -> tuple[str, str]:
