@@ -141,7 +141,8 @@ def _goodness(fit: Entry) -> Iterator[str]:
     gof = fit["gof"]
     if not gof["r2_adjusted"] <= gof["r2"] <= 1 or (gof["chi2_reduced"] or 0) < 0 or _outside(gof["chi2_p"]):
         yield f"goodness {gof}"
-    if not 0 < fit["dof"] < fit["equations"]:
+    # What is known beforehand of a parameter is an equation for it.
+    if not 0 < fit["dof"] <= fit["equations"]:
         yield f"{fit['dof']} degrees of freedom of {fit['equations']} equations"
 
 
