@@ -54,8 +54,12 @@ def _is(a: float, b: float, size: float = 0.0) -> bool:
     return abs(a - b) <= SAME * max(abs(a), abs(b), size)
 
 
-def _outside(value: float | None, ends: Sequence[float] | None = (0, 1)) -> bool:
-    return value is not None and ends is not None and not ends[0] <= value <= ends[1]
+def _outside(value: float | None, ends: Sequence[float | None] | None = (0, 1)) -> bool:
+    """Whether a value lies outside; an end that is none is infinite."""
+    if value is None or ends is None:
+        return False
+    low, high = ends
+    return not (low is None or low <= value) or not (high is None or value <= high)
 
 
 def _of_fit(fit: Entry) -> Iterator[str]:
@@ -309,7 +313,8 @@ def _parameter_cells(row: Mapping[str, str], p: Entry, per: float) -> Cells:
     yield row["value"], p["value"], per
     yield row["std. error"], _full(p), per
     ends = row["95 % interval"].split(" to ")
-    yield from ((text, end, per) for text, end in zip(ends, p["ci95"] or (), strict=False))
+    shown = zip(ends, p["ci95"] or (), strict=False)
+    yield from ((text, end, per) for text, end in shown if end is not None)
     yield row.get("t-ratio", ""), None if p["derived"] else p["t_ratio"], 1.0
     yield row.get("VIF", ""), p["vif"], 1.0
 

@@ -79,7 +79,10 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
     assert system is not None
     try:
         runs = {
-            test.name: run_as_measured(test.run, work.output, work.pipeline.folder).run
+            # Two tests may have recordings of one name, in folders of their own.
+            test.name: run_as_measured(
+                replace(test.run, name=test.name), work.output, work.pipeline.folder
+            ).run
             for test in settings.tests
             if test.run is not None
         }

@@ -61,7 +61,7 @@ class RotorTestRig(Settings):
             raise SettingError("periods", "at least two periods are needed")
         if any(node % 1 for node in (*self.accelerations, *self.probes)):
             raise SettingError("probes", "nodes are whole numbers")
-        if np.ceil(self.band[0] / self.spacing) > np.floor(self.band[1] / self.spacing):
+        if np.ceil(self.band[0] / self.spacing - 1e-9) > np.floor(self.band[1] / self.spacing + 1e-9):
             raise SettingError("band", f"no line every {self.spacing:g} Hz lies in the band")
         if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
             raise SettingError("sample_rate", "the sampling rate is too low for band and speeds")
@@ -107,7 +107,7 @@ def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     """Random-phase multisine at one node in y or z; free on strings, or in the bearings."""
     rig, model = world.rig, world.built.model
     low, high = rig.band
-    lines = np.arange(np.ceil(low / rig.spacing), np.floor(high / rig.spacing) + 1)
+    lines = np.arange(np.ceil(low / rig.spacing - 1e-9), np.floor(high / rig.spacing + 1e-9) + 1)
     n = round(rig.sample_rate / rig.spacing)
     force = rig.amplitude * np.exp(2j * np.pi * rng.random(lines.size))
     outputs = world.nodes(rig.accelerations)
