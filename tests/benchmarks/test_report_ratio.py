@@ -37,7 +37,7 @@ def test_figures_alike_of_a_pdf_share_their_canvas_and_layout(capsys: pytest.Cap
         figures = [Figure(fit_chart(seed, 6.0 + step * seed), "a fit", "a fit") for seed in range(12)]
         return render_pdf(Document("T", "", (Section("S", tuple(figures)),)))
 
-    (alike,) = ratios(lambda: pdf(0.01), lambda: pdf(0.0), repeats=3)
+    (alike,) = ratios(lambda: pdf(0.01), lambda: pdf(0.0), repeats=7)
     with capsys.disabled():
         print(f"\ntwelve figures alike of a PDF: {alike:.2f} times twelve of different heights")
     assert alike < MOST_OF_UNLIKE

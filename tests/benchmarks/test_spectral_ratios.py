@@ -76,7 +76,7 @@ def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(
                 signal.csd(columns[a], columns[b], fs=RATE, nperseg=block, noverlap=block // 2)
 
     own, peer = ratios(
-        lambda: bare_ffts(columns, block), lambda: measure([recording], settings), pair_by_pair, repeats=5
+        lambda: bare_ffts(columns, block), lambda: measure([recording], settings), pair_by_pair, repeats=9
     )
     with capsys.disabled():
         print(
