@@ -332,7 +332,7 @@ def test_a_string_s_force_goes_as_its_frequency_squared(labpipe, tmp_path: Path)
     (tmp_path / "p.yaml").write_text(yaml.safe_dump(plan))
     ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
     assert ended.code == 2
-    assert "'x_power' must be at least 1" in ended.err
+    assert "p.yaml:6:5: calibrate.string.x_power: x_power must be positive" in ended.err
 
 
 def test_points_keep_their_parts_through_the_file(finished) -> None:
