@@ -179,11 +179,7 @@ def propose(
 
 
 def proposals(
-    first: FirstLook,
-    inputs: Sequence[int],
-    outputs: Sequence[int],
-    excitation: Excitation,
-    drive: int | None = None,
+    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation, drive: int | None
 ) -> tuple[dict[str, Proposal], Excitation]:
     """A fit around the highest peak of the mobility of each response, by its channel, and the excitation with
     blocks, if it is random, that are long enough for these peaks or the longest of which there are some.

@@ -190,11 +190,13 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if excitation is not None and {"displacement", "acceleration"} <= quantities:
         return _pipeline_of_stator(first, excitation, paths)
     peaks: Mapping[str, Proposal] = {}
-    drive = drive_of(first, inputs[0], excitation) if excitation is not None else None
-    if excitation is not None and drive is not None:
-        excitation = replace(excitation, band=excitation_of(first.rows[:, drive], first.rate or 1.0).band)
-    if excitation is not None and first.rate:
-        peaks, excitation = proposals(first, inputs[:1], outputs, excitation, drive)
+    drive = None
+    if excitation is not None:
+        drive = drive_of(first, inputs[0], excitation)
+        if drive is not None:
+            excitation = replace(excitation, band=excitation_of(first.rows[:, drive], first.rate or 1.0).band)
+        if first.rate:
+            peaks, excitation = proposals(first, inputs[:1], outputs, excitation, drive)
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",

@@ -27,7 +27,14 @@ from labpipe.methods.balancing.influence import (
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, parse_phasor, quantity, require_positive, setting
+from labpipe.records.settings import (
+    Settings,
+    parse_phasor,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
@@ -57,8 +64,7 @@ class BalanceSettings(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "mass", "speed", "grade")
-        if self.repeatability < 0:
-            raise SettingError("repeatability", "a scatter is not negative")
+        require_not_negative(self, "repeatability")
         of_grade = {"mass": self.mass, "speed": self.speed, "grade": self.grade}
         missing = [name for name, value in of_grade.items() if value is None]
         if missing and len(missing) < len(of_grade):

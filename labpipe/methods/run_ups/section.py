@@ -23,6 +23,7 @@ from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, Ru
 from labpipe.project.deciding import Compared
 from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.judging import CompareNumber, compare_covers, compare_warnings
+from labpipe.project.measured import file_stem
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.records.identification import RuleOutcome
@@ -105,7 +106,7 @@ def _open(
 ) -> StoredRecording:
     if settings.recorded_by is None and not is_recording(path):
         raise DataError("a raw file needs its rig file", path, "add rig: FILE to the entry")
-    return ingest(path, settings.recorded_by or Rig("", ()), output, f"recordings/{name}", folder)
+    return ingest(path, settings.recorded_by or Rig("", ()), output, f"recordings/{file_stem(name)}", folder)
 
 
 def _track(

@@ -299,7 +299,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
             "an angle is named twice",
         ),
         ({"planes": ["left", "right", "left"]}, "planes: 'left' is named twice"),
-        ({"repeatability": "-2 %"}, "repeatability: a scatter is not negative"),
+        ({"repeatability": "-2 %"}, "repeatability: repeatability must not be negative"),
         ({"speed": "0 Hz", "mass": "3 kg", "grade": "2.5 mm/s"}, "speed: speed must be positive"),
         ({"grade": "2.5 mm/s", "speed": "50 Hz"}, "alone says nothing of a permissible unbalance; give mass"),
     ],

@@ -337,7 +337,8 @@ def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: P
         "revolutions: 15"
     )
     result = identified(
-        tmp_path, f"    - {{recording: sweep.run.parquet, {what}, subtract: sweep.left.parquet}}\n"
+        tmp_path,
+        f"    - {{name: ../../8 N, recording: sweep.run.parquet, {what}, subtract: sweep.left.parquet}}\n",
     )
     (run,) = result.runs
     assert run.critical_speed is not None and run.critical_speed.value == pytest.approx(
@@ -353,9 +354,10 @@ def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: P
     cascade = run.cascades[0]
     peaks = np.array(cascade.frequency)[np.argmax(np.array(cascade.amplitude), axis=1)]
     np.testing.assert_allclose(peaks, cascade.speed, atol=1.1)
+    # A name is no path: the files stand where results stand, and nowhere else.
     assert {path.name for path in (tmp_path / "out/recordings").iterdir()} == {
-        "sweep.recording.parquet",
-        "sweep-residual.recording.parquet",
+        "..-..-8-N.recording.parquet",
+        "..-..-8-N-residual.recording.parquet",
     }
 
 
