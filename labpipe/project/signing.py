@@ -319,7 +319,7 @@ def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
     try:
         embedded = list(reader.PdfFileReader(io.BytesIO(content), strict=False).embedded_signatures)
         validate = validation.validate_pdf_signature
-        states = [(one, _status(partial(validate, one), trust)) for one in embedded]
+        states = [(signature, _status(partial(validate, signature), trust)) for signature in embedded]
     except ConfigError:
         raise
     except Exception as error:  # A damaged PDF raises whatever its place happens to be read as.
