@@ -7,11 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from labpipe.processes import SHARED_OUT, shared_out
+from labpipe.processes import SHARED_OUT, by_turns, shared_out
 
 PARENT = """
 import multiprocessing, os, time
@@ -57,3 +58,17 @@ def test_work_is_shared_out_to_as_many_processes_as_are_asked_for(monkeypatch: p
         with shared_out(asked):
             assert SHARED_OUT.get() == processes
         assert SHARED_OUT.get() == 1
+
+
+def test_parts_are_done_once_each_and_what_fails_in_a_thread_is_heard() -> None:
+    done: list[int] = []
+
+    def work(parts: Sequence[int], thread: int) -> None:
+        done.extend(1 // part for part in parts)
+
+    for n_thread in (1, 2, 3):
+        by_turns(work, range(1, 6), n_thread)
+    assert sorted(done) == sorted(3 * [1, 0, 0, 0, 0])
+    for bad in ([0, 1], [1, 0]):
+        with pytest.raises(ZeroDivisionError):
+            by_turns(work, bad, 2)

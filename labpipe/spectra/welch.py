@@ -22,6 +22,7 @@ from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
+from labpipe.processes import by_turns, threads
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
@@ -179,7 +180,7 @@ class PackedProducts(SegmentProducts):
             np.multiply(segments[:, :, channel], self._taper.real, out=half[place, channel // 2])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True)
+        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True, workers=threads())
         n_line, n = len(self._lines), self._n
         positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
         negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
@@ -189,14 +190,18 @@ class PackedProducts(SegmentProducts):
             positive[:, :, : trend.size] -= weight * trend
             negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
         n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
-        for start in range(0, n_line, n_chunk):
-            lines = slice(start, min(start + n_chunk, n_line))
-            mirrored = slice(n_line - lines.stop, n_line - lines.start)
-            product = np.empty((transformed.shape[1], lines.stop - lines.start), np.complex128)
-            for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
-                _add_products(above, above.conj(), self._positive, lines, product)
-                _add_products(below, below.conj(), self._negative, mirrored, product)
-                _add_products(above, below[:, ::-1], tuple(self._crossed), lines, product)
+
+        def add(starts: Sequence[int], _: int) -> None:
+            product = np.empty((transformed.shape[1], n_chunk), np.complex128)
+            for start in starts:
+                lines = slice(start, min(start + n_chunk, n_line))
+                mirrored, room = slice(n_line - lines.stop, n_line - start), product[:, : lines.stop - start]
+                for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
+                    _add_products(above, above.conj(), self._positive, lines, room)
+                    _add_products(below, below.conj(), self._negative, mirrored, room)
+                    _add_products(above, below[:, ::-1], tuple(self._crossed), lines, room)
+
+        by_turns(add, range(0, n_line, n_chunk), threads())
         if self._n_channel % 2:
             self._tapered[:n_segment, -1].imag = 0.0
 
@@ -234,28 +239,46 @@ class RowProducts(SegmentProducts):
         n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
         self._room, self._step, self._window = 2 * n_pair, step, window
         self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
-        # Samples of a pair of segments, in rows of channels.
-        self._rows = np.empty((n_channel, window.size + step))
-        self._pair = np.empty((n_channel, window.size), np.complex128)
+        # For every thread the samples of a pair of segments, in rows of channels. A pair that waits for its
+        # second segment is in the first.
+        self._n_thread = threads()
+        self._rows = np.empty((self._n_thread, n_channel, window.size + step))
+        self._pair = np.empty((self._n_thread, n_channel, window.size), np.complex128)
         # Positive frequencies of every pair, and conjugates of negative ones.
         self._amplitude = np.zeros((n_pair, 2, len(lines), n_channel), np.complex128)
         self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
-        for number, segment in enumerate(segments, place.start):
-            is_second = number % 2 == 1
-            n_known = max(self._n - self._step, 0) if is_second else 0
-            begin = self._step if is_second else 0
-            for start in range(n_known, self._n, CACHED_ROWS):
-                end = min(start + CACHED_ROWS, self._n)
-                self._rows[:, begin + start : begin + end] = segment[start:end].T
-            half = self._pair.imag if is_second else self._pair.real
-            np.multiply(self._rows[:, begin : begin + self._n], self._window, out=half)
-            if is_second:
-                self._transform(number // 2)
+        begun = place.start % 2
+        if begun:
+            self._put(place.start, segments[0], 0)
+        pairs = range(place.start + begun, place.stop - 1, 2)
 
-    def _transform(self, number: int) -> None:
-        transformed = fft.fft(self._pair, axis=1, overwrite_x=True).T
+        def transform(some: Sequence[int], thread: int) -> None:
+            for first in some:
+                for number in (first, first + 1):
+                    self._put(number, segments[number - place.start], thread)
+
+        by_turns(transform, pairs, self._n_thread)
+        if place.stop % 2:
+            self._put(place.stop - 1, segments[-1], 0)
+
+    def _put(self, number: int, segment: FloatArray, thread: int) -> None:
+        """Taper a *segment* (n, n_channel), and transform the pair of which it is the second."""
+        is_second = number % 2 == 1
+        n_known = max(self._n - self._step, 0) if is_second else 0
+        begin = self._step if is_second else 0
+        rows, pair = self._rows[thread], self._pair[thread]
+        for start in range(n_known, self._n, CACHED_ROWS):
+            end = min(start + CACHED_ROWS, self._n)
+            rows[:, begin + start : begin + end] = segment[start:end].T
+        half = pair.imag if is_second else pair.real
+        np.multiply(rows[:, begin : begin + self._n], self._window, out=half)
+        if is_second:
+            self._transform(number // 2, pair)
+
+    def _transform(self, number: int, pair: ComplexArray) -> None:
+        transformed = fft.fft(pair, axis=1, overwrite_x=True).T
         n, lines, kept = self._n, self._lines, self._amplitude[number]
         positive = transformed[lines[0] : lines[-1] + 1]
         negative = transformed[n - lines[-1] : n - lines[0] + 1][::-1]
@@ -267,15 +290,15 @@ class RowProducts(SegmentProducts):
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
         n_pair = (n_segment + 1) // 2
         if n_segment % 2:
-            self._pair.imag = 0.0
-            self._transform(n_pair - 1)
+            self._pair[0].imag = 0.0
+            self._transform(n_pair - 1, self._pair[0])
         for number, trend in enumerate(self._trend):
             weight = coefficients[0::2, number].astype(np.complex128)
             weight[: n_segment // 2] += 1j * coefficients[1::2, number]
             both = np.stack([weight, weight.conj()], axis=1)
             self._amplitude[:n_pair, :, : trend.size] -= both[:, :, None] * trend[:, None]
         kept = self._amplitude[:n_pair].reshape(2 * n_pair, len(self._lines), -1)
-        _add_matrices(kept.swapaxes(0, 1), self._sum)
+        _add_matrices(kept.swapaxes(0, 1), self._sum, self._n_thread)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
@@ -285,17 +308,21 @@ class RowProducts(SegmentProducts):
         return _matrix_of(self._sum, columns, 0.5 * scale)
 
 
-def _add_matrices(amplitude: ComplexArray, sums: ComplexArray) -> None:
+def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1) -> None:
     """Add to *sums* (n_line, n, n) the products sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), as many
     lines at a time as stay in the cache.
     """
     n_line, n = sums.shape[:2]
     n_chunk = max(1, CACHED_NUMBERS // (n * (n + 2 * amplitude.shape[1])))
-    product = np.empty((n_chunk, n, n), np.complex128)
-    for start in range(0, n_line, n_chunk):
-        chunk = slice(start, min(start + n_chunk, n_line))
-        part = amplitude[chunk]
-        sums[chunk] += np.matmul(part.swapaxes(1, 2), part.conj(), out=product[: chunk.stop - start])
+
+    def add(starts: Sequence[int], _: int) -> None:
+        product = np.empty((n_chunk, n, n), np.complex128)
+        for start in starts:
+            chunk = slice(start, min(start + n_chunk, n_line))
+            part = amplitude[chunk]
+            sums[chunk] += np.matmul(part.swapaxes(1, 2), part.conj(), out=product[: chunk.stop - start])
+
+    by_turns(add, range(0, n_line, n_chunk), n_thread)
 
 
 def _add_products(

@@ -13,6 +13,7 @@ from labpipe.spectra.welch import (
     PackedProducts,
     RowProducts,
     SegmentProducts,
+    WelchAverage,
     segment_products,
     trend_basis,
 )
@@ -65,3 +66,19 @@ def test_long_blocks_are_packed_where_channels_are_few_and_in_pairs_and_in_rows_
         (SAMPLES_OF_SHORT // 8 + 1, 8, RowProducts),
     ):
         assert isinstance(segment_products(np.ones(n), n // 2, range(1, 4), n_channel, trend), way)
+
+
+@pytest.mark.parametrize(("n_channel", "way"), [(2, PackedProducts), (5, RowProducts)])
+def test_two_threads_change_no_byte(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, n_channel: int, way: type[SegmentProducts]
+) -> None:
+    """Blocks of uneven numbers of segments, long enough for several chunks of lines."""
+    samples, matrices = rng.normal(size=(180_000, n_channel)), []
+    for n_thread in (1, 2):
+        monkeypatch.setattr("labpipe.spectra.welch.threads", lambda n_thread=n_thread: n_thread)
+        average = WelchAverage(window_values("hann", 20_000), 7_000, n_channel)
+        for start in range(0, samples.shape[0], 50_000):
+            average.add(samples[start : start + 50_000])
+        assert isinstance(average._products, way)
+        matrices.append(average.spectra(1.0).matrix)
+    np.testing.assert_array_equal(*matrices)

@@ -13,7 +13,6 @@ even in it, so that at zero depth the angle has no influence and the derivative 
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -31,7 +30,6 @@ from labpipe.methods.journal_bearing.bearing import (
     journal_equilibrium,
 )
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.processes import end_with_parent
 
 # Cells of 1.25 deg: an edge of a 20 deg groove lies between two cells, also of half as many. Extrapolated
 # from half of them, thresholds of the shipped rotor lie within .005 % of those of four times the cells; not
@@ -270,10 +268,9 @@ def journal_table(
     speed: float,
     ranges: TableRange | None = None,
     mesh: FilmMesh = DEFAULT_MESH,
-    workers: int = 1,
 ) -> JournalTable:
     """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure
-    are not used. *workers*: number of processes, without influence on the result.
+    are not used.
     """
     ranges = ranges or TableRange()
     weight = float(np.hypot(*load))
@@ -292,12 +289,7 @@ def journal_table(
         else np.zeros(1),
     )
     sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
-    if workers > 1:
-        with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
-            rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
-    else:
-        rows = [_sheet(sheet) for sheet in sheets]
-    return _fit(bearing, load, nodes, np.array(rows))
+    return _fit(bearing, load, nodes, np.array([_sheet(sheet) for sheet in sheets]))
 
 
 @dataclass(frozen=True)

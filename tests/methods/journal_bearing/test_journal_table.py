@@ -102,12 +102,6 @@ def test_a_healthy_bore_has_no_angle_and_no_slope_by_depth_that_runs_away(wear_t
     )
 
 
-def test_two_processes_make_the_same_table() -> None:
-    small = TableRange(n_depth=4, n_angle=4)
-    one, two = (journal_table(BEARING, LOAD, SPEED, small, FilmMesh(24, 4), workers) for workers in (1, 2))
-    np.testing.assert_array_equal(one.spline.c, two.spline.c)
-
-
 def test_a_table_without_wear_has_no_axes_for_it() -> None:
     """Three nodes of Sommerfeld's number on a parabola: the film at them but for Newton's tolerance, .1 %
     between; wear is refused.
