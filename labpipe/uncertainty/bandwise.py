@@ -47,7 +47,7 @@ def holm(p_values: FloatArray) -> FloatArray:
 
 
 def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
-    """Comparison of all coefficients in the bands common to both tests, second group against first.
+    """Comparison of all coefficients in the bands and terms common to both tests, second group against first.
 
     t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the uncertainty of the support is common to
     both tests and therefore excluded. ConfigError for an unknown parameter, FitError without a common band.
@@ -55,7 +55,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     """
     names = _parameters(settings, tests)
     every = itertools.product(names, *tests.fits)
-    pairs = [(a, b, name) for name, a, b in every if a.band_hz == b.band_hz]
+    pairs = [(a, b, name) for name, a, b in every if (a.band_hz, a.term) == (b.band_hz, b.term)]
     usable = [
         (a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error
     ]
@@ -122,7 +122,7 @@ def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) ->
     ratio = new.value / old.value
     return ComparedBand(
         test,
-        name,
+        f"{name} of {a.term}" if a.term else name,
         new.unit,
         band_hz=a.band_hz,
         value=new.value,

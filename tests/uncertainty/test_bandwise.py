@@ -57,6 +57,19 @@ def compared(first: tuple[Fit, ...], second: tuple[Fit, ...], **asked) -> Compar
     return bandwise(replace(ASKED, **asked), tests)
 
 
+def test_a_term_is_compared_with_its_own_alone() -> None:
+    """Both directions in one band: k_y stays at 1000 N/m and k_z at 2000 N/m, 10 errors apart."""
+    tests = [
+        tuple(replace(made([(k, 10.0)], test)[0], term=term) for term, k in (("y", 1000.0), ("z", 2000.0)))
+        for test in ("a", "b")
+    ]
+    found = compared(*tests)
+    assert found.verdict == "no difference"
+    assert [(band.parameter, band.ratio) for band in found.bands] == [
+        (f"{name} of {term}", 1.0) for name in ("k", "c") for term in ("y", "z")
+    ]
+
+
 def test_the_p_value_is_welch_s(rng: np.random.Generator) -> None:
     """t = 500 / (100 sqrt 2), dof = (2 s^2)^2 / (s^4 / 20 + s^4 / 20) = 40 for two fits with 20 each.
 
