@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile
+from labpipe.distributions import f_tail, normal_quantile, normal_tail, student_quantile
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.quantities import QUANTITIES
 from labpipe.records import comparison
@@ -173,7 +173,13 @@ def _path(
 
     At the ends, of the outer three.
     """
-    position, error = (np.array(part) for part in zip(*(_rest(settings, p) for p in points), strict=True))
+    rest = np.array([_rest(settings, point) for point in points])
+    position, spread = rest[:, 0], rest[:, 1]
+    count = np.array([len(point.tests) for point in points])
+    # One scatter of the rest position at all loads; where no load is repeated it is not known.
+    dof = int(np.sum(count - 1))
+    scatter = np.sqrt((count - 1) @ spread**2 / dof) if dof else np.full(2, np.nan)
+    error = scatter / np.sqrt(count)[:, None]
     path = []
     for n, point in enumerate(points):
         weights = _slope_weights(loads, n)
@@ -194,7 +200,7 @@ def _path(
                 shaking_error=() if shaking is None else _pair(np.sqrt(np.diag(shaking[1]))),
                 p_value=None
                 if shaking is None
-                else _chance_of_slopes(slope - shaking[0], np.diag(slope_error**2) + shaking[1]),
+                else _chance_of_slopes(slope - shaking[0], np.diag(slope_error**2), shaking[1], dof),
             )
         )
     return tuple(path)
@@ -204,19 +210,17 @@ def _pair(values: FloatArray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _rest(settings: EquilibriumSettings, point: comparison.MatrixPoint) -> tuple[list[float], list[float]]:
-    """Mean position (x, y) [m] and its standard errors from the scatter of the repeats."""
+def _rest(settings: EquilibriumSettings, point: comparison.MatrixPoint) -> list[list[float]]:
+    """Mean position (x, y) [m] and the scatter of the repeats."""
     beside = {entry.name: entry for entry in point.beside}
-    for name in (settings.x, settings.y):
-        if beside[name].unit != QUANTITIES["displacement"].si_unit:
+    entries = [beside[settings.x], beside[settings.y]]
+    for entry in entries:
+        if entry.unit != QUANTITIES["displacement"].si_unit:
             raise ConfigError(
-                f"the condition '{name}' is no displacement but in {beside[name].unit}",
+                f"the condition '{entry.name}' is no displacement but in {entry.unit}",
                 hint="{channel: d_x}, its mean",
             )
-    entries = [beside[settings.x], beside[settings.y]]
-    return [entry.value for entry in entries], [
-        entry.scatter / np.sqrt(len(point.tests)) for entry in entries
-    ]
+    return [[entry.value for entry in entries], [entry.scatter for entry in entries]]
 
 
 def _slope_weights(loads: FloatArray, n: int) -> FloatArray:
@@ -290,14 +294,19 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
     return _Compliance(displacement, slopes @ covariance @ slopes.T, changes)
 
 
-def _chance_of_slopes(difference: FloatArray, covariance: FloatArray) -> float | None:
-    """Probability of so large a difference (2,) [m/N] by its covariance (2, 2).
+def _chance_of_slopes(
+    difference: FloatArray, estimated: FloatArray, stated: FloatArray, dof: int
+) -> float | None:
+    """Probability of so large a difference (2,) [m/N] by its covariance (2, 2), of which a part was
+    *estimated* from scatter with *dof* degrees of freedom.
 
-    None where that is singular.
+    None without these, or where the whole is singular.
     """
-    if not np.linalg.det(covariance) > 0:
+    covariance = estimated + stated
+    if dof == 0 or not np.linalg.det(covariance) > 0:
         return None
-    return chi2_tail(float(difference @ np.linalg.solve(covariance, difference)), 2)
+    whole_dof = dof * (np.trace(covariance) / np.trace(estimated)) ** 2 if np.any(estimated) else np.inf
+    return f_tail(float(difference @ np.linalg.solve(covariance, difference)) / 2, 2, whole_dof)
 
 
 # A matrix of tests: the coefficients of one fit at every level of every condition, their repeats averaged.

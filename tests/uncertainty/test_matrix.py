@@ -248,8 +248,16 @@ def test_static_and_shaken_stiffness_that_differ_are_shown(rng) -> None:
     """
     apart = a_path(rng, 6, 1.2 * STIFFNESS, STIFFNESS)
     assert all(point.p_value < 1e-3 for point in apart.points)
-    alike = [point.p_value for _ in range(20) for point in a_path(rng, 12, STIFFNESS, STIFFNESS).points]
-    assert sum(p < 0.05 for p in alike) <= 60 * 0.05 + 3.5 * np.sqrt(60 * 0.05 * 0.95)
+    for repeats in (2, 12):
+        paths = [a_path(rng, repeats, STIFFNESS, STIFFNESS) for _ in range(20)]
+        alike = [point.p_value for path in paths for point in path.points]
+        assert sum(p < 0.05 for p in alike) <= 60 * 0.05 + 3.5 * np.sqrt(60 * 0.05 * 0.95)
+
+
+def test_a_path_without_repeats_has_no_error_and_is_not_compared(rng) -> None:
+    for point in a_path(rng, 1, STIFFNESS, STIFFNESS).points:
+        assert np.all(np.isnan([*point.position_error, *point.statics_error]))
+        assert point.p_value is None
 
 
 def test_the_report_shows_all_points_in_the_unit_of_the_largest_the_second_condition_upwards() -> None:
