@@ -29,6 +29,7 @@ from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Settings, setting
 from labpipe.records.spectra import ChannelSpectra
+from labpipe.registry import listed
 from labpipe.simulate.virtual_rigs import Truth as RigTruth
 from labpipe.simulate.virtual_rigs import VirtualRig, chosen_runs, kind_of, simulated_response
 from labpipe.spectra.bands import lines_in
@@ -130,6 +131,8 @@ def _bounds_of_response(exact: FrequencyResponse, truth: RigTruth, settings: Fit
 
     Empty where the fit's parameters differ from the rig's.
     """
+    if settings.kind.equations is None:
+        return {}
     rows, columns = select_ports(exact, settings.input, settings.output)
     outputs, inputs = tuple(exact.outputs[n] for n in rows), tuple(exact.inputs[n] for n in columns)
     setup = Setup(outputs, inputs, settings)
@@ -224,12 +227,18 @@ def _repeat(
 
 
 def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings) -> Outcome:
-    """A fit with FitError counts as not converged; intervals are those of the estimator alone."""
+    """A fit with FitError counts as not converged; intervals are those of the estimator alone.
+
+    ConfigError for settings that give several fits.
+    """
     try:
-        (fit,) = identify(response, settings, judging=False)
+        fits = identify(response, settings, judging=False)
     except FitError:
         return Outcome(False, ())
-    return Outcome(fit.converged, fit.parameters)
+    if len(fits) > 1:
+        what = f"fit '{settings.name}' has {len(fits)} results"
+        raise ConfigError(what, hint="a study repeats a fit of one band: name them as fits of their own")
+    return Outcome(fits[0].converged, fits[0].parameters)
 
 
 # From the outcomes of many repeats to bias, scatter against the bound, coverage and success.
@@ -246,10 +255,16 @@ def summarise(
     noise: float,
     lines: int,
 ) -> StudyCase:
-    """One fit over all repeats. Equation (comp-study)."""
+    """One fit over all repeats; ConfigError where the rig states none of its parameters.
+
+    Equation (comp-study).
+    """
     ended = [outcome for outcome in outcomes if outcome.parameters]
     results = [outcome for outcome in ended if outcome.converged]
     names = _names(ended[0].parameters, truth) if ended else []
+    if ended and not names:
+        what = f"the rig states no parameter of fit '{settings.name}'"
+        raise ConfigError(what, hint=f"it states {listed(list(truth))}")
     errors = np.array([squared_error(outcome, names, truth, settings) for outcome in ended])
     parameters = tuple(_parameter(name, results, truth[name], bounds.get(name)) for name in names if results)
     ratios = [p.rmse / p.bound for p in parameters if p.bound is not None]

@@ -163,6 +163,8 @@ expect:
         ("expect={study.m1.coverage: '>= 1'}", "no such case in the study"),
         ("study.sede=1", "study.sede: unknown key; did you mean 'seed'?"),
         ("identify={}", "there is nothing to study"),
+        ("identify={ml: {model: modal}}", "the rig states no parameter of fit 'ml'; it states k_1_1"),
+        ("identify.ml.bands=[0.05-0.2 Hz, 0.2-0.4 Hz]", "fit 'ml' has 2 results; a study repeats a fit of"),
     ],
 )
 def test_faults_of_a_study_are_said(
