@@ -256,9 +256,9 @@ class CompareSettings(Settings):
         for needed in kind.needs:
             if not getattr(self, needed):
                 raise ConfigError(f"'{needed}' is missing", hint=f"a comparison of kind {self.kind} needs it")
-        if "groups" in kind.needs and len(self.groups) != 2:
-            what = f"two groups are compared, not {len(self.groups)}"
-            raise ConfigError(what, hint="for example groups: [up, down]")
+        if "groups" in kind.needs and not len(self.groups) == len(set(self.groups)) == 2:
+            what = f"two groups are compared, not {', '.join(self.groups) or 'none'}"
+            raise SettingError("groups", what, hint="for example groups: [up, down]")
         if kind.settings is not None and self.kind_settings is None:
             object.__setattr__(self, "kind_settings", kind.settings())
         if not isinstance(self.kind_settings, kind.settings or type(None)):

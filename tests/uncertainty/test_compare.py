@@ -229,7 +229,8 @@ OF_LOOP = {"kind": "prediction", "fit": "a", "over": ("gain",)}
     ("entries", "message", "hint"),
     [
         ({"kind": "trend", "fit": "a"}, "'over' is missing", "a comparison of kind trend needs it"),
-        ({**PAIR, "groups": ("up",)}, "two groups are compared, not 1", "[up, down]"),
+        ({**PAIR, "groups": ("up",)}, "two groups are compared, not up", "[up, down]"),
+        ({**PAIR, "groups": ("up", "up")}, "two groups are compared, not up, up", "[up, down]"),
         ({**PAIR, "over": ("a", "b", "c")}, "goes over 2 condition(s), not 3", "two: trend, difference"),
         ({**PAIR, "over": ("a", "a")}, "'over' names 'a' twice", ""),
         ({**PAIR, "tolerance": 1.0}, "at least 0 and below 100 %", ""),

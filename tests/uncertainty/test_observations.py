@@ -85,7 +85,7 @@ def test_missing_fits_parameters_and_errors_are_named() -> None:
         ({"kind": "trend", "fit": "axial"}, "'over' is missing"),
         (
             {"kind": "difference", "fit": "axial", "group": "way", "groups": ("up",)},
-            "two groups are compared, not 1",
+            "two groups are compared, not up",
         ),
         ({"kind": "repeatability", "fit": "axial"}, "'group' is missing"),
         ({"kind": "ratio", "fit": "axial", "over": "preload"}, "'theory' is missing"),
