@@ -288,7 +288,8 @@ def warnings_page() -> str:
 
 def explained() -> dict[str, list[str]]:
     """code -> (meaning, what to do)."""
-    told: dict[str, list[str]] = yaml.safe_load((DOCS / "warnings.yaml").read_text(encoding="utf-8"))
+    text = (DOCS.parent / "labpipe/records/warnings.yaml").read_text(encoding="utf-8")
+    told: dict[str, list[str]] = yaml.safe_load(text)
     return told
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from labpipe.display import amount_text, with_error
 from labpipe.errors import ConfigError
 from labpipe.project import deciding
-from labpipe.project.rules import Rule
+from labpipe.project.rules import ALSO, NOT, Rule
 from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
 from labpipe.records.comparison import Comparison, ConditionMatrices
 from labpipe.records.dataset import PartialOutcome
@@ -92,8 +92,6 @@ def compare_expanded(rule: Rule, parameter: Parameter) -> deciding.Compared:
 
 # Warnings with which nothing is accepted: the size of the error is not known.
 FORBIDDING = ("feedback", "weak-injection")
-# Begins a rule by which a warning is taken where it occurs.
-ALSO = "also "
 
 _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
     "gof": lambda fit: fit.gof.r2_adjusted,
@@ -278,8 +276,8 @@ def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> deciding.Compar
         passed = not codes
     elif code.startswith(ALSO):
         passed = True
-    elif code.startswith("not "):
-        passed = code.removeprefix("not ").strip() not in codes
+    elif code.startswith(NOT):
+        passed = code.removeprefix(NOT).strip() not in codes
     else:
         passed = code in codes
     text = ", ".join(codes) or "none"
@@ -311,18 +309,22 @@ def _compare_item(rule: Rule, fit: Fit) -> deciding.Compared:
     if rule.item in _FIT_VALUES:
         return compare_number(rule, _FIT_VALUES[rule.item](fit), "1")
     name, attribute = _split(rule.item, [fit])
-    parameter = fit.parameter(name)
-    if attribute == "significant":
-        text = str(bool(parameter.significant)).lower()
-        return text, text == rule.bound, text, None
-    return _compare_attribute(rule, parameter, attribute)
+    return _compare_attribute(rule, fit.parameter(name), attribute)
 
 
 def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deciding.Compared:
+    if attribute == "significant":
+        text = str(bool(parameter.significant)).lower()
+        return text, text == rule.bound, text, None
     if attribute == "std_error":
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
         return compare_expanded(rule, parameter)
+    if attribute == "covers":
+        return compare_covers(rule, parameter.ci95, parameter.unit)
+    if attribute:
+        what = f"'{parameter.name}' has no '{attribute}'"
+        raise rule.fault(what, nearest(attribute, ("std_error", "expanded", "covers", "significant")))
     return compare_number(rule, parameter.value, parameter.unit, deciding.stated_error(parameter))
 
 
@@ -350,8 +352,6 @@ def comparison_outcome(
     if why:
         return rule.outcome(None, False, f"not judged: {why}")
     amount = _amount(rule, comparison, name)
-    if attribute == "covers":
-        return rule.outcome(*compare_covers(rule, amount.ci95, amount.unit))
     return rule.outcome(*_compare_attribute(rule, amount, attribute))
 
 

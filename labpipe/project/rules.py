@@ -7,6 +7,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches as close_matches
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
 from labpipe.errors import ConfigError
@@ -118,6 +121,10 @@ class Rule:
 
 # The address of rules on the warnings of every fit.
 EVERY_WARNING = "warnings"
+# What is held against a word.
+WORDS = (EVERY_WARNING, "significant", "verdict")
+# Begin rules on a warning: it must not occur; it is taken where it occurs.
+NOT, ALSO = "not ", "also "
 
 
 def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[str, ...]) -> tuple[Rule, ...]:
@@ -129,7 +136,7 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
         key = f"{section}.{address}"
         if address == EVERY_WARNING:
             # Which warnings refuse a result, of every fit.
-            texts = _rule_texts(entry, key, faults)
+            texts = _rule_texts(entry, key, faults, address)
             addresses = filter(None, (_ADDRESS.match(f"{fit}.{EVERY_WARNING}") for fit in fits))
             rules.extend(_rule(section, at[0], entry, at, text) for at in addresses for text in texts)
         elif isinstance(entry.content, dict) and any(name in DECISION_KEYS for name in entry.content):
@@ -138,9 +145,8 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
             elif match := _match(address, entry, key, faults, fits):
                 rules.extend(_decide(section, address, entry, match, faults))
         elif match := _match(address, entry, key, faults, fits):
-            rules.extend(
-                _rule(section, address, entry, match, text) for text in _rule_texts(entry, key, faults)
-            )
+            texts = _rule_texts(entry, key, faults, match["item"])
+            rules.extend(_rule(section, address, entry, match, text) for text in texts)
     return tuple(rules)
 
 
@@ -167,7 +173,7 @@ def _decide(
     """The rule with limits on one number; none and faults where it cannot be read."""
     key = f"{section}.{address}"
     decision = _read_decision(entry, key, faults)
-    if match["item"].rpartition(".")[2] in ("warnings", "significant", "verdict", "covers"):
+    if match["item"].rpartition(".")[2] in (*WORDS, "covers"):
         faults.add(
             entry, key, "is a word, and limits need a number", "name a parameter, for example direct.k"
         )
@@ -309,14 +315,32 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
 # Rules as texts.
 
 
-def _rule_texts(entry: Marked, key: str, faults: Faults) -> list[str]:
+def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]:
     """The texts of an entry: one, or a list of which all must hold."""
+    what = item.rpartition(".")[2]
     nodes = listed(entry)
     if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
         hint = "write for example '>= 0.95', '45.2 kN/m +- 1 %' or 'collinear'"
         faults.add(entry, key, "a rule is missing", hint)
         return []
-    return [node.text.strip() for node in nodes]
+    texts = [node.text.strip() for node in nodes]
+    for text in texts if what in WORDS else ():
+        code = text.removeprefix(NOT).removeprefix(ALSO).strip()
+        if _COMPARISON.match(text):
+            faults.add(entry, key, f"'{what}' is held against a word, not a number", "write the word alone")
+        elif what == "significant" and text not in ("true", "false"):
+            faults.add(entry, key, f"'{text}' is neither true nor false")
+        elif what == EVERY_WARNING and code not in (known := _warnings()) and close_matches(code, known):
+            # Others may be those of a plug-in.
+            faults.add(entry, key, f"unknown warning '{code}'", nearest(code, known))
+    return texts
+
+
+@cache
+def _warnings() -> tuple[str, ...]:
+    """The codes of labpipe's findings, one a line, and the word for no warning."""
+    lines = files("labpipe.records").joinpath("warnings.yaml").read_text("utf-8").splitlines()
+    return ("none", *(line.partition(":")[0] for line in lines if not line.startswith("#")))
 
 
 def _rule(section: str, address: str, entry: Marked, match: re.Match[str], text: str) -> Rule:

@@ -55,6 +55,6 @@ def test_the_glossary_names_findings_and_comparisons_that_there_are() -> None:
     from labpipe.uncertainty.settings import COMPARISONS
 
     page = text_of("docs/pages/glossary.md")
-    codes = set(yaml.safe_load(text_of("docs/warnings.yaml")))
+    codes = set(yaml.safe_load(text_of("labpipe/records/warnings.yaml")))
     assert set(re.findall(r"finding `([\w-]+)`", page)) <= codes
     assert set(re.findall(r"comparison `([\w-]+)`", page)) <= set(COMPARISONS)

@@ -87,6 +87,12 @@ def test_no_section_has_no_rules() -> None:
         ("direct.k:", "accept.direct.k: a rule is missing"),
         ("direct.k: {a: 1}", "accept.direct.k: a rule is missing"),
         ("direct.k: ['> 1', '']", "accept.direct.k: a rule is missing"),
+        (
+            "direct.warnings: not model-mismach",
+            "unknown warning 'model-mismach'; did you mean 'model-mismatch'?",
+        ),
+        ("warnings: [also collinear, '>= 1']", "accept.warnings: 'warnings' is held against a word"),
+        ("direct.k.significant: maybe", "accept.direct.k.significant: 'maybe' is neither true nor false"),
         ("- direct.k", "p.yaml:1:1: accept: a mapping of keys to values is needed"),
     ],
 )
