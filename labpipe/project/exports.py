@@ -205,6 +205,7 @@ def parameter_table(artefact: Path) -> pd.DataFrame:
         {
             "fit": fit.name,
             "test": fit.test,
+            "term": fit.term,
             "centre_hz": fit.centre_hz,
             "parameter": parameter.name,
             "value": parameter.value,

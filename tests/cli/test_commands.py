@@ -170,7 +170,7 @@ def test_frf_as_csv_goes_out_and_comes_in_again(tmp_path: Path, labpipe) -> None
 @pytest.mark.parametrize(
     ("artefact", "head"),
     [
-        ("identification.json", "fit,test,centre_hz"),
+        ("identification.json", "fit,test,term,centre_hz"),
         ("recordings/pedestal.recording.parquet", "t [s],f [N],y [m]"),
     ],
 )
