@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -142,8 +143,12 @@ class WholeFits(Watch):
             decays = measured.decays if isinstance(measured, FreeDecays) else ()
             counted = len(decays) or getattr(measured, "averages", 0)
             self.averages = int(counted or round(seconds / (self.frf.period or 1.0)))
+            several = Counter(fit.name for fit in fits)
             for fit in fits:
-                standings |= {f"{fit.name}.{p.name}": self._standing(fit.name, p) for p in fit.parameters}
+                # Of several bands or directions each one, as rules address them.
+                which = " ".join(filter(None, (fit.term, f"{fit.centre_hz:g} Hz")))
+                name = fit.name if several[fit.name] == 1 else f"{fit.name}[{which}]"
+                standings |= {f"{name}.{p.name}": self._standing(fit.name, p) for p in fit.parameters}
             findings = [*measured.findings, *(finding for fit in fits for finding in fit.findings)]
             findings += [s.no_help(label) for label, s in standings.items() if s.held_up]
         wanted = [standing for standing in standings.values() if standing.goal is not None]

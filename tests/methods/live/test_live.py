@@ -607,6 +607,19 @@ def test_missing_samples_of_a_clock_begin_the_averages_anew(bench, follow):
     assert low < STIFFNESS < high
 
 
+def test_a_goal_is_set_for_every_band(bench, follow):
+    """A narrow band about the resonance tells the damping, one far above it does not: neither stands for
+    both.
+    """
+    write_csv(bench / "test.csv", samples(12))
+    bands = PIPELINE.replace("band: 40-90 Hz", "bands: [110-120 Hz, 40-90 Hz]")
+    (bench / "pipeline.yaml").write_text(bands)
+    last = follow(bench / "test.csv", "--until", "s.c.expanded<=5%", code=1)[-1]
+    wide, narrow = (last["parameters"][f"s[{centre} Hz].c"]["ci95"] for centre in (115, 65))
+    assert wide[1] - wide[0] > 0.1 * DAMPING > narrow[1] - narrow[0]
+    assert not last["stop"]
+
+
 def test_an_excitation_that_is_not_followed_is_looked_at_as_a_whole(bench, follow):
     rng = np.random.default_rng(8)
     force = rng.standard_normal(60 * N)
