@@ -50,7 +50,7 @@ COMMANDS = {
     "simulate": ("start", "Recordings of a virtual rig with known truth."),
     "excite": ("start", "Test signals: Schroeder, random-phase, optimised multisine, odd lines."),
     "calibrate": ("stages", "Sensor, actuator and stiffness calibration fits."),
-    "export": ("report", "Write an artefact as CSV or Parquet."),
+    "export": ("report", "Write an artefact for other programs: CSV, Parquet, UFF, MATLAB, XML."),
     "schema": ("help", "The JSON schema of the files that people write, for editors."),
     "completion": ("main", "Shell completion of commands and options."),
     "doctor": ("help", "Versions, threads, optional packages, and faults of the installation."),
