@@ -27,7 +27,7 @@ from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
 from labpipe.records.finding import Finding
-from labpipe.records.rig import Rig, RigChannel
+from labpipe.records.rig import Rig, RigChannel, time_scale
 
 # Ends of the range of a channel that cannot clip.
 FAR = (-1e300, 1e300)
@@ -172,11 +172,12 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> r
     if time is None:
         stated_rate(table, rig)
     screen, calibration = channel_screen(rig), Calibration(rig)
+    seconds = time_scale(rig.time, table.units)
     try:
         with recording_file.RecordingWriter(target, channels) as writer:
             for chunk in table.chunks(timed):
                 if time is not None:
-                    time.add(chunk[:, 0] * rig.time_scale)
+                    time.add(chunk[:, 0] * seconds)
                 block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
                 screen.add(block)
                 writer.write(calibration.with_sums(block))
@@ -329,7 +330,7 @@ class RawRecording:
             return stated_rate(self._table, self.rig)
         screen = TimeAxisScreen(self.rig.time)
         for (times,) in self._table.column_chunks([self.rig.time]):
-            screen.add(np.asarray(times, np.float64) * self.rig.time_scale)
+            screen.add(np.asarray(times, np.float64) * time_scale(self.rig.time, self._table.units))
         return screen.sample_rate()
 
     @property

@@ -18,7 +18,6 @@ from labpipe.project.first_guess import step_of
 from labpipe.project.ingest import contradictions, is_recording
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.report import format_of
-from labpipe.project.rig_file import time_scale
 from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import guard, open_table
@@ -26,7 +25,7 @@ from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES, FileShapes, read_shapes_uff
 from labpipe.records.recording import ChannelOverview, Overview
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.rig import Rig
+from labpipe.records.rig import Rig, time_scale
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
 BLOCK = 1 << 16
@@ -173,7 +172,7 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
             rate_text = f"{rate:g} Hz"
         elif time is not None:
             per_unit = time.sample_rate()
-            rate = per_unit / time_scale(times[0])
+            rate = per_unit / time_scale(times[0], table.units)
             rate_text = f"{per_unit:g} samples per unit of '{times[0]}'"
     except DataError as error:
         error.where = error.where or str(file)

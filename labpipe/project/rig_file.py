@@ -170,26 +170,12 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         channels=tuple(channels),
         sample_rate=settings.sample_rate,
         time=settings.time,
-        time_scale=time_scale(settings.time),
         mass=settings.mass,
         description=settings.description,
         derived=derived,
         mass_uncertainty=dict(settings.uncertainties).get("mass"),
         resample=settings.resample,
     )
-
-
-def time_scale(column: str | None) -> float:
-    """Seconds per unit of the time column, from the unit in brackets behind its name (seconds without
-    one).
-    """
-    match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
-    if match is None:
-        return 1.0
-    try:
-        return parse_value(f"1 {match[1]}", "s")
-    except UnitError:
-        return 1.0
 
 
 def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | None:

@@ -251,6 +251,8 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     )
     names, units = header_of(lines[:first], delimiter, n_field)
     stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
+    # Times of day are read as seconds, whatever stands in brackets.
+    units |= {names[n]: "s" for n in stamps if names[n]}
     return Layout(encoding, delimiter, decimal, names, units, first, stamps)
 
 
