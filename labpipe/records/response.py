@@ -260,8 +260,8 @@ class FrequencyResponse:
                         of the members of these
     repeats             (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where
                         each has all of it, or of every hit or sweep, or None; named by repeat_names
-    repeat_levels       (n_repeat,) [unit of the force] r.m.s. force of each recording, peak of each hit, or
-                        None; *repeats_are*: "recordings", "hits" or "sweeps"
+    repeat_levels       (n_repeat,) [unit of the force] r.m.s. of each recording or sweep, peak of each hit,
+                        or None; *repeats_are*: "recordings", "hits" or "sweeps"
     """
 
     frequency: FloatArray

@@ -274,7 +274,8 @@ class Parts:
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its parts;
     coherences and snr [1] as in FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour,
     n_output, n_input) likewise, change, open_loop and blocks. hits (n_line, n_hit, n_output, n_input)
-    [output unit / N] of one recording's hits alone, with their numbers and peak forces [N].
+    [output unit / N] of one recording's hits or of all sweeps alone, with their numbers and peak (sweeps:
+    r.m.s.) forces [N].
     """
 
     frequency: FloatArray

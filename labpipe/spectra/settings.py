@@ -51,6 +51,8 @@ class ShaftLines(Settings):
             raise ConfigError("one of 'speed' and 'tacho' is needed", hint="speed: 50 Hz, or tacho: CHANNEL")
         if self.speed is not None and self.speed <= 0:
             raise ConfigError("'speed' must be positive")
+        if self.speed is not None and self.pulses != 1:
+            raise ConfigError("'pulses' belong to a tacho", hint="leave them out beside 'speed'")
         for count in ("pulses", "harmonics"):
             if getattr(self, count) < 1:
                 raise ConfigError(f"'{count}' must be at least 1")
@@ -132,6 +134,10 @@ class FreeDecaySettings(Settings):
                 raise SettingError(name, f"'{name}' must not be negative")
         if self.end is not None and self.end <= (self.start or 0.0):
             raise SettingError("end", "'end' must come after 'start'")
+        for name in ("settle", "trigger") if self.start is not None else ():
+            if name in self.written:
+                what = f"'{name}' is for decays that are looked for, 'start' says where they begin"
+                raise SettingError(name, what, "leave one of them out")
         if not 0 < self.trigger < 1:
             raise SettingError("trigger", "'trigger' must lie between 0 and 100 %")
 

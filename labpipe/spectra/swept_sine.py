@@ -126,7 +126,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     # The noise of one sweep is what the local fit leaves, beside its leakage.
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
         spectra, leakage = _without_leakage(spectra, n_input, _ends(swept, rate))
-    parts = _with_repeats(_parts(spectra, layout), spectra, n_input)
+    parts = _with_repeats(_parts(spectra, layout), spectra, sweeps)
     assert parts.multiple_coherence is not None
     rates = rate_findings(
         spectra.frequency,
@@ -198,17 +198,17 @@ def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sampl
     return True
 
 
-def _with_repeats(parts: Parts, spectra: _Spectra, n_input: int) -> Parts:
-    """The parts with the FRFs of every sweep alone, where there are two or more of one force."""
-    n_sweep = spectra.blocks.shape[0]
-    if n_input > 1 or n_sweep < 2:
+def _with_repeats(parts: Parts, spectra: _Spectra, sweeps: Sequence[FoundSweep]) -> Parts:
+    """The parts with the FRFs of every one of the *sweeps* alone, where there are two or more of one
+    force.
+    """
+    if parts.matrix.shape[2] > 1 or len(sweeps) < 2:
         return parts
-    forces = spectra.blocks[:, :, :1]
     return replace(
         parts,
-        hits=np.swapaxes(spectra.blocks[:, :, 1:] / forces, 0, 1)[..., None],
-        hit_numbers=tuple(range(1, n_sweep + 1)),
-        hit_peaks=tuple(np.sqrt(np.mean(np.abs(forces[:, :, 0]) ** 2, axis=1)).tolist()),
+        hits=np.swapaxes(spectra.blocks[:, :, 1:] / spectra.blocks[:, :, :1], 0, 1)[..., None],
+        hit_numbers=tuple(range(1, len(sweeps) + 1)),
+        hit_peaks=tuple(sweep.level for sweep in sweeps),
     )
 
 

@@ -80,7 +80,7 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     the first `harmonics`. A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution
     within 100 s. DataError for fewer than two revolutions. Equation (spec-synchronous).
     """
-    motion = shaft_motion(source, lines)
+    motion = _motion(source, lines)
     duration = source.n_sample / source.sample_rate
     turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
     if turned < 2:
@@ -96,6 +96,16 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
             motion, amplitude = refined, better
     cleaned = amplitude * [is_cleaned(channel) for channel in source.channels]
     return WithoutSynchronous(source, motion, cleaned)
+
+
+def _motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
+    """The shaft's motion; DataError for harmonics that reach half the sampling rate, and are others there."""
+    motion = shaft_motion(source, lines)
+    top = lines.harmonics * motion.speed_range[1]
+    if top < source.sample_rate / 2:
+        return motion
+    what = f"{lines.harmonics}x of the shaft of '{source.name}' is {top:.4g} Hz"
+    raise DataError(f"{what}, not below half its sampling rate", hint="lower `harmonics`")
 
 
 def is_cleaned(channel: Channel) -> bool:
@@ -204,7 +214,7 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
             f"recording '{source.name}' has {max(n_period, 0)} period(s), too few to tell the shaft from it",
             hint=hint,
         )
-    given = shaft_motion(source, lines)
+    given = _motion(source, lines)
     motion = (
         _refined_between(source, given, lines, settings, n_sample)
         if lines.tacho is None
