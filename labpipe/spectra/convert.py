@@ -83,12 +83,13 @@ def _with_each(
     response: FrequencyResponse, turn: Callable[[ComplexArray], ComplexArray]
 ) -> FrequencyResponse:
     """The response with H and all that is added to it *turned* alike."""
-    beside: dict[str, Any] = {name: getattr(response, name) for name in ("change", "open_loop", "repeats")}
+    beside = {name: getattr(response, name) for name in ("change", "open_loop", "repeats")}
+    turned: dict[str, Any] = {name: None if part is None else turn(part) for name, part in beside.items()}
     return dataclasses.replace(
         response,
         matrix=turn(response.matrix),
         errors=tuple(dataclasses.replace(error, change=turn(error.change)) for error in response.errors),
-        **{name: None if values is None else turn(values) for name, values in beside.items()},
+        **turned,
     )
 
 
