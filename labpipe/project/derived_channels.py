@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from labpipe.project.marked_yaml import Marked
@@ -38,12 +38,16 @@ class Factor:
     derivative: float = 1.0
 
 
-def read_constants(node: Marked | None, faults: Faults) -> dict[str, Factor]:
-    """The entries of ``constants:`` by name; faults for those that are no value with a unit."""
+def read_constants(node: Marked | None, channels: Collection[str], faults: Faults) -> dict[str, Factor]:
+    """The entries of ``constants:`` by name; faults for those that are no value with a unit, or one of the
+    *channels* by their name.
+    """
     constants: dict[str, Factor] = {}
     if node is None:
         return constants
     for name, entry in faults.mapping(node, "constants").items():
+        if name in channels:
+            faults.add(entry, join("constants", name), "is a channel already", "give it another name")
         try:
             constants[name] = parse_factor(entry.text, name)
         except UnitError as error:

@@ -22,7 +22,7 @@ from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import fresh_path, has_header
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, readings
+from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
@@ -228,13 +228,7 @@ def stated_rate(table: Table, rig: Rig) -> float:
 def _check_unit(table: Table, channel: RigChannel) -> None:
     """DataError when the file states another unit for the column than the rig file does."""
     stated = table.units.get(channel.column)
-    if stated is None:
-        return
-    try:
-        theirs, ours = readings(stated), readings(channel.unit)
-    except UnitError:
-        return
-    if not set(theirs) & set(ours):
+    if stated is not None and not may_agree(stated, channel.unit):
         what = (
             f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by "
             "the rig file"

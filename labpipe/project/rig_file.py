@@ -216,7 +216,7 @@ def _read_channels(
         if isinstance(entry.content, dict) and "derived" in entry.content
     }
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
-    derived = _read_sums(sums, entries, read_constants(constants, faults), channels, faults)
+    derived = _read_sums(sums, entries, read_constants(constants, entries, faults), channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
 
     def as_member(recorded: RigChannel) -> RigChannel:

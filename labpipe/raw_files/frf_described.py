@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, parse_unit, parse_value, readings, unit_of
+from labpipe.quantities import UnitError, may_agree, parse_unit, parse_value, unit_of
 from labpipe.raw_files.arrays_table import load_arrays
 from labpipe.raw_files.frf_csv import cube, port_of
 from labpipe.raw_files.mat import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
@@ -373,7 +373,7 @@ def _check_stated(source: DescribedColumns, column: str, layout: FrfLayout) -> N
     if not stated or parse_unit(stated).dimension == parse_unit("1").dimension:
         return
     described = layout.unit or FORMS[layout.form]
-    if not set(readings(stated)) & set(readings(described)):
+    if not may_agree(stated, described):
         what = (
             f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the "
             "entry under frfs"
