@@ -152,6 +152,9 @@ def read_geometry_csv(path: Path) -> Geometry:
     positions: list[list[float]] = []
     joined: list[tuple[int, int, str]] = []
     for number, row in rows[1:]:
+        if any(map(str.strip, row[len(columns) :])):
+            hint = f"the points of '{JOINED}' stand between blanks"
+            raise DataError("a row has more cells than there are columns", f"{path}:{number}", hint)
         cells = dict(zip(columns, [*row, *[""] * len(columns)], strict=False))
         names.append(cells[POINT].strip())
         positions.append(

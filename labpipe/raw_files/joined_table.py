@@ -25,7 +25,8 @@ BESIDE = 0.1
 class JoinedTable:
     """The columns of several tables. Satisfies Table.
 
-    A name that several files have is written STEM/NAME for all files but the first. With *time*, the name of
+    A name that several files have is written STEM/NAME for all files but the first; what stands twice then is
+    listed twice. With *time*, the name of
     their common time column, rows are those of equal times; without, row 1 stands beside row 1. What some
     files have and others have not is cut, and `findings` says so once the table has been read.
     """
@@ -35,13 +36,15 @@ class JoinedTable:
         self._tables, self._time = tuple(tables), time
         self._place: dict[str, tuple[int, str]] = {}
         self.units: dict[str, str] = {}
+        keys: list[str] = []
         for number, table in enumerate(tables):
+            before = set(keys)
             for name in table.columns:
-                key = name if name not in self._place else f"{table.path.stem}/{name}"
-                self._place[key] = number, name
+                keys.append(f"{table.path.stem}/{name}" if name in before else name)
+                self._place[keys[-1]] = number, name
                 if name in table.units:
-                    self.units[key] = table.units[name]
-        self.columns = tuple(self._place)
+                    self.units[keys[-1]] = table.units[name]
+        self.columns = tuple(keys)
         self.sample_rate = self._common_rate()
         self._cut: list[tuple[Path, int, int]] = []
 

@@ -329,12 +329,16 @@ class FrequencyResponse:
                     f"{error.change.shape}"
                 )
         for attribute, (dtype, shape) in shapes.items():
-            values = self.__dict__[attribute]
-            in_parts = isinstance(values, FactoredCovariance | BlockCovariance)
-            if in_parts and values.shape != shape:
+            self._freeze(attribute, dtype, shape)
+
+    def _freeze(self, attribute: str, dtype: Any, shape: tuple[int, ...]) -> None:
+        """Check an array; in parts a covariance is as it is."""
+        values = self.__dict__[attribute]
+        if isinstance(values, FactoredCovariance | BlockCovariance):
+            if values.shape != shape:
                 raise DataError(f"covariance has the shape {values.shape}, {shape} is needed")
-            if values is not None and not in_parts:
-                object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
+        elif values is not None:
+            object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
 
     def __repr__(self) -> str:
         return response_line(self)

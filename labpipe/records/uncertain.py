@@ -100,14 +100,15 @@ def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
     entries: dict[str, Any] = {}
     for quality in qualities:
         name, _, text = (part.strip() for part in quality.partition("="))
-        kind, value = ("shape", name) if name in SHAPES and not text else (name, text or None)
+        kind = "shape" if name in SHAPES and not text else name
+        value: Any = name if kind == "shape" else text
         if kind in entries:
             raise UnitError(f"'{quality}' stands beside another {kind}", "state one of them")
         if kind in ("k", "dof"):
             value = parse_value(text, "1")
             if not value > 0:
                 raise UnitError(f"'{quality}' must be above zero")
-        elif value is None or kind not in ("shape", "source"):
+        elif not value or kind not in ("shape", "source"):
             words = (*SHAPES, "k=2", "dof=12", "source=NAME")
             raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, words))
         entries[kind] = value
