@@ -166,7 +166,6 @@ def calibrated_slope(reference: str, folder: Path) -> Slope:
 
 
 def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
-    """The slope of its entry; TypeError or ValueError for an entry that is none."""
     value, error = float(parameter["value"]), float(parameter.get("std_error") or 0.0)
     if not (math.isfinite(value) and math.isfinite(error) and value and error >= 0):
         raise ValueError("no slope")
@@ -318,7 +317,6 @@ def _over_frequency(
     frequencies: CertifiedQuantity,
     phases: CertifiedQuantity | None,
 ) -> tuple[float, tuple[tuple[float, float, float], ...]]:
-    """The sensitivity at the frequency of reference, and the response relative to it."""
     count = len(stated.values)
     columns = [column for column in (frequencies, phases) if column is not None]
     if count < 2 or any(len(column.values) != count for column in columns):

@@ -73,13 +73,11 @@ def parse_factor(text: str, name: str) -> Factor:
 
 
 def _number(name: str, number: Uncertain, unit: str) -> Number | None:
-    """The number with its uncertainty; None where it has none."""
     size = number.std_error
     return Number(name, number.value, size, unit, number.source) if size > 0 else None
 
 
 def _turn(sign: str, function: str, angle_text: str, name: str) -> Factor:
-    """The cosine or sine of an angle with its uncertainty."""
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
     cosine, sine = math.cos(angle.value), math.sin(angle.value)
@@ -117,7 +115,6 @@ class SumReader:
         return _term_of(members[0], sign, factors)
 
     def _literal(self, piece: str, term: str, name: str) -> Factor:
-        """A number that stands in the sum itself."""
         if not _NUMBER.match(piece) and not _TURN.match(piece):
             hint = nearest(piece, [*self.quantities, *self.constants])
             if re.search(r"[+-]", piece):
@@ -127,7 +124,6 @@ class SumReader:
         return parse_factor(piece, within if piece != term else name)
 
     def _check_unit(self, factors: list[Factor], member: str, text: str, name: str) -> None:
-        """UnitError unless the term has the dimension of the sum's quantity."""
         wanted = parse_unit(QUANTITIES[self.quantities[name]].si_unit).dimension
         of_member = parse_unit(QUANTITIES[self.quantities[member]].si_unit).dimension
         total = of_member
@@ -143,7 +139,6 @@ class SumReader:
 
 
 def _combine(first: Dimension, second: Dimension, sign: int) -> Dimension:
-    """Dimension of a product (sign 1) or quotient (-1)."""
     m, kg, s, a, k, rad = (exponent + sign * other for exponent, other in zip(first, second, strict=True))
     return m, kg, s, a, k, rad
 
@@ -200,7 +195,6 @@ def _product(outer: Term, inner: Term) -> Term:
 
 
 def _add(first: Term, second: Term) -> Term:
-    """Two terms of one channel as one."""
     numbers = dict(zip(first.numbers, first.derivatives, strict=True))
     for number, derivative in zip(second.numbers, second.derivatives, strict=True):
         numbers[number] = numbers.get(number, 0.0) + derivative

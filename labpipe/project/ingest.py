@@ -81,7 +81,6 @@ def changed_while_read(path: Path) -> DataError:
 
 
 def _open(source: Path, rig: Rig) -> Table:
-    """The table of a file, at the rate to which the rig brings channels of several rates."""
     table = open_table(source)
     if rig.resample is None:
         return table
@@ -89,10 +88,6 @@ def _open(source: Path, rig: Rig) -> Table:
 
 
 def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
-    """The files of one run as one table.
-
-    DataError where they shall be joined on a time that one of them lacks.
-    """
     tables = [open_table(path) for path in paths]
     untimed = [table for table in tables if rig.time not in table.columns]
     if by == "time" and untimed:
@@ -226,7 +221,6 @@ def stated_rate(table: Table, rig: Rig) -> float:
 
 
 def _check_unit(table: Table, channel: RigChannel) -> None:
-    """DataError when the file states another unit for the column than the rig file does."""
     stated = table.units.get(channel.column)
     if stated is not None and not may_agree(stated, channel.unit):
         what = (
@@ -347,7 +341,6 @@ class RawRecording:
                 yield block[start : start + n_sample]
 
     def _record(self) -> Iterator[list[FloatArray]]:
-        """The columns of the measured channels, each (n,) [unit of the file]."""
         return self._table.column_chunks(self._columns)
 
     def _screened(self) -> Iterator[list[FloatArray]]:

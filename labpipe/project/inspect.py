@@ -80,8 +80,6 @@ def write_card(
 
 
 class _Look:
-    """Levels, envelope and spectrum of the channels of one file, fed with blocks (n, n_channel)."""
-
     def __init__(self, names: Sequence[str]) -> None:
         self.screen = ChannelScreen(names)
         self._names = tuple(names)
@@ -126,7 +124,6 @@ def _of_recording(recording: StoredRecording) -> Overview:
 
 
 def _of_decays(decays: FreeDecays, file: str) -> Overview:
-    """Overview of free decays, one after the other."""
     look = _Look([port.label for port in decays.outputs])
     for decay in decays.decays:
         look.add(decay.samples)
@@ -147,7 +144,6 @@ def _of_decays(decays: FreeDecays, file: str) -> Overview:
 
 
 def _of_table(file: Path, rig: Rig | None) -> Overview:
-    """Overview of a raw file; rate from the file itself or from its time column."""
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
     frequencies = [name for name in names if table.units.get(name) == "Hz"]
@@ -196,7 +192,6 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
 
 
 def _role(column: str, rig: Rig | None) -> str:
-    """Channel, role and dof of a column by the rig file."""
     of_rig = () if rig is None else rig.channels
     channels = [channel.channel for channel in of_rig if channel.column == column]
     return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in channels)

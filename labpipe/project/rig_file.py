@@ -205,7 +205,6 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
 def _read_channels(
     node: Marked | None, constants: Marked | None, tree: Marked, faults: Faults
 ) -> tuple[list[RigChannel], tuple[Channel, ...]]:
-    """The recorded channels, and the sums of them."""
     if node is None:
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
         return [], ()
@@ -379,7 +378,6 @@ def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, f
 def _response(
     settings: ChannelSettings, node: Marked, key: str, faults: Faults
 ) -> tuple[tuple[float, float, float], ...]:
-    """The sensor's frequency response; its table stands beside the rig file."""
     if not settings.response:
         return ()
     try:

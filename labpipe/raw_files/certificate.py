@@ -233,7 +233,6 @@ def _after(day: datetime.date, period: str) -> datetime.date:
 
 
 def _serials(items: ET.Element) -> Iterator[str]:
-    """The numbers of the items that were calibrated."""
     if items.find(f"{DCC}item") is None:
         raise UnitError("'items' has no 'item'")
     for value in items.iterfind(f".//{DCC}identification/{DCC}value"):
@@ -367,7 +366,6 @@ def unit_text(text: str) -> str:
 
 
 def _negate(power: str) -> str:
-    """The digits of a power behind the sign of \\per."""
     if power.startswith("-"):
         raise UnitError(f"a negative power '{power}' behind \\per says two things")
     return power.lstrip("+")
@@ -397,7 +395,6 @@ FREQUENCY, PHASE = "frequency_hz", "phase_deg"
 
 
 def _of_table(content: bytes, name: str, number: str) -> Certificate:
-    """The certificate of a table: that of the *number*, or the only one."""
     rows = _rows(content, name)
     numbers = list(dict.fromkeys(row["certificate"] for row in rows))
     if not number and len(numbers) > 1:

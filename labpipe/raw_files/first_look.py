@@ -101,7 +101,6 @@ def round_down(samples: int) -> int:
 
 
 def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
-    """The first and the last line [Hz] with power of a periodic force."""
     whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
     power = np.abs(fft.rfft(whole)) ** 2
     power[0] = 0.0

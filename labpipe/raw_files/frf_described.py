@@ -327,7 +327,6 @@ def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespon
 
 
 def _elements(layout: FrfLayout, table: FrfColumns, dofs: Dofs) -> dict[tuple[str, str], ElementColumns]:
-    """The columns of every element by its (output, input)."""
     if not layout.elements:
         return {(dofs.outputs[0], dofs.inputs[0]): table}
     elements = {}
@@ -376,7 +375,7 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
 def _check_stated(source: DescribedColumns, column: str, part: str, layout: FrfLayout) -> None:
     """DataError when the file itself states another unit than that of the *part* of a complex number."""
     stated, described = source.unit(column), layout.unit or FORMS[layout.form]
-    if part == "amplitude" and source.in_decibels(column):
+    if part != "amplitude_db" and source.in_decibels(column):
         what = f"column '{column}' is in decibels by the file's own header"
         raise DataError(what, source.path, "write amplitude_db")
     if not stated or parse_unit(stated).dimension == NONE:
@@ -393,7 +392,6 @@ def _check_stated(source: DescribedColumns, column: str, part: str, layout: FrfL
 
 
 def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
-    """DataError when the header states the other unit of angles."""
     stated = source.unit(column)
     if stated in ("deg", "°", "rad") and (stated == "rad") != (part == "phase_rad"):
         what = f"{source.word} '{column}' is in {stated} by the file's own header"
@@ -427,7 +425,6 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
 
 
 def _scalar(source: DescribedColumns, text: str) -> float:
-    """A value with its unit, or the number in a variable [Hz]."""
     if text[0].isdigit() or text[0] in ".+-":
         try:
             return parse_value(text, "Hz")

@@ -168,7 +168,6 @@ def read_geometry_csv(path: Path) -> Geometry:
 
 
 def _columns(header: Sequence[str], where: str) -> dict[str, str]:
-    """Column -> its unit; DataError for an unknown or missing one."""
     columns: dict[str, str] = {}
     for cell in header:
         column = _COLUMN.match(cell)

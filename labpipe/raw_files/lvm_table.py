@@ -127,7 +127,6 @@ class LvmTable:
             yield np.array(rows)
 
     def _data_lines(self) -> Iterator[tuple[int, str]]:
-        """(number, text) of the rows of numbers of all segments."""
         inside, left = False, self._count
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
@@ -144,7 +143,6 @@ class LvmTable:
                     return
 
     def _check_segment(self, number: int) -> None:
-        """DataError for a further segment where nothing says when it was recorded."""
         if X_VALUE not in self._places:
             hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
             what = "a second segment begins, and no X values say when"

@@ -404,7 +404,6 @@ def _numeric_sets(file: h5py.File) -> dict[str, Any]:
 
 
 def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
-    """Numeric attributes of the file and of its data sets, by place and name."""
     rates: dict[str, float] = {}
     for place, item in {"": file, **sets}.items():
         for name, value in item.attrs.items():
@@ -511,7 +510,6 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
 
 
 def _texts(cells: Any) -> list[str]:
-    """The texts of a cell array, or of the rows of a char array."""
     return [
         text_of(np.array(cell) if isinstance(cell, str) else cell).strip()
         for cell in np.asarray(cells).ravel()

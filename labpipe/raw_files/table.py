@@ -158,7 +158,6 @@ def _look(path: Path, touch: Touch, seconds: int) -> int:
 
 
 def _ending(child: int, seconds: float) -> int:
-    """How the child ended; it is killed when it takes longer."""
     pause, deadline = 0.0005, time.monotonic() + seconds
     while True:
         done, status = os.waitpid(child, os.WNOHANG)

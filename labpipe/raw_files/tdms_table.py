@@ -172,7 +172,6 @@ def _sensitivity(channel: Any) -> str:
 
 
 def _rate(channels: list[Any], path: Path) -> float | None:
-    """The rate [Hz] of all channels by their wf_increment; DataError when they differ."""
     steps = {
         channel.name: float(channel.properties["wf_increment"])
         for channel in channels

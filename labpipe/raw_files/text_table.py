@@ -358,7 +358,6 @@ def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str
 
 
 def _unit_of(field: str) -> str:
-    """The unit in a field of a unit row, '' for none."""
     text = field.strip().strip("[]()").strip()
     try:
         parse_unit(text)
@@ -455,7 +454,6 @@ class CsvTable:
 
     @staticmethod
     def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
-        """The numbers of a column, or the seconds of its times of day."""
         values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
         return values
 
@@ -472,7 +470,6 @@ class CsvTable:
             yield self.path
 
     def _locate(self, columns: Sequence[str], reason: str) -> DataError:
-        """The error with the first faulty line, found by reading the file again as text."""
         layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
         with open_text(self.path, layout.encoding) as lines:
             for number, line in enumerate(lines):

@@ -141,7 +141,6 @@ def _text(key: Key) -> str:
 
 
 def _frequency(buffer: mmap.mmap, record: uff.UffRecord) -> FloatArray:
-    """The frequencies [Hz] of a record."""
     _check_abscissa(record, "Hz")
     try:
         abscissa = uff.read_numbers(buffer, record.layout)[0]
@@ -157,7 +156,6 @@ def _check_abscissa(record: uff.UffRecord, unit: str) -> None:
 
 
 def _same_lines(buffer: mmap.mmap, record: uff.UffRecord, frequency: FloatArray) -> FloatArray | ComplexArray:
-    """The numbers of a record; DataError unless its frequencies equal *frequency*."""
     if record.n_value != frequency.size:
         what = f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}"
         raise DataError(what)
@@ -197,7 +195,6 @@ def _port(label: str, key: Key, several: bool) -> Port:
 
 
 def _angle(label: str) -> float | None:
-    """The direction of a scalar point named by its angle, as written by labpipe ("45 deg")."""
     try:
         return parse_value(label, "rad")
     except UnitError:

@@ -104,7 +104,6 @@ class BlockCovariance:
 
     @cached_property
     def _places(self) -> IntArray:
-        """Block and place in the block of every element, (n, 2)."""
         places = np.empty((self.elements.size, 2), np.intp)
         places[self.elements.ravel()] = np.argwhere(self.elements >= 0)
         return places
@@ -332,7 +331,6 @@ class FrequencyResponse:
             self._freeze(attribute, dtype, shape)
 
     def _freeze(self, attribute: str, dtype: Any, shape: tuple[int, ...]) -> None:
-        """Check an array; in parts a covariance is as it is."""
         values = self.__dict__[attribute]
         if isinstance(values, FactoredCovariance | BlockCovariance):
             if values.shape != shape:

@@ -138,7 +138,6 @@ def lag_of_reference(references: FloatArray, forces: FloatArray, responses: Floa
 
 
 def _lag_findings(late: dict[str, float]) -> tuple[Finding, ...]:
-    """A warning for references that were recorded late, by name [s]."""
     return tuple(
         Finding(
             "reference-lag",

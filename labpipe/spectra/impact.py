@@ -529,7 +529,6 @@ def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Pa
 
 
 def _select(parts: Parts, chosen: BoolArray) -> Parts:
-    """The parts on the chosen lines."""
     arrays: dict[str, Any] = {
         name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
     }

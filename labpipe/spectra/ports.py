@@ -159,7 +159,6 @@ def _key(channel: Channel) -> Key:
 def _ports_of(
     sources: Sequence[SampleSource], role: str
 ) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
-    """Ports of the channels of a *role*, their columns in each recording, and the channels."""
     columns = [_columns_of(source, role) for source in sources]
     if role == "output":
         _check_complete(sources, columns)
@@ -171,7 +170,6 @@ def _ports_of(
 
 
 def _columns_of(source: SampleSource, role: str) -> dict[Key, int]:
-    """The columns of a recording's channels of a *role*; DataError without any."""
     numbers = columns_of(source.channels, role)
     if not numbers:
         what = "force (role: input)" if role == "input" else "response (role: output)"
@@ -205,7 +203,6 @@ def _form(forces: Sequence[Channel], responses: Sequence[Channel]) -> str:
 
 
 def _check_complete(sources: Sequence[SampleSource], columns: Sequence[dict[Key, int]]) -> None:
-    """DataError when a recording lacks a response that another has."""
     outputs = dict.fromkeys(key for members in columns for key in members)
     for source, members in zip(sources, columns, strict=True):
         missing = ", ".join(key[0] for key in outputs if key not in members)
@@ -437,7 +434,6 @@ def _errors(
 def _check_all_joined(
     responses: Sequence[FrequencyResponse], rows: Iterable[str], columns: Iterable[str]
 ) -> None:
-    """DataError unless every element lies in one response."""
     holders: dict[tuple[str, str], str] = {}
     for response in responses:
         for output, port in itertools.product(response.outputs, response.inputs):

@@ -243,9 +243,6 @@ class FrfSettings(Settings):
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
 
     def _check_keys(self) -> None:
-        """ConfigError for keys that would change nothing under this excitation, or beside this way of
-        averaging.
-        """
         given = [
             field.name
             for field in fields(self)
@@ -264,7 +261,6 @@ class FrfSettings(Settings):
                 raise SettingError(name, what, "leave it out")
 
     def _check_result(self) -> None:
-        """ConfigError for keys of a response matrix beside spectra, and for drives that nothing uses."""
         if self.result == "response":
             self._check_reference()
             return
@@ -281,7 +277,6 @@ class FrfSettings(Settings):
                 raise SettingError(name, what, "leave it out")
 
     def _check_reference(self) -> None:
-        """ConfigError for a reference where no loop can be opened by it, and beside another estimator."""
         if not self.reference:
             return
         if self.local != "none":
@@ -320,7 +315,6 @@ class FrfSettings(Settings):
         return self.impact.decay if self.windowed is None else self.windowed.exponential
 
     def _check_local(self) -> None:
-        """ConfigError for local polynomials without room, or beside another estimator."""
         if self.local == "none" and self.excitation != "sweep":
             return
         if self.degree < 1:
@@ -333,7 +327,6 @@ class FrfSettings(Settings):
             raise SettingError("estimator", what, "estimator: H1")
 
     def _check_length(self) -> None:
-        """ConfigError where the length of a period or block is missing."""
         needed = NEEDED.get(self.excitation)
         if needed is None:
             return

@@ -127,8 +127,6 @@ def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]
 
 
 class _Line:
-    """A straight line through points that come one by one."""
-
     def __init__(self) -> None:
         self._n, self._x, self._y, self._xx, self._xy = 0, 0.0, 0.0, 0.0, 0.0
         self.slope = 0.0
@@ -557,7 +555,6 @@ def rate_findings(
 
 
 def _peaks(frequency: FloatArray, matrix: ComplexArray, coherence: FloatArray) -> list[HalfPower]:
-    """The highest peak of every FRF that has one with its half-power points in the band."""
     peaks = []
     band = float(frequency[0]), float(frequency[-1])
     for output, explained in enumerate(coherence.T):

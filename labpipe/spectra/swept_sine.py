@@ -199,9 +199,6 @@ def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sampl
 
 
 def _with_repeats(parts: Parts, spectra: _Spectra, sweeps: Sequence[FoundSweep]) -> Parts:
-    """The parts with the FRFs of every one of the *sweeps* alone, where there are two or more of one
-    force.
-    """
     if parts.matrix.shape[2] > 1 or len(sweeps) < 2:
         return parts
     return replace(
@@ -215,10 +212,6 @@ def _with_repeats(parts: Parts, spectra: _Spectra, sweeps: Sequence[FoundSweep])
 def _in_band(
     blocks: ComplexArray, spacing: float, band: tuple[float, float], n_input: int, settings: FrfSettings
 ) -> _Spectra:
-    """The lines in the swept band and in the settings' one, with a local fit around each.
-
-    DataError for too few lines.
-    """
     n_block, n_line, _ = blocks.shape
     # One line more than for polynomials alone makes up for the pole.
     # As wide as for one sweep of every force: each has leakage of its own.
@@ -345,7 +338,6 @@ def _of_ends(spectra: _Spectra, n_input: int, ends: Sequence[_End]) -> FloatArra
 
 
 def _leaks(spectra: _Spectra) -> bool:
-    """Whether the leakage of a response is more than the noise in its estimate."""
     local = spectra.local
     n_line, n_block, _ = local.leakage.shape
     if n_line == 0:
@@ -466,7 +458,6 @@ def _lines_averaged(width: int, half_width: int) -> float:
 
 
 def _notes(swept: Sequence[_Swept], n_sample: int, rate: float) -> tuple[Finding, ...]:
-    """What sweeps each recording holds: number, band, law and rate."""
     notes = []
     for run in swept:
         bands = ", ".join(f"{sweep.low * rate:.3g}-{sweep.high * rate:.3g} Hz" for sweep in run.left_out)

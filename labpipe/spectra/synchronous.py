@@ -116,7 +116,6 @@ def is_cleaned(channel: Channel) -> bool:
 
 
 def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
-    """Power of the fitted harmonics of every output over that of the first block."""
     outputs = columns_of(source.channels, "output")
     power = next(iter(source.blocks(READ_SAMPLES)))[:, outputs].var(axis=0)
     return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
@@ -271,7 +270,6 @@ class _Fitted:
 def _fit(
     source: SampleSource, motion: ShaftMotion, n_harmonic: int, n_sample: int, first: int, n_period: int
 ) -> _Fitted:
-    """Least squares over *n_period* periods from the period *first* on."""
     n_column = 2 * n_harmonic
     gram, right = np.zeros((n_column, n_column)), np.zeros((n_column, len(source.channels)))
     sum_turns, sum_samples = np.zeros((n_sample, n_column)), np.zeros((n_sample, len(source.channels)))
