@@ -72,9 +72,6 @@ def channel_uncertainties(
 
 
 def _of_sensitivity(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it
-    names.
-    """
     yield from written.certified
     text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
     if "#" in text:

@@ -441,7 +441,6 @@ def _rows(content: bytes, name: str) -> list[dict[str, str]]:
 
 
 def _columns(named: str, rows: Sequence[dict[str, str]], table: int) -> Iterator[CertifiedQuantity]:
-    """A quantity of a table, and the frequency and phase beside it, where it has these."""
     units = {row["unit"] for row in rows}
     if len(units) > 1:
         raise UnitError(f"'{named}' has several units: {', '.join(sorted(units))}")

@@ -94,7 +94,6 @@ def _trace(lines: list[str]) -> list[tuple[int, int]]:
 
 
 def _elements(lines: list[str]) -> list[tuple[int, int]]:
-    """Pairs of neighbours around every element, in the order of its nodes."""
     pairs: list[tuple[int, int]] = []
     n = 0
     while n < len(lines):

@@ -98,7 +98,6 @@ class JoinedTable:
     def _align(
         self, streams: Sequence[Iterator[FloatArray]], members: Sequence[int]
     ) -> tuple[list[Iterator[FloatArray]], list[int]]:
-        """The streams again, and the rows of each before the first common time."""
         firsts = [next(stream) for stream in streams]
         if min(first.shape[0] for first in firsts) < 2:
             raise DataError("a file has fewer than two rows", self.path)
@@ -266,7 +265,6 @@ class _Parallel:
             self._buffers = [buffer[length:] for buffer in self._buffers]
 
     def _fill(self, number: int) -> bool:
-        """Whether there is a row of a stream, read if need be."""
         while not self._buffers[number].shape[0]:
             block = next(self._streams[number], None)
             if block is None:

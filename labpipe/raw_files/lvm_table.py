@@ -166,9 +166,6 @@ class LvmTable:
 def _header(
     entries: dict[str, list[str]], titles: list[str], delimiter: str, row: str, first_line: int, path: Path
 ) -> LvmHeader:
-    """The header of a segment from its entries by their first words, the line of titles and the first row of
-    numbers.
-    """
     stated = entries.get("Decimal_Separator", ["", ""])[1]
     decimal = stated or ("," if delimiter != "," and "," in row else ".")
     padded = {
@@ -219,7 +216,6 @@ def _seconds(text: str, decimal: str) -> float:
 
 
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
-    """The sampling rate [Hz] of the printed steps; DataError where channels differ."""
     texts = {step.replace(",", ".") if decimal == "," else step for step in steps if step}
     if not texts:
         return None

@@ -281,14 +281,12 @@ def _head(path: Path) -> tuple[str, list[str]]:
 
 
 def _sample(n_line: int) -> list[int]:
-    """The lines analysed for every layout: all of a short file, the first and the last ones of a long one."""
     if n_line <= 2 * SAMPLE_LINES:
         return list(range(n_line))
     return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
 
 
 def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bool:
-    """True if a line is a row of numbers, some of which may be missing."""
     numbers, fields = 0, fields_of(line, delimiter)
     if decimal == "." and "_" not in line:
         # What most lines are, and what every kind of number holds, is seen at once.

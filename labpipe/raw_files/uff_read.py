@@ -173,7 +173,6 @@ def _values(buffer: mmap.mmap, record: uff.UffRecord, frequency: FloatArray, fac
 
 
 def _ports(keys: Sequence[Key], several: bool) -> tuple[Port, ...]:
-    """Ports named by entity, else by node and direction ("x", or "3.x" with several nodes)."""
     labels = [name or _dof(node, axis, several) for name, node, axis in keys]
     if len(set(labels)) < len(labels):
         labels = [

@@ -169,10 +169,6 @@ def feedback_of_drives(
 def _findings(
     chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED
 ) -> tuple[Finding, ...]:
-    """The warning for the smallest of the chances (p-values by the names of forces or references).
-
-    *what* it does to the FRF.
-    """
     named = min(chances, key=lambda name: chances[name], default="")
     if not chances or chances[named] >= LEVEL:
         return ()

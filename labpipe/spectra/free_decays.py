@@ -196,7 +196,6 @@ def _spans_of_decay(levels: _Levels, trigger: float, settle: int) -> list[tuple[
 
 
 def _hits(levels: _Levels, trigger: float) -> list[int]:
-    """First samples of the stretches in which a hit begins; without one the end of the largest stretch."""
     half = max(1, levels.period // 2)
     count = levels.size.size // half
     peaks = np.max(levels.size[: count * half].reshape(count, half), axis=1)

@@ -501,9 +501,6 @@ class _HitAverage:
 
 
 def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
-    """The parts without the window's damping, with the noise that this leaves and its correlation between
-    lines.
-    """
     undamped = without_added_damping(parts.frequency, parts.matrix, decay)
     gains = undamped.gains
     covariance = parts.covariance

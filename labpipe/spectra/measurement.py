@@ -168,7 +168,6 @@ def _of_sensor_places(
 def _measure(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
-    """The response in the directions of the sensors, averaged over all recordings."""
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))

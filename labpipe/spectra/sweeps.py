@@ -294,9 +294,6 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
 
 
 def _runs(times: FloatArray) -> list[tuple[int, int]]:
-    """Ranges (first, end) of crossings *times* (n,) [samples] whose distances change by little from one to
-    the next.
-    """
     if times.size < 3:
         return []
     step = np.abs(np.diff(np.log(np.diff(times))))

@@ -144,7 +144,6 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
 
 
 def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
-    """The sweeps of a recording, of whichever of its forces is the loudest at the time."""
     samples = np.concatenate(list(checked_blocks(source)))
     try:
         sweeps = loudest_sweeps([find_sweeps(samples[:, column]) for column in input_columns if column >= 0])
@@ -353,9 +352,6 @@ def _leaks(spectra: _Spectra) -> bool:
 
 
 def _parts(spectra: _Spectra, layout: Layout) -> Parts:
-    """The FRF, its covariance from the scatter of repeated sweeps or else from the residual around each line,
-    and coherence.
-    """
     n_input = len(layout.inputs)
     channels = spectra.blocks.transpose(1, 2, 0)
     forces, responses = channels[:, :n_input], channels[:, n_input:]
