@@ -89,6 +89,9 @@ def _open(source: Path, rig: Rig) -> Table:
 
 def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     tables = [open_table(path) for path in paths]
+    if rig.resample is not None:
+        what = "`resample` brings the channels of one file to a rate, and these files are joined"
+        raise DataError(what, paths[0], "leave it out of the rig file")
     untimed = [table for table in tables if rig.time not in table.columns]
     if by == "time" and untimed:
         what = "cannot be joined on time: the rig file names no time column"

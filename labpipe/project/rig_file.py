@@ -13,6 +13,7 @@ from labpipe.project.derived_channels import Factor, SumReader, expand, read_con
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
+from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
@@ -141,7 +142,7 @@ def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
 
     def moved(channel: Channel) -> Channel:
         dof = places.get(channel.name)
-        return channel if dof is None else replace(channel, dof=dof, angle=AXIS_ANGLES.get(dof))
+        return channel if dof is None else replace(channel, dof=dof, angle=port_of(dof).angle)
 
     channels = tuple(replace(recorded, channel=moved(recorded.channel)) for recorded in rig.channels)
     return replace(rig, channels=channels, derived=tuple(map(moved, rig.derived)))

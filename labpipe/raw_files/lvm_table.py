@@ -127,7 +127,7 @@ class LvmTable:
             yield np.array(rows)
 
     def _data_lines(self) -> Iterator[tuple[int, str]]:
-        inside, left = False, self._count
+        inside, left = False, self._count or np.inf
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
             if first == X_VALUE:
@@ -136,11 +136,9 @@ class LvmTable:
                 inside = True
             elif inside and first in ("Channels", "Notes"):
                 inside = False
-            elif inside and line.strip():
+            elif inside and left > 0 and line.strip():
                 yield number, line
                 left -= 1
-                if left == 0:
-                    return
 
     def _check_segment(self, number: int) -> None:
         if X_VALUE not in self._places:

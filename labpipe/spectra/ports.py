@@ -128,8 +128,9 @@ def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
     """Sensor frequency response, indicated / true: exp(-j w delay) g(f) exp(j phi(f)), (n_line,) [1] at
     *frequency* (n_line,) [Hz].
 
-    Gain g and phase phi are interpolated linearly in the channel's table. DataError for a line outside the
-    table. Equation (spec-sensor).
+    Gain g and phase phi are interpolated linearly in the channel's table; a phase that stays within -180 to
+    180 deg, or 0 to 360 deg, may jump by a turn. DataError for a line outside the table. Equation
+    (spec-sensor).
     """
     response: ComplexArray = np.exp(-2j * np.pi * frequency * sensor.delay)
     if not sensor.response:
@@ -142,11 +143,10 @@ def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
             f"'{sensor.name}' ({span})"
         )
         raise DataError(what, hint="narrow `band`, or calibrate the sensor further")
-    return (
-        response
-        * np.interp(frequency, nodes, gain)
-        * np.exp(1j * np.interp(frequency, nodes, np.unwrap(phase)))
-    )
+    half_turns = np.array([phase.min(), phase.max()]) / np.pi
+    if np.max(np.abs(half_turns)) <= 1 or (half_turns[0] >= 0 and half_turns[1] <= 2):
+        phase = np.unwrap(phase)
+    return response * np.interp(frequency, nodes, gain) * np.exp(1j * np.interp(frequency, nodes, phase))
 
 
 Key = tuple[str, str, float | None, float, tuple[tuple[float, float, float], ...]]

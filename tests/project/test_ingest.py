@@ -341,3 +341,10 @@ def test_times_of_day_are_seconds_whatever_their_column_is_called(tmp_path: Path
     (tmp_path / "run.csv").write_text("time [h],f\n" + rows)
     rig = rig_file(tmp_path, "  f: {quantity: force}\n", 'time: "time [h]"\nchannels:\n')
     assert ingested(tmp_path, tmp_path / "run.csv", rig).sample_rate == 100.0
+
+
+def test_joined_files_are_not_resampled(tmp_path: Path) -> None:
+    raw = csv_file(tmp_path, ["t [s]", "f"], np.column_stack([np.arange(9) / 10, np.arange(9)]))
+    rig = load_rig(rig_file(tmp_path, "  f: {quantity: force}\n", "resample: 10 Hz\nchannels:\n"))
+    with output_folder(tmp_path / "out") as output, pytest.raises(DataError, match="these files are joined"):
+        ingest(raw, rig, output, "run", tmp_path, [raw])

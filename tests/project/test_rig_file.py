@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import ConfigError, ConfigErrors
-from labpipe.project.rig_file import load_rig
+from labpipe.project.rig_file import load_rig, move
 from labpipe.records.rig import Rig, RigChannel, time_scale
 
 CHECKS = [HealthCheck.function_scoped_fixture]
@@ -210,3 +210,8 @@ def test_seconds_per_unit_of_the_time_column(column: str | None, scale: float) -
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         load_rig(tmp_path / "none.yaml")
+
+
+def test_a_channel_that_moves_keeps_an_angle_as_direction(tmp_path: Path) -> None:
+    found = move(rig(tmp_path, "sample_rate: 1 kHz\nchannels:\n  f: {quantity: force}\n"), {"f": "45 deg"})
+    assert found.channels[0].channel.angle == pytest.approx(math.pi / 4)

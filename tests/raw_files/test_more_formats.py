@@ -85,6 +85,8 @@ def test_lvm_at_two_rates(tmp_path: Path) -> None:
     (slow,) = table.others
     assert (slow.columns, slow.units, slow.sample_rate, slow.start) == (("a",), {"a": "m/s^2"}, 5.0, 0.05)
     np.testing.assert_array_equal(np.concatenate(list(slow.chunks(["a"]))), [[10], [20]])
+    with pytest.raises(DataError, match="a second segment begins, and no X values say when"):
+        whole(lvm(tmp_path / "s.lvm", text + text))
 
 
 @pytest.mark.parametrize(
