@@ -199,15 +199,16 @@ def _fit(
     order: float,
 ) -> tuple[float, float, ComplexArray, FloatArray, FloatArray]:
     """Mean time [s], speed [Hz], amplitude, its variance and mean (n_output,) of one segment."""
-    speed = (angle[-1] - angle[0]) / (2 * np.pi * (time[-1] - time[0]))
     # Beyond half the sampling rate a harmonic is a lower order: both would share its amplitude.
-    orders = orders[(2 * orders * speed * (time[1] - time[0]) < 1) | (orders == order)]
+    step = (angle[-1] - angle[0]) / max(time.size - 1, 1)
+    orders = orders[(orders * step < np.pi) | (orders == order)]
     turns = np.exp(1j * angle[:, None] * orders)
     columns = np.column_stack([np.ones(time.size), turns.real, -turns.imag])
     solution, *_ = np.linalg.lstsq(columns, samples[:, outputs])
     residual = samples[:, outputs] - columns @ solution
     amplitude = solution[1 : orders.size + 1] + 1j * solution[orders.size + 1 :]
     noise = np.sum(residual**2, axis=0) / max(time.size - columns.shape[1], 1)
+    speed = (angle[-1] - angle[0]) / (2 * np.pi * (time[-1] - time[0]))
     row = int(np.searchsorted(orders, order))
     return float(time.mean()), float(speed), amplitude[row], 4 * noise / time.size, solution[0]
 
