@@ -150,16 +150,20 @@ def calibrated_slope(reference: str, folder: Path) -> Slope:
     unreadable = f"'{file}' is not a readable identification.json of a calibration"
     try:
         entries = read_digested(folder / file, "identification.json")["fits"]
-        fits: dict[str, Mapping[str, Any]] = {fit["name"]: fit for fit in entries}
-        parameters = fits.get(fit_name, {"parameters": ()})["parameters"]
-        slopes = [parameter for parameter in parameters if parameter["name"] == "slope"]
-        if slopes:
-            return _slope(slopes[0], fits[fit_name].get("dof"))
+        fits = [fit for fit in entries if fit["name"] == fit_name]
+        pairs = [(entry, fit.get("dof")) for fit in fits for entry in fit["parameters"]]
+        slopes = [_slope(entry, dof) for entry, dof in pairs if entry["name"] == "slope"]
+        names = [fit["name"] for fit in entries]
     except DamagedError as error:
         raise UnitError(f"{unreadable}: {error.what}", error.hint) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(unreadable) from None
-    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
+    if len(slopes) > 1:
+        what = f"'{file}' holds {len(slopes)} calibration fits '{fit_name}'"
+        raise UnitError(what, "one for each group; one without a group is needed")
+    if not slopes:
+        raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, names))
+    return slopes[0]
 
 
 def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:

@@ -302,9 +302,6 @@ def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree
 
 
 def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
-    """First line and number of lines up to the last, of the band that the forces excite and of that which
-    they excite most.
-    """
     n = u.shape[0]
     edges = np.unique(np.linspace(0, n, COARSE_BANDS + 1).astype(int))
     coarse = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]

@@ -306,9 +306,6 @@ def _runs(times: FloatArray) -> list[tuple[int, int]]:
 
 
 def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
-    """The run of crossings *times* (n,) [samples] cut where its frequency turns, as ranges of the crossings
-    of the whole record.
-    """
     # Running median; the values at the ends are repeated.
     padded = np.pad(-np.log(np.diff(times)), AT_END // 2, mode="edge")
     level = np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1)

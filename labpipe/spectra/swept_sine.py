@@ -157,7 +157,6 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
 
 
 def _common_length(swept: Sequence[_Swept]) -> int:
-    """Samples of a block: as many as every sweep has up to the next one, and the longest sweep at least."""
     between = min(stop - start for run in swept for start, stop in run.cuts)
     longest = max(
         sweep.stop - start for run in swept for sweep, (start, _) in zip(run.sweeps, run.cuts, strict=True)

@@ -172,3 +172,16 @@ def test_a_shape_divides_limits_alone(tmp_path: Path, size: str, divisor: float)
     (found,) = uncertainties_of(tmp_path, f"{PROBE[:-6]}{{value: 8 V/mm, {size}, shape: rectangular}}")
     assert found.uncertainty.std_error == pytest.approx(0.01 / divisor)
     assert found.uncertainty.shape == "rectangular"
+
+
+def test_a_calibration_by_groups_has_no_one_slope(tmp_path: Path) -> None:
+    """Two positions of a magnet, two slopes of one name: neither is that of the sensor."""
+    fits = [
+        {"name": "probe", "dof": 9, "parameters": [{"name": "slope", "value": value, "unit": "V/mm"}]}
+        for value in (8.0, 9.0)
+    ]
+    (tmp_path / "cal.json").write_text(json.dumps({"fits": fits}))
+    with pytest.raises(
+        ConfigErrors, match=r"'cal\.json' holds 2 calibration fits 'probe'; one for each group"
+    ):
+        uncertainties_of(tmp_path, "quantity: displacement, unit: V, sensitivity: cal.json#probe")
