@@ -257,6 +257,14 @@ def readings(text: str) -> tuple[Unit, ...]:
     return (parse_unit(text),) if gravity == text else (parse_unit(text), parse_unit(gravity))
 
 
+def may_agree(first: str, second: str) -> bool:
+    """Whether two units may be the same, as an unknown one may with any."""
+    try:
+        return not set(readings(first)).isdisjoint(readings(second))
+    except UnitError:
+        return True
+
+
 def unit_of(text: str, si_unit: str) -> Unit:
     """The unit written as *text*, of the dimension of *si_unit*: g is 9.80665 m/s^2 where an acceleration is
     needed, the gram else.

@@ -72,9 +72,6 @@ def channel_uncertainties(
 
 
 def _of_sensitivity(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it
-    names.
-    """
     yield from written.certified
     text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
     if "#" in text:
@@ -153,20 +150,23 @@ def calibrated_slope(reference: str, folder: Path) -> Slope:
     unreadable = f"'{file}' is not a readable identification.json of a calibration"
     try:
         entries = read_digested(folder / file, "identification.json")["fits"]
-        fits: dict[str, Mapping[str, Any]] = {fit["name"]: fit for fit in entries}
-        parameters = fits.get(fit_name, {"parameters": ()})["parameters"]
-        slopes = [parameter for parameter in parameters if parameter["name"] == "slope"]
-        if slopes:
-            return _slope(slopes[0], fits[fit_name].get("dof"))
+        fits = [fit for fit in entries if fit["name"] == fit_name]
+        pairs = [(entry, fit.get("dof")) for fit in fits for entry in fit["parameters"]]
+        slopes = [_slope(entry, dof) for entry, dof in pairs if entry["name"] == "slope"]
+        names = [fit["name"] for fit in entries]
     except DamagedError as error:
         raise UnitError(f"{unreadable}: {error.what}", error.hint) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(unreadable) from None
-    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
+    if len(slopes) > 1:
+        what = f"'{file}' holds {len(slopes)} calibration fits '{fit_name}'"
+        raise UnitError(what, "one for each group; one without a group is needed")
+    if not slopes:
+        raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, names))
+    return slopes[0]
 
 
 def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
-    """The slope of its entry; TypeError or ValueError for an entry that is none."""
     value, error = float(parameter["value"]), float(parameter.get("std_error") or 0.0)
     if not (math.isfinite(value) and math.isfinite(error) and value and error >= 0):
         raise ValueError("no slope")
@@ -318,7 +318,6 @@ def _over_frequency(
     frequencies: CertifiedQuantity,
     phases: CertifiedQuantity | None,
 ) -> tuple[float, tuple[tuple[float, float, float], ...]]:
-    """The sensitivity at the frequency of reference, and the response relative to it."""
     count = len(stated.values)
     columns = [column for column in (frequencies, phases) if column is not None]
     if count < 2 or any(len(column.values) != count for column in columns):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from labpipe.project.marked_yaml import Marked
@@ -38,12 +38,16 @@ class Factor:
     derivative: float = 1.0
 
 
-def read_constants(node: Marked | None, faults: Faults) -> dict[str, Factor]:
-    """The entries of ``constants:`` by name; faults for those that are no value with a unit."""
+def read_constants(node: Marked | None, channels: Collection[str], faults: Faults) -> dict[str, Factor]:
+    """The entries of ``constants:`` by name; faults for those that are no value with a unit, or one of the
+    *channels* by their name.
+    """
     constants: dict[str, Factor] = {}
     if node is None:
         return constants
     for name, entry in faults.mapping(node, "constants").items():
+        if name in channels:
+            faults.add(entry, join("constants", name), "is a channel already", "give it another name")
         try:
             constants[name] = parse_factor(entry.text, name)
         except UnitError as error:
@@ -69,13 +73,11 @@ def parse_factor(text: str, name: str) -> Factor:
 
 
 def _number(name: str, number: Uncertain, unit: str) -> Number | None:
-    """The number with its uncertainty; None where it has none."""
     size = number.std_error
     return Number(name, number.value, size, unit, number.source) if size > 0 else None
 
 
 def _turn(sign: str, function: str, angle_text: str, name: str) -> Factor:
-    """The cosine or sine of an angle with its uncertainty."""
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
     cosine, sine = math.cos(angle.value), math.sin(angle.value)
@@ -113,7 +115,6 @@ class SumReader:
         return _term_of(members[0], sign, factors)
 
     def _literal(self, piece: str, term: str, name: str) -> Factor:
-        """A number that stands in the sum itself."""
         if not _NUMBER.match(piece) and not _TURN.match(piece):
             hint = nearest(piece, [*self.quantities, *self.constants])
             if re.search(r"[+-]", piece):
@@ -123,7 +124,6 @@ class SumReader:
         return parse_factor(piece, within if piece != term else name)
 
     def _check_unit(self, factors: list[Factor], member: str, text: str, name: str) -> None:
-        """UnitError unless the term has the dimension of the sum's quantity."""
         wanted = parse_unit(QUANTITIES[self.quantities[name]].si_unit).dimension
         of_member = parse_unit(QUANTITIES[self.quantities[member]].si_unit).dimension
         total = of_member
@@ -139,7 +139,6 @@ class SumReader:
 
 
 def _combine(first: Dimension, second: Dimension, sign: int) -> Dimension:
-    """Dimension of a product (sign 1) or quotient (-1)."""
     m, kg, s, a, k, rad = (exponent + sign * other for exponent, other in zip(first, second, strict=True))
     return m, kg, s, a, k, rad
 
@@ -196,7 +195,6 @@ def _product(outer: Term, inner: Term) -> Term:
 
 
 def _add(first: Term, second: Term) -> Term:
-    """Two terms of one channel as one."""
     numbers = dict(zip(first.numbers, first.derivatives, strict=True))
     for number, derivative in zip(second.numbers, second.derivatives, strict=True):
         numbers[number] = numbers.get(number, 0.0) + derivative

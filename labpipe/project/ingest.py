@@ -22,12 +22,12 @@ from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import fresh_path, has_header
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, readings
+from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
 from labpipe.records.finding import Finding
-from labpipe.records.rig import Rig, RigChannel
+from labpipe.records.rig import Rig, RigChannel, time_scale
 
 # Ends of the range of a channel that cannot clip.
 FAR = (-1e300, 1e300)
@@ -81,7 +81,6 @@ def changed_while_read(path: Path) -> DataError:
 
 
 def _open(source: Path, rig: Rig) -> Table:
-    """The table of a file, at the rate to which the rig brings channels of several rates."""
     table = open_table(source)
     if rig.resample is None:
         return table
@@ -89,11 +88,10 @@ def _open(source: Path, rig: Rig) -> Table:
 
 
 def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
-    """The files of one run as one table.
-
-    DataError where they shall be joined on a time that one of them lacks.
-    """
     tables = [open_table(path) for path in paths]
+    if rig.resample is not None:
+        what = "`resample` brings the channels of one file to a rate, and these files are joined"
+        raise DataError(what, paths[0], "leave it out of the rig file")
     untimed = [table for table in tables if rig.time not in table.columns]
     if by == "time" and untimed:
         what = "cannot be joined on time: the rig file names no time column"
@@ -172,11 +170,12 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> r
     if time is None:
         stated_rate(table, rig)
     screen, calibration = channel_screen(rig), Calibration(rig)
+    seconds = time_scale(rig.time, table.units)
     try:
         with recording_file.RecordingWriter(target, channels) as writer:
             for chunk in table.chunks(timed):
                 if time is not None:
-                    time.add(chunk[:, 0] * rig.time_scale)
+                    time.add(chunk[:, 0] * seconds)
                 block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
                 screen.add(block)
                 writer.write(calibration.with_sums(block))
@@ -225,15 +224,8 @@ def stated_rate(table: Table, rig: Rig) -> float:
 
 
 def _check_unit(table: Table, channel: RigChannel) -> None:
-    """DataError when the file states another unit for the column than the rig file does."""
     stated = table.units.get(channel.column)
-    if stated is None:
-        return
-    try:
-        theirs, ours = readings(stated), readings(channel.unit)
-    except UnitError:
-        return
-    if not set(theirs) & set(ours):
+    if stated is not None and not may_agree(stated, channel.unit):
         what = (
             f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by "
             "the rig file"
@@ -329,7 +321,7 @@ class RawRecording:
             return stated_rate(self._table, self.rig)
         screen = TimeAxisScreen(self.rig.time)
         for (times,) in self._table.column_chunks([self.rig.time]):
-            screen.add(np.asarray(times, np.float64) * self.rig.time_scale)
+            screen.add(np.asarray(times, np.float64) * time_scale(self.rig.time, self._table.units))
         return screen.sample_rate()
 
     @property
@@ -352,7 +344,6 @@ class RawRecording:
                 yield block[start : start + n_sample]
 
     def _record(self) -> Iterator[list[FloatArray]]:
-        """The columns of the measured channels, each (n,) [unit of the file]."""
         return self._table.column_chunks(self._columns)
 
     def _screened(self) -> Iterator[list[FloatArray]]:

@@ -18,7 +18,6 @@ from labpipe.project.first_guess import step_of
 from labpipe.project.ingest import contradictions, is_recording
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.report import format_of
-from labpipe.project.rig_file import time_scale
 from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import guard, open_table
@@ -26,7 +25,7 @@ from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES, FileShapes, read_shapes_uff
 from labpipe.records.recording import ChannelOverview, Overview
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.rig import Rig
+from labpipe.records.rig import Rig, time_scale
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
 BLOCK = 1 << 16
@@ -81,8 +80,6 @@ def write_card(
 
 
 class _Look:
-    """Levels, envelope and spectrum of the channels of one file, fed with blocks (n, n_channel)."""
-
     def __init__(self, names: Sequence[str]) -> None:
         self.screen = ChannelScreen(names)
         self._names = tuple(names)
@@ -127,7 +124,6 @@ def _of_recording(recording: StoredRecording) -> Overview:
 
 
 def _of_decays(decays: FreeDecays, file: str) -> Overview:
-    """Overview of free decays, one after the other."""
     look = _Look([port.label for port in decays.outputs])
     for decay in decays.decays:
         look.add(decay.samples)
@@ -148,7 +144,6 @@ def _of_decays(decays: FreeDecays, file: str) -> Overview:
 
 
 def _of_table(file: Path, rig: Rig | None) -> Overview:
-    """Overview of a raw file; rate from the file itself or from its time column."""
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
     frequencies = [name for name in names if table.units.get(name) == "Hz"]
@@ -173,7 +168,7 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
             rate_text = f"{rate:g} Hz"
         elif time is not None:
             per_unit = time.sample_rate()
-            rate = per_unit / time_scale(times[0])
+            rate = per_unit / time_scale(times[0], table.units)
             rate_text = f"{per_unit:g} samples per unit of '{times[0]}'"
     except DataError as error:
         error.where = error.where or str(file)
@@ -197,7 +192,6 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
 
 
 def _role(column: str, rig: Rig | None) -> str:
-    """Channel, role and dof of a column by the rig file."""
     of_rig = () if rig is None else rig.channels
     channels = [channel.channel for channel in of_rig if channel.column == column]
     return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in channels)

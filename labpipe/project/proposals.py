@@ -11,12 +11,12 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.project import first_guess
-from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.first_look import Excitation, look, round_down
 from labpipe.raw_files.table import Table, check_time
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.rig import time_scale
 from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -63,7 +63,7 @@ def first_look(table: Table) -> FirstLook:
     if not signal_numbers:
         raise DataError("holds no column but time", table.path)
     time = times[0] if times and table.sample_rate is None else ""
-    step = first_guess.step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
+    step = first_guess.step_of(rows[:, names.index(time)]) * time_scale(time, table.units) if time else 0.0
     rate = table.sample_rate or (1 / step if step else 0.0)
     copied = first_guess.copies([names[n] for n in signal_numbers], rows[:, signal_numbers])
     chosen = [n for n in signal_numbers if names[n] not in copied]

@@ -13,6 +13,7 @@ from labpipe.project.derived_channels import Factor, SumReader, expand, read_con
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
+from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
@@ -141,7 +142,7 @@ def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
 
     def moved(channel: Channel) -> Channel:
         dof = places.get(channel.name)
-        return channel if dof is None else replace(channel, dof=dof, angle=AXIS_ANGLES.get(dof))
+        return channel if dof is None else replace(channel, dof=dof, angle=port_of(dof).angle)
 
     channels = tuple(replace(recorded, channel=moved(recorded.channel)) for recorded in rig.channels)
     return replace(rig, channels=channels, derived=tuple(map(moved, rig.derived)))
@@ -170,26 +171,12 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         channels=tuple(channels),
         sample_rate=settings.sample_rate,
         time=settings.time,
-        time_scale=time_scale(settings.time),
         mass=settings.mass,
         description=settings.description,
         derived=derived,
         mass_uncertainty=dict(settings.uncertainties).get("mass"),
         resample=settings.resample,
     )
-
-
-def time_scale(column: str | None) -> float:
-    """Seconds per unit of the time column, from the unit in brackets behind its name (seconds without
-    one).
-    """
-    match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
-    if match is None:
-        return 1.0
-    try:
-        return parse_value(f"1 {match[1]}", "s")
-    except UnitError:
-        return 1.0
 
 
 def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | None:
@@ -219,7 +206,6 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
 def _read_channels(
     node: Marked | None, constants: Marked | None, tree: Marked, faults: Faults
 ) -> tuple[list[RigChannel], tuple[Channel, ...]]:
-    """The recorded channels, and the sums of them."""
     if node is None:
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
         return [], ()
@@ -230,7 +216,7 @@ def _read_channels(
         if isinstance(entry.content, dict) and "derived" in entry.content
     }
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
-    derived = _read_sums(sums, entries, read_constants(constants, faults), channels, faults)
+    derived = _read_sums(sums, entries, read_constants(constants, entries, faults), channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
 
     def as_member(recorded: RigChannel) -> RigChannel:
@@ -393,7 +379,6 @@ def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, f
 def _response(
     settings: ChannelSettings, node: Marked, key: str, faults: Faults
 ) -> tuple[tuple[float, float, float], ...]:
-    """The sensor's frequency response; its table stands beside the rig file."""
     if not settings.response:
         return ()
     try:

@@ -29,7 +29,7 @@ from labpipe.project.one_test import silent
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.report import outdate_reports, write_reports
-from labpipe.project.rig_file import DEFAULT_ROLES, load_rig, time_scale
+from labpipe.project.rig_file import DEFAULT_ROLES, load_rig
 from labpipe.project.run import Manner
 from labpipe.project.run import run as run_pipeline
 from labpipe.project.run_record import recorded
@@ -42,7 +42,7 @@ from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_fit
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.rig import AXIS_ANGLES, Rig
+from labpipe.records.rig import AXIS_ANGLES, Rig, time_scale
 from labpipe.registry import Registry
 from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, VirtualRigKind
 
@@ -244,7 +244,7 @@ def _recording(table: Table, guessed: list[GuessedChannel], time: list[str]) -> 
     rate = table.sample_rate
     if time:
         screen = TimeAxisScreen(time[0])
-        screen.add(samples[:, 0] * time_scale(time[0]))
+        screen.add(samples[:, 0] * time_scale(time[0], table.units))
         rate = screen.sample_rate()
     return Recording(
         tuple(_channel(channel) for channel in guessed), calibrated, float(rate or 0.0), table.path.stem

@@ -276,12 +276,15 @@ def in_one_line(node: Marked, setting: Setting) -> Marked:
     if setting.kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
     parts = {name: part.text for name, part in node.content.items()}
-    size = next((parts[name] for name in SIZES if name in parts), "")
+    sizes = [name for name in SIZES if name in parts]
     shape = parts.get("shape", "rectangular" if "limits" in parts else "")
-    expanded = [f"k={parts.get('k', '2')}"] if "expanded" in parts or "k" in parts else []
-    more = [name for name in parts if name in ("dof", "source") or name not in LONG_FORM]
-    qualities = [*filter(None, [shape]), *expanded, *(f"{name}={parts[name]}" for name in more)]
-    text = f"{parts['value']} +- {size}" + (f" ({', '.join(qualities)})" if qualities else "")
+    factors = ["k=1"] if "std" in parts and {"shape", "k"} & parts.keys() else []
+    factors += [f"k={parts.get('k', '2')}"] if "expanded" in parts or "k" in parts else []
+    # A second size, and what is unknown, are refused where the text is read.
+    more = [name for name in parts if name in ("dof", "source", *sizes[1:]) or name not in LONG_FORM]
+    qualities = [*filter(None, [shape]), *factors, *(f"{name}={parts[name]}" for name in more)]
+    text = f"{parts['value']} +- {parts[sizes[0]] if sizes else ''}"
+    text += f" ({', '.join(qualities)})" if qualities else ""
     return replace(node, content=text, text=text)
 
 

@@ -205,15 +205,23 @@ class RecordingReader:
     def sources(self, node: Marked, key: str) -> list[SourceFile]:
         """The recorded files of an entry or a list of entries; faults for those that cannot be read."""
         sources: list[SourceFile] = []
+        seen: dict[tuple[Path, ...], SourceFile] = {}
         for entry in settings_reader.listed(node):
-            if isinstance(entry.content, dict):
-                sources.extend(self._describe(entry, key))
-                continue
-            if self.rig is None and self.rig_node is None:
-                self.faults.add(node, key, "no rig file is named", "add rig: FILE")
-            paths = settings_reader.files_of(entry, key, self.faults, elsewhere=True)
-            sources.extend(SourceFile(path, self.rig) for path in paths if self.rig is not None)
+            for source in self._of_entry(entry, node, key):
+                if seen.get(source.paths) == source:
+                    what = f"'{source.path.name}' is named twice"
+                    self.faults.add(entry, key, what, "a recording counts once")
+                seen[source.paths] = source
+                sources.append(source)
         return sources
+
+    def _of_entry(self, entry: Marked, node: Marked, key: str) -> list[SourceFile]:
+        if isinstance(entry.content, dict):
+            return self._describe(entry, key)
+        if self.rig is None and self.rig_node is None:
+            self.faults.add(node, key, "no rig file is named", "add rig: FILE")
+        paths = settings_reader.files_of(entry, key, self.faults, elsewhere=True)
+        return [SourceFile(path, self.rig) for path in paths if self.rig is not None]
 
     def _describe(self, entry: Marked, key: str) -> list[SourceFile]:
         self.faults.unknown_keys(entry, key, KEYS)

@@ -7,7 +7,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,18 @@ def columns_of(name: str, array: Any) -> dict[str, Column]:
     return {f"{name}_{n + 1}": Column(array, axis, n) for n in range(others)}
 
 
+def distinct(columns: Iterable[tuple[str, Column]], where: Path) -> dict[str, Column]:
+    """Columns by name, of two with one name the longer; DataError where these are of one length."""
+    by_name: dict[str, Column] = {}
+    for name, column in columns:
+        length = by_name[name].n_value if name in by_name else 0
+        if length == column.n_value:
+            raise DataError(f"two of its arrays make a column '{name}'", where, "rename one of them")
+        if length < column.n_value:
+            by_name[name] = column
+    return by_name
+
+
 def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
     """The columns of the greatest length; DataError when none has two values."""
     length = max((column.n_value for column in columns.values()), default=0)
@@ -87,7 +99,7 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
     rates = list(rates_by_name.values())
     if not rates:
         return None
-    if min(rates) <= 0 or max(rates) > min(rates) * (1 + _SAME):
+    if not all(0 < rate < np.inf for rate in rates) or max(rates) > min(rates) * (1 + _SAME):
         contradictions = ", ".join(f"{name}: {rate:g} Hz" for name, rate in rates_by_name.items())
         raise DataError(f"has no valid sampling rate ({contradictions})", where)
     return rates[0]
@@ -161,7 +173,7 @@ class ArraysTable:
         chosen = longest(columns, path)
         times = [name for name in chosen if _is_time(name)]
         names, of_texts, sensitivities = describe([n for n in chosen if n not in times], texts or {})
-        self._columns = {names.get(name, name): column for name, column in chosen.items()}
+        self._columns = distinct(((names.get(name, name), column) for name, column in chosen.items()), path)
         units = {names.get(name, name): unit for name, unit in (of_texts | units).items()}
         self.sensitivities = {names.get(name, name): text for name, text in sensitivities.items()}
         self.unused = {
@@ -225,12 +237,12 @@ def numpy_table(path: Path) -> ArraysTable:
         else:
             arrays[name] = array
     numeric = {name: array for name, array in arrays.items() if is_numeric(array)}
-    columns = {
-        part.strip("_") or "1": column
+    columns = (
+        (part.strip("_") or "1", column)
         for name, array in numeric.items()
         for part, column in columns_of(name, array).items()
-    }
+    )
     scalars = {
-        name: float(array) for name, array in arrays.items() if array.size == 1 and array.dtype.kind in "iuf"
+        name: array.item() for name, array in arrays.items() if array.size == 1 and array.dtype.kind in "iuf"
     }
-    return ArraysTable(path, columns, {}, rate_of(scalars, path))
+    return ArraysTable(path, distinct(columns, path), {}, rate_of(scalars, path))

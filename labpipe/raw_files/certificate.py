@@ -233,7 +233,6 @@ def _after(day: datetime.date, period: str) -> datetime.date:
 
 
 def _serials(items: ET.Element) -> Iterator[str]:
-    """The numbers of the items that were calibrated."""
     if items.find(f"{DCC}item") is None:
         raise UnitError("'items' has no 'item'")
     for value in items.iterfind(f".//{DCC}identification/{DCC}value"):
@@ -310,6 +309,10 @@ def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] |
     element, size, factor = stated[0]
     sizes = _spread(_listing(_only(element, f"{size}{end}", SI)), count)
     factors = _spread(_listing(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
+    return _divided(sizes, factors)
+
+
+def _divided(sizes: Sequence[float], factors: Sequence[float]) -> tuple[float, ...]:
     if any(not k > 0 for k in factors) or any(u < 0 for u in sizes):
         raise UnitError("an uncertainty is negative, or its coverage factor is not above zero")
     return tuple(u / k for u, k in zip(sizes, factors, strict=True))
@@ -363,7 +366,6 @@ def unit_text(text: str) -> str:
 
 
 def _negate(power: str) -> str:
-    """The digits of a power behind the sign of \\per."""
     if power.startswith("-"):
         raise UnitError(f"a negative power '{power}' behind \\per says two things")
     return power.lstrip("+")
@@ -393,7 +395,6 @@ FREQUENCY, PHASE = "frequency_hz", "phase_deg"
 
 
 def _of_table(content: bytes, name: str, number: str) -> Certificate:
-    """The certificate of a table: that of the *number*, or the only one."""
     rows = _rows(content, name)
     numbers = list(dict.fromkeys(row["certificate"] for row in rows))
     if not number and len(numbers) > 1:
@@ -402,9 +403,8 @@ def _of_table(content: bytes, name: str, number: str) -> Certificate:
         raise UnitError(f"'{name}' holds no certificate '{number}'", nearest(number, numbers))
     rows = [row for row in rows if row["certificate"] == (number or numbers[0])]
     names = list(dict.fromkeys(row["quantity"] for row in rows))
-    days = [row["valid_until"] for row in rows if row.get("valid_until")]
     try:
-        until = min(map(datetime.date.fromisoformat, days)) if days else None
+        days = [_day_of(row["valid_until"]) for row in rows if row.get("valid_until")]
         quantities = tuple(
             quantity
             for table, named in enumerate(names)
@@ -412,10 +412,15 @@ def _of_table(content: bytes, name: str, number: str) -> Certificate:
         )
     except UnitError as error:
         raise UnitError(f"'{name}': {error.what}", error.hint) from None
-    except ValueError:
-        raise UnitError(f"'{name}': '{days[0]}' is no day", "write it as 2026-11-03") from None
     serials = tuple(dict.fromkeys(row["serial"] for row in rows if row.get("serial")))
-    return Certificate(rows[0]["certificate"], serials, until, quantities)
+    return Certificate(rows[0]["certificate"], serials, min(days, default=None), quantities)
+
+
+def _day_of(text: str) -> datetime.date:
+    try:
+        return datetime.date.fromisoformat(text)
+    except ValueError:
+        raise UnitError(f"'{text}' is no day", "write it as 2026-11-03") from None
 
 
 def _rows(content: bytes, name: str) -> list[dict[str, str]]:
@@ -436,7 +441,6 @@ def _rows(content: bytes, name: str) -> list[dict[str, str]]:
 
 
 def _columns(named: str, rows: Sequence[dict[str, str]], table: int) -> Iterator[CertifiedQuantity]:
-    """A quantity of a table, and the frequency and phase beside it, where it has these."""
     units = {row["unit"] for row in rows}
     if len(units) > 1:
         raise UnitError(f"'{named}' has several units: {', '.join(sorted(units))}")
@@ -451,17 +455,10 @@ def _columns(named: str, rows: Sequence[dict[str, str]], table: int) -> Iterator
 
     sizes = [relative(row["uncertainty"], row["value"]) for row in rows]
     factors = column("coverage_factor")
-    if any(not k > 0 for k in factors) or any(u < 0 for u in sizes):
-        raise UnitError("an uncertainty is negative, or its coverage factor is not above zero")
-    errors = tuple(u / k for u, k in zip(sizes, factors, strict=True))
-    yield CertifiedQuantity((named,), column("value"), units.pop(), errors, table)
-    if rows[0].get(FREQUENCY):
+    yield CertifiedQuantity((named,), column("value"), units.pop(), _divided(sizes, factors), table)
+    if any(row.get(FREQUENCY) for row in rows):
         yield CertifiedQuantity((FREQUENCY,), column(FREQUENCY), "Hz", None, table)
-    if rows[0].get(PHASE):
-        stated = "phase_uncertainty_deg" in rows[0]
-        phase_errors = (
-            tuple(u / k for u, k in zip(column("phase_uncertainty_deg"), factors, strict=True))
-            if stated
-            else None
-        )
-        yield CertifiedQuantity((PHASE,), column(PHASE), "deg", phase_errors, table)
+    if any(row.get(PHASE) for row in rows):
+        key = "phase_uncertainty_deg"
+        errors = _divided(column(key), factors) if key in rows[0] else None
+        yield CertifiedQuantity((PHASE,), column(PHASE), "deg", errors, table)

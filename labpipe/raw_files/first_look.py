@@ -101,7 +101,6 @@ def round_down(samples: int) -> int:
 
 
 def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
-    """The first and the last line [Hz] with power of a periodic force."""
     whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
     power = np.abs(fft.rfft(whole)) ** 2
     power[0] = 0.0
@@ -110,7 +109,6 @@ def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[floa
 
 
 def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
-    """The band [Hz] with power of a force that is not periodic, from the mean spectrum of its blocks."""
     length = max(force.size // BLOCKS, 8)
     blocks = force[: force.size // length * length].reshape(-1, length)
     power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)

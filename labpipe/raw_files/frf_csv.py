@@ -22,6 +22,8 @@ from labpipe.registry import nearest
 
 _COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>[^:]+):(?P<part>re|im|var|coh)$")
 FREQUENCY = "frequency_hz"
+# Coherence with what single precision and few printed digits add to 1.
+HIGHEST = 1.001
 
 
 def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
@@ -38,7 +40,7 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     outputs = tuple(dict.fromkeys(match["output"] for match in pairs))
     inputs = tuple(dict.fromkeys(match["input"] for match in pairs))
     required = [f"{o}/{i}:{part}" for o in outputs for i in inputs for part in ("re", "im")]
-    check_columns(table, required)
+    check_columns(table, [*required, *(match[0] for match in pairs)])
     columns = dict(zip(table.columns, np.concatenate(list(table.chunks(table.columns))).T, strict=True))
 
     def part(name: str) -> Any:
@@ -47,6 +49,8 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
         return cube(outputs, inputs, lambda o, i: columns[f"{o}/{i}:{name}"]) if complete else None
 
     variance = part("var")
+    if variance is not None and np.any(variance < 0):
+        raise DataError(f"holds the negative variance {variance.min():g}", path)
     return FrequencyResponse(
         frequency=columns[FREQUENCY],
         matrix=part("re") + 1j * part("im"),
@@ -54,9 +58,17 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
         inputs=tuple(port_of(label) for label in inputs),
         form=_form(path),
         covariance=None if variance is None else uncorrelated(variance),
-        coherence=part("coh"),
+        coherence=checked_coherence(part("coh"), path),
         name=name,
     )
+
+
+def checked_coherence(values: Any, where: Path | str) -> Any:
+    """Coherences [1] of any shape as they are, None without; DataError for one that is none."""
+    if values is not None and np.any(np.abs(values) > HIGHEST):
+        what = f"holds the coherence {np.max(np.abs(values)):g}"
+        raise DataError(what, where, "they lie between 0 and 1, and are not in per cent")
+    return values
 
 
 def port_of(label: str) -> Port:
@@ -71,12 +83,13 @@ def port_of(label: str) -> Port:
 def _form(path: Path) -> str:
     """The form named in the comment lines above the table; receptance by default."""
     with open_text(path, "utf-8-sig") as lines:
-        for line in lines:
-            if not line.startswith("#"):
+        for number, line in enumerate(lines, 1):
+            comment = line.strip(' \r\n\t"')
+            if comment and not comment.startswith("#"):
                 break
-            match = re.match(r"#\s*form:\s*(\S+)", line)
+            match = re.match(r"#\s*form\s*[:=]\s*(\w+)", comment.lower())
             if match and match[1] not in FORMS:
-                raise DataError(f"unknown form '{match[1]}'", f"{path}:1", nearest(match[1], FORMS))
+                raise DataError(f"unknown form '{match[1]}'", f"{path}:{number}", nearest(match[1], FORMS))
             if match:
                 return match[1]
     return "receptance"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -12,9 +13,9 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, parse_unit, parse_value, readings, unit_of
+from labpipe.quantities import NONE, UnitError, may_agree, parse_unit, parse_value, unit_of
 from labpipe.raw_files.arrays_table import load_arrays
-from labpipe.raw_files.frf_csv import cube, port_of
+from labpipe.raw_files.frf_csv import checked_coherence, cube, port_of
 from labpipe.raw_files.mat import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
 from labpipe.raw_files.simcenter import Signals, signals_of
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
@@ -160,6 +161,10 @@ class DescribedColumns:
         except UnitError:
             return ""
         return unit
+
+    def in_decibels(self, described: str) -> bool:
+        """Whether a column's title says so."""
+        return self.word == "column" and re.search(r"\bdB\b", self.names[self._index(described)]) is not None
 
     def values(self, described: str) -> Any:
         """The numbers [unit of the file], complex, (n_value,) or of any shape.
@@ -317,12 +322,11 @@ def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespon
         tuple(map(port_of, outputs)),
         tuple(map(port_of, inputs)),
         form=form,
-        coherence=coherence,
+        coherence=checked_coherence(coherence, path),
     )
 
 
 def _elements(layout: FrfLayout, table: FrfColumns, dofs: Dofs) -> dict[tuple[str, str], ElementColumns]:
-    """The columns of every element by its (output, input)."""
     if not layout.elements:
         return {(dofs.outputs[0], dofs.inputs[0]): table}
     elements = {}
@@ -345,8 +349,7 @@ def _labels(
 def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayout) -> ComplexArray:
     """One element (n_frequency,) [unit of the file]."""
     first, *second = (getattr(columns, name) for name in columns.given)
-    if columns.given[0] != "amplitude_db":
-        _check_stated(source, first, layout)
+    _check_stated(source, first, columns.given[0], layout)
     if not second:
         values = source.values(first)
         if not np.any(values.imag):
@@ -354,6 +357,8 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
             raise DataError(what, source.path, "an amplitude needs its phase: amplitude and phase_deg")
         return values
     size, other = source.real(first), source.real(second[0])
+    if size.shape != other.shape:
+        raise DataError(f"'{first}' has {size.size} values, '{second[0]}' {other.size}", source.path)
     if columns.given == ("re", "im"):
         return size + 1j * other
     _check_phase(source, second[0], columns.given[1])
@@ -367,13 +372,18 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
     return np.asarray(size * np.exp(1j * phase), np.complex128)
 
 
-def _check_stated(source: DescribedColumns, column: str, layout: FrfLayout) -> None:
-    """DataError when the file itself states another unit."""
-    stated = source.unit(column)
-    if not stated or parse_unit(stated).dimension == parse_unit("1").dimension:
+def _check_stated(source: DescribedColumns, column: str, part: str, layout: FrfLayout) -> None:
+    """DataError when the file itself states another unit than that of the *part* of a complex number."""
+    stated, described = source.unit(column), layout.unit or FORMS[layout.form]
+    if part != "amplitude_db" and source.in_decibels(column):
+        what = f"column '{column}' is in decibels by the file's own header"
+        raise DataError(what, source.path, "write amplitude_db")
+    if not stated or parse_unit(stated).dimension == NONE:
         return
-    described = layout.unit or FORMS[layout.form]
-    if not set(readings(stated)) & set(readings(described)):
+    if part == "amplitude_db":
+        what = f"{source.word} '{column}' is in {stated} by the file's own header, not in decibels"
+        raise DataError(what, source.path, "write amplitude")
+    if not may_agree(stated, described):
         what = (
             f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the "
             "entry under frfs"
@@ -382,14 +392,10 @@ def _check_stated(source: DescribedColumns, column: str, layout: FrfLayout) -> N
 
 
 def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
-    """DataError when the header states the other unit of angles, or the numbers are no radians."""
     stated = source.unit(column)
-    described = part.removeprefix("phase_")
-    if stated in ("deg", "°", "rad") and (stated == "rad") != (described == "rad"):
-        other = "phase_rad" if stated == "rad" else "phase_deg"
-        raise DataError(
-            f"{source.word} '{column}' is in {stated} by the file's own header", source.path, f"write {other}"
-        )
+    if stated in ("deg", "°", "rad") and (stated == "rad") != (part == "phase_rad"):
+        what = f"{source.word} '{column}' is in {stated} by the file's own header"
+        raise DataError(what, source.path, f"write {'phase_rad' if stated == 'rad' else 'phase_deg'}")
 
 
 def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) -> FloatArray:
@@ -419,7 +425,6 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
 
 
 def _scalar(source: DescribedColumns, text: str) -> float:
-    """A value with its unit, or the number in a variable [Hz]."""
     if text[0].isdigit() or text[0] in ".+-":
         try:
             return parse_value(text, "Hz")

@@ -94,7 +94,6 @@ def _trace(lines: list[str]) -> list[tuple[int, int]]:
 
 
 def _elements(lines: list[str]) -> list[tuple[int, int]]:
-    """Pairs of neighbours around every element, in the order of its nodes."""
     pairs: list[tuple[int, int]] = []
     n = 0
     while n < len(lines):
@@ -152,6 +151,9 @@ def read_geometry_csv(path: Path) -> Geometry:
     positions: list[list[float]] = []
     joined: list[tuple[int, int, str]] = []
     for number, row in rows[1:]:
+        if any(map(str.strip, row[len(columns) :])):
+            hint = f"the points of '{JOINED}' stand between blanks"
+            raise DataError("a row has more cells than there are columns", f"{path}:{number}", hint)
         cells = dict(zip(columns, [*row, *[""] * len(columns)], strict=False))
         names.append(cells[POINT].strip())
         positions.append(
@@ -165,7 +167,6 @@ def read_geometry_csv(path: Path) -> Geometry:
 
 
 def _columns(header: Sequence[str], where: str) -> dict[str, str]:
-    """Column -> its unit; DataError for an unknown or missing one."""
     columns: dict[str, str] = {}
     for cell in header:
         column = _COLUMN.match(cell)

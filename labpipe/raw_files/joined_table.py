@@ -14,6 +14,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import Table, unique
 from labpipe.records.finding import Finding, note
+from labpipe.records.rig import time_scale
 
 # Relative difference of rates that are the same.
 SAME_RATE = 1e-4
@@ -24,7 +25,8 @@ BESIDE = 0.1
 class JoinedTable:
     """The columns of several tables. Satisfies Table.
 
-    A name that several files have is written STEM/NAME for all files but the first. With *time*, the name of
+    A name that several files have is written STEM/NAME for all files but the first; what stands twice then is
+    listed twice. With *time*, the name of
     their common time column, rows are those of equal times; without, row 1 stands beside row 1. What some
     files have and others have not is cut, and `findings` says so once the table has been read.
     """
@@ -34,13 +36,15 @@ class JoinedTable:
         self._tables, self._time = tuple(tables), time
         self._place: dict[str, tuple[int, str]] = {}
         self.units: dict[str, str] = {}
+        keys: list[str] = []
         for number, table in enumerate(tables):
+            before = set(keys)
             for name in table.columns:
-                key = name if name not in self._place else f"{table.path.stem}/{name}"
-                self._place[key] = number, name
+                keys.append(f"{table.path.stem}/{name}" if name in before else name)
+                self._place[keys[-1]] = number, name
                 if name in table.units:
-                    self.units[key] = table.units[name]
-        self.columns = tuple(self._place)
+                    self.units[keys[-1]] = table.units[name]
+        self.columns = tuple(keys)
         self.sample_rate = self._common_rate()
         self._cut: list[tuple[Path, int, int]] = []
 
@@ -94,7 +98,6 @@ class JoinedTable:
     def _align(
         self, streams: Sequence[Iterator[FloatArray]], members: Sequence[int]
     ) -> tuple[list[Iterator[FloatArray]], list[int]]:
-        """The streams again, and the rows of each before the first common time."""
         firsts = [next(stream) for stream in streams]
         if min(first.shape[0] for first in firsts) < 2:
             raise DataError("a file has fewer than two rows", self.path)
@@ -240,7 +243,7 @@ def _times_and_rows(table: Table, names: Sequence[str]) -> tuple[FloatArray, Flo
     if rows.shape[0] < 2 or not np.isfinite(rows).all():
         raise DataError(f"'{names[0]}' lacks numbers, and is not resampled", table.path)
     if time:
-        times, rows = rows[:, 0], rows[:, 1:]
+        times, rows = rows[:, 0] * time_scale(time, table.units), rows[:, 1:]
         if np.any(np.diff(times) <= 0):
             raise DataError(f"the times of '{names[0]}' do not increase", table.path)
         return times, rows
@@ -262,7 +265,6 @@ class _Parallel:
             self._buffers = [buffer[length:] for buffer in self._buffers]
 
     def _fill(self, number: int) -> bool:
-        """Whether there is a row of a stream, read if need be."""
         while not self._buffers[number].shape[0]:
             block = next(self._streams[number], None)
             if block is None:

@@ -127,8 +127,7 @@ class LvmTable:
             yield np.array(rows)
 
     def _data_lines(self) -> Iterator[tuple[int, str]]:
-        """(number, text) of the rows of numbers of all segments."""
-        inside, left = False, self._count
+        inside, left = False, self._count or np.inf
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
             if first == X_VALUE:
@@ -137,14 +136,11 @@ class LvmTable:
                 inside = True
             elif inside and first in ("Channels", "Notes"):
                 inside = False
-            elif inside and line.strip():
+            elif inside and left > 0 and line.strip():
                 yield number, line
                 left -= 1
-                if left == 0:
-                    return
 
     def _check_segment(self, number: int) -> None:
-        """DataError for a further segment where nothing says when it was recorded."""
         if X_VALUE not in self._places:
             hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
             what = "a second segment begins, and no X values say when"
@@ -168,9 +164,6 @@ class LvmTable:
 def _header(
     entries: dict[str, list[str]], titles: list[str], delimiter: str, row: str, first_line: int, path: Path
 ) -> LvmHeader:
-    """The header of a segment from its entries by their first words, the line of titles and the first row of
-    numbers.
-    """
     stated = entries.get("Decimal_Separator", ["", ""])[1]
     decimal = stated or ("," if delimiter != "," and "," in row else ".")
     padded = {
@@ -221,7 +214,6 @@ def _seconds(text: str, decimal: str) -> float:
 
 
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
-    """The sampling rate [Hz] of the printed steps; DataError where channels differ."""
     texts = {step.replace(",", ".") if decimal == "," else step for step in steps if step}
     if not texts:
         return None

@@ -20,7 +20,7 @@ import scipy
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from labpipe.errors import DataError
-from labpipe.raw_files.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
+from labpipe.raw_files.arrays_table import ArraysTable, columns_of, distinct, is_numeric, rate_of
 from labpipe.raw_files.simcenter import labels_and_units, signals_of
 from labpipe.raw_files.table import check_in_child
 from labpipe.raw_files.text_table import check_filled, not_readable
@@ -306,7 +306,9 @@ def mat_table(path: Path) -> ArraysTable:
     scalars = {name: value.item() for name, value in numeric.items() if value.size == 1}
     signals = [part for part in signals_of(arrays) if part.axis == "s" and part.values in parts]
     labels, of_signals = labels_and_units(signals, parts)
-    columns = {labels.get(name, name): column for part in parts.values() for name, column in part.items()}
+    columns = distinct(
+        ((labels.get(name, name), column) for part in parts.values() for name, column in part.items()), path
+    )
     units |= {labels.get(name, name): unit for name, unit in of_signals.items()}
     rate = rate_of(scalars | {f"{part.place}.dt": part.step for part in signals}, path)
     texts = {name: lines for name, value in arrays.items() if (lines := lines_of(value))}
@@ -355,12 +357,10 @@ def hdf5_table(path: Path) -> ArraysTable:
         scalars |= _rate_attributes(file, sets)
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise DataError(f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", path) from None
-    columns = {
-        name: column
-        for key, item in sets.items()
-        if item.size > 1
-        for name, column in columns_of(key, item).items()
-    }
+    vectors = {key: item for key, item in sets.items() if item.size > 1}
+    columns = distinct(
+        (pair for key, item in vectors.items() for pair in columns_of(key, item).items()), path
+    )
     units = {name: unit for name in columns if (unit := _attribute(sets, name, _UNITS))}
     table = ArraysTable(path, columns, units, rate_of(scalars, path), _hdf5_texts(file))
     for name in table.columns:
@@ -404,7 +404,6 @@ def _numeric_sets(file: h5py.File) -> dict[str, Any]:
 
 
 def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
-    """Numeric attributes of the file and of its data sets, by place and name."""
     rates: dict[str, float] = {}
     for place, item in {"": file, **sets}.items():
         for name, value in item.attrs.items():
@@ -511,7 +510,6 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
 
 
 def _texts(cells: Any) -> list[str]:
-    """The texts of a cell array, or of the rows of a char array."""
     return [
         text_of(np.array(cell) if isinstance(cell, str) else cell).strip()
         for cell in np.asarray(cells).ravel()

@@ -154,7 +154,6 @@ class MdfTable:
         raise not_readable(self.path, "MDF file", reason)
 
     def _open_file(self, folder: str) -> tuple[Any, str]:
-        """The file, or why it cannot be opened."""
         with _quiet(), _kept_young():
             try:
                 return self._library.MDF(self.path, temporary_folder=folder), ""
@@ -186,7 +185,6 @@ class MdfTable:
             self._chunk(file, self.columns, self._length - 2, 2)
 
     def _chunk(self, file: Any, columns: Sequence[str], start: int, count: int) -> FloatArray:
-        """The rows *start* to *start* + *count* of the columns, (count, n_column) [unit of the file]."""
         part = {"record_offset": start, "record_count": count}
         times = file.get_master(self._group, **part)
         signals = [

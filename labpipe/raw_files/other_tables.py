@@ -174,7 +174,6 @@ class XlsxTable:
         self.sample_rate: float | None = None
 
     def _rows_of_numbers(self) -> tuple[str, list[Row]]:
-        """Name and rows of the only sheet that holds numbers."""
         openpyxl = load_extra("openpyxl", "excel", self.path)
         check_filled(self.path)
         try:
@@ -228,7 +227,6 @@ def _is_numeric(row: Row) -> bool:
 
 
 def _width(row: Row) -> int:
-    """Cells up to the last filled one."""
     return max((number + 1 for number, cell in enumerate(row) if cell is not None), default=0)
 
 

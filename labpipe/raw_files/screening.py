@@ -474,7 +474,6 @@ def _printed_digits(times: FloatArray) -> int:
 
 
 def _last_digit(largest: float, digits: int) -> float:
-    """Size of the last of *digits* significant digits of the largest time."""
     return 10.0 ** (math.floor(math.log10(largest)) + 1 - digits) if largest > 0 else 0.0
 
 

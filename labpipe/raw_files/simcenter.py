@@ -98,7 +98,6 @@ def _number(fields: Mapping[str, Any], key: str) -> float:
 
 
 def _texts(value: Any) -> tuple[str, ...]:
-    """The texts of a char variable, of which one may stand upright, or of a cell of such."""
     array = np.asarray(() if value is None else value)
     if array.dtype.kind == "O":
         return tuple(text for cell in array.flat for text in _texts(cell) or ("",))

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
@@ -18,6 +18,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError, LabpipeError, cut
+from labpipe.quantities import NONE, UnitError, parse_unit
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.registry import Registry, nearest
 
@@ -157,7 +158,6 @@ def _look(path: Path, touch: Touch, seconds: int) -> int:
 
 
 def _ending(child: int, seconds: float) -> int:
-    """How the child ended; it is killed when it takes longer."""
     pause, deadline = 0.0005, time.monotonic() + seconds
     while True:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -279,7 +279,11 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
 
 
 def check_time(table: Table, time: str | None) -> None:
-    """DataError where the *time* column holds frequencies; there may be none."""
-    if time and table.units.get(time) == "Hz":
+    """DataError where the *time* column has the unit of something else; there may be none."""
+    unit = table.units.get(time or "", "s")
+    if unit == "Hz":
         hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
         raise DataError(f"'{time}' is a frequency, no time", table.path, hint)
+    with suppress(UnitError):
+        if parse_unit(unit).dimension not in (NONE, parse_unit("s").dimension):
+            raise DataError(f"'{time}' is in {unit} by the file's own header, no time", table.path)

@@ -129,8 +129,10 @@ def growing_rows(
     log_manager.set_level(logging.ERROR)
     try:
         with path.open("rb") as stream, TdmsFile.open(stream) as file:
-            channels = {c.name: c for group in file.groups() for c in group.channels()}
-            channels.update({f"{c.group_name}/{c.name}": c for c in list(channels.values())})
+            listed = [c for group in file.groups() for c in group.channels()]
+            names = [c.name for c in listed]
+            channels = {f"{c.group_name}/{c.name}": c for c in listed}
+            channels |= {c.name: c for c in listed if names.count(c.name) == 1}
             check_names(path, columns, list(channels))
             chosen = [channels[name] for name in columns]
             last = min(first + most, *(len(channel) for channel in chosen))
@@ -170,7 +172,6 @@ def _sensitivity(channel: Any) -> str:
 
 
 def _rate(channels: list[Any], path: Path) -> float | None:
-    """The rate [Hz] of all channels by their wf_increment; DataError when they differ."""
     steps = {
         channel.name: float(channel.properties["wf_increment"])
         for channel in channels

@@ -251,6 +251,8 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     )
     names, units = header_of(lines[:first], delimiter, n_field)
     stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
+    # Times of day are read as seconds, whatever stands in brackets.
+    units |= {names[n]: "s" for n in stamps if names[n]}
     return Layout(encoding, delimiter, decimal, names, units, first, stamps)
 
 
@@ -279,14 +281,12 @@ def _head(path: Path) -> tuple[str, list[str]]:
 
 
 def _sample(n_line: int) -> list[int]:
-    """The lines analysed for every layout: all of a short file, the first and the last ones of a long one."""
     if n_line <= 2 * SAMPLE_LINES:
         return list(range(n_line))
     return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
 
 
 def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bool:
-    """True if a line is a row of numbers, some of which may be missing."""
     numbers, fields = 0, fields_of(line, delimiter)
     if decimal == "." and "_" not in line:
         # What most lines are, and what every kind of number holds, is seen at once.
@@ -356,7 +356,6 @@ def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str
 
 
 def _unit_of(field: str) -> str:
-    """The unit in a field of a unit row, '' for none."""
     text = field.strip().strip("[]()").strip()
     try:
         parse_unit(text)
@@ -453,7 +452,6 @@ class CsvTable:
 
     @staticmethod
     def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
-        """The numbers of a column, or the seconds of its times of day."""
         values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
         return values
 
@@ -470,7 +468,6 @@ class CsvTable:
             yield self.path
 
     def _locate(self, columns: Sequence[str], reason: str) -> DataError:
-        """The error with the first faulty line, found by reading the file again as text."""
         layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
         with open_text(self.path, layout.encoding) as lines:
             for number, line in enumerate(lines):

@@ -108,8 +108,6 @@ class UffRecord:
 
 
 class _Lines:
-    """The lines of a file from a position on."""
-
     def __init__(self, path: Path, buffer: mmap.mmap) -> None:
         self.path, self.buffer, self.position = path, buffer, 0
 
@@ -213,7 +211,6 @@ def _to_end(lines: _Lines, kind: str) -> None:
 
 
 def _scale(lines: _Lines) -> UffScale:
-    """The factors of a 164 record: length, force, temperature, offset."""
     text = " ".join(lines.needed(2)[1:]).upper().replace("D", "E")
     try:
         length, force = (float(text[n : n + 25]) for n in (0, 25))
@@ -225,7 +222,6 @@ def _scale(lines: _Lines) -> UffScale:
 
 
 def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> UffRecord:
-    """The record whose first line is *kind*; leaves the position after its numbers."""
     header = lines.needed(_HEADER_LINES)
     title = _name(header[0])
     try:

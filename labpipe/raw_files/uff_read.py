@@ -17,7 +17,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value, unit_of
 from labpipe.raw_files import uff
-from labpipe.raw_files.frf_csv import cube
+from labpipe.raw_files.frf_csv import checked_coherence, cube
 from labpipe.raw_files.table import unique
 from labpipe.records.response import FORMS as RESPONSE_FORMS
 from labpipe.records.response import FrequencyResponse, Port
@@ -108,7 +108,7 @@ def _response(
         _ports(outputs, several),
         _ports(inputs, several),
         form=form,
-        coherence=coherence,
+        coherence=checked_coherence(coherence, ""),
         name=name,
     )
 
@@ -141,7 +141,7 @@ def _text(key: Key) -> str:
 
 
 def _frequency(buffer: mmap.mmap, record: uff.UffRecord) -> FloatArray:
-    """The frequencies [Hz] of a record."""
+    _check_abscissa(record, "Hz")
     try:
         abscissa = uff.read_numbers(buffer, record.layout)[0]
     except ValueError as error:
@@ -149,8 +149,13 @@ def _frequency(buffer: mmap.mmap, record: uff.UffRecord) -> FloatArray:
     return record.start + record.step * np.arange(record.n_value) if abscissa is None else abscissa
 
 
+def _check_abscissa(record: uff.UffRecord, unit: str) -> None:
+    stated = axis_unit(record.abscissa)
+    if stated and parse_unit(stated) != parse_unit(unit):
+        raise DataError(f"{record.where}: its abscissa is in {stated}", hint=f"{unit} is needed")
+
+
 def _same_lines(buffer: mmap.mmap, record: uff.UffRecord, frequency: FloatArray) -> FloatArray | ComplexArray:
-    """The numbers of a record; DataError unless its frequencies equal *frequency*."""
     if record.n_value != frequency.size:
         what = f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}"
         raise DataError(what)
@@ -168,7 +173,6 @@ def _values(buffer: mmap.mmap, record: uff.UffRecord, frequency: FloatArray, fac
 
 
 def _ports(keys: Sequence[Key], several: bool) -> tuple[Port, ...]:
-    """Ports named by entity, else by node and direction ("x", or "3.x" with several nodes)."""
     labels = [name or _dof(node, axis, several) for name, node, axis in keys]
     if len(set(labels)) < len(labels):
         labels = [
@@ -190,7 +194,6 @@ def _port(label: str, key: Key, several: bool) -> Port:
 
 
 def _angle(label: str) -> float | None:
-    """The direction of a scalar point named by its angle, as written by labpipe ("45 deg")."""
     try:
         return parse_value(label, "rad")
     except UnitError:
@@ -240,11 +243,12 @@ def _check_alike(records: list[uff.UffRecord], path: Path) -> None:
             raise DataError(f"{record.where}: its samples are not evenly spaced", path)
         if record.layout.parts != 1:
             raise DataError(f"{record.where}: a time record of complex values", path)
-        if (record.n_value, record.step) != (first.n_value, first.step):
-            what = (
-                f"{record.where} has {record.n_value} values, {record.step:g} s apart; {first.where} "
-                f"{first.n_value}, {first.step:g} s"
+        _check_abscissa(record, "s")
+        if (record.n_value, record.step, record.start) != (first.n_value, first.step, first.start):
+            has, others = (
+                f"{r.n_value} values, {r.step:g} s apart from {r.start:g} s on" for r in (record, first)
             )
+            what = f"{record.where} has {has}; {first.where} {others}"
             raise DataError(what, path, "one file is one recording: split it")
 
 
@@ -315,7 +319,8 @@ def frf_factor(record: uff.UffRecord) -> float:
     labelled = _labelled_factor(record)
     if record.scale is None:
         if labelled is None:
-            what = f"{record.where}: unknown unit '{record.ordinate.unit}'"
+            labels = " per ".join(filter(None, (record.ordinate.unit, record.denominator.unit)))
+            what = f"{record.where}: unknown unit '{labels}'"
             raise DataError(what, hint="there is no record 164 with the units")
         return labelled
     factor = record.scale.force / record.scale.length
@@ -387,10 +392,10 @@ def _labelled_factor(record: uff.UffRecord) -> float | None:
 
     1 without labels, None for unknown ones.
     """
-    kind, label = record.ordinate.kind, record.ordinate.unit
-    if not label:
+    kind, label, per = record.ordinate.kind, record.ordinate.unit, record.denominator
+    if kind in _OPEN and not label:
         return 1.0
-    unit = readable_unit(label, 12 if kind in _OPEN else kind)
+    unit = readable_unit(label, 12 if kind in _OPEN else kind) if label else SI_UNITS[kind]
     if not unit:
         return None
     ordinate = parse_unit(unit)
@@ -398,7 +403,7 @@ def _labelled_factor(record: uff.UffRecord) -> float | None:
         return ordinate.factor
     if ordinate.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
         return ordinate.factor
-    force = parse_unit(axis_unit(record.denominator) or "N")
+    force = parse_unit(axis_unit(per) or ("1" if per.unit else "N"))
     if (
         ordinate.dimension == parse_unit(SI_UNITS[kind]).dimension
         and force.dimension == parse_unit("N").dimension

@@ -134,7 +134,6 @@ def _structure(geometry: Geometry, labels: Sequence[int]) -> list[dict[str, Any]
 
 
 def _points(ports: Iterable[Port]) -> list[UffPoint]:
-    """Entity name, node and direction of each port; DataError for two ports with the same name."""
     all_ports = list(ports)
     places = list(dict.fromkeys(_place(port.dof)[0] for port in all_ports))
     points = {port: _point(port, places) for port in all_ports}

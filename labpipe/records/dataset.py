@@ -101,26 +101,15 @@ def rows_of_fit(fit: identification.Fit, common: Mapping[str, object]) -> Iterat
 
 
 def _entries(fit: identification.Fit, listed: identification.ListedParameter) -> dict[str, object]:
-    parameter = listed.parameter
-    low, high = parameter.ci95 or (None, None)
-    return {
-        **{"fit": fit.name, "term": fit.term, "model": fit.model, "estimator": fit.estimator},
-        **{
-            "low_hz": fit.band_hz[0],
-            "high_hz": fit.band_hz[1],
-            "parameter": parameter.name,
-            "value": parameter.value,
-        },
-        **{"unit": parameter.unit, "std_error": parameter.std_error, "full_error": parameter.full_error},
-        **{"combined": parameter.combined, "expanded": parameter.expanded},
-        **{"ci_low": low, "ci_high": high, "significant": parameter.significant, "gof": fit.gof.r2_adjusted},
-        **{
-            "chi2_reduced": fit.gof.chi2_reduced,
-            "random_error": listed.random_error,
-            "changes": listed.changes,
-        },
-        "warnings": ", ".join(listed.warnings),
-    }
+    parameter, (from_hz, to_hz) = listed.parameter, fit.band_hz
+    of_fit = {name: getattr(fit, name) for name in ("term", "model", "estimator")}
+    same = ("value", "unit", "std_error", "full_error", "combined", "expanded", "significant")
+    of_parameter = {name: getattr(parameter, name) for name in same}
+    of_gof = {"gof": fit.gof.r2_adjusted, "chi2_reduced": fit.gof.chi2_reduced}
+    ends = dict(zip(("ci_low", "ci_high"), parameter.ci95 or (None, None), strict=True))
+    others = {"fit": fit.name, "parameter": parameter.name, "low_hz": from_hz, "high_hz": to_hz}
+    others |= {"random_error": listed.random_error, "changes": listed.changes}
+    return {**of_fit, **of_parameter, **of_gof, **ends, **others, "warnings": ", ".join(listed.warnings)}
 
 
 def noise_covariance(fit: identification.Fit) -> dict[str, FloatArray]:

@@ -46,6 +46,14 @@ def of_level(level: str, findings: Iterable[Finding]) -> tuple[Finding, ...]:
 # An estimated or derived parameter that travels with its uncertainty.
 
 
+def named(entries: Iterable[Parameter], name: str, word: str) -> Parameter:
+    """The parameter of that name; KeyError with the known names, *word* for what they are, otherwise."""
+    by_name = {entry.name: entry for entry in reversed(tuple(entries))}
+    if name in by_name:
+        return by_name[name]
+    raise KeyError(f"no {word} '{name}'; known: {', '.join(reversed(by_name))}")
+
+
 @dataclass(frozen=True)
 class Contribution:
     """Part of a source in the uncertainty of a parameter: *contribution* as a standard uncertainty, *share*

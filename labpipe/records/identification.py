@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
-from labpipe.records.finding import WARNING, Discrepancy, Finding, Parameter, of_level
+from labpipe.records.finding import WARNING, Discrepancy, Finding, Parameter, named, of_level
 from labpipe.records.fit_details import FitDetail
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.sections import section
@@ -220,10 +220,7 @@ class Fit:
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError with the known names otherwise."""
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise KeyError(f"no parameter '{name}'; known: {', '.join(p.name for p in self.parameters)}")
+        return named(self.parameters, name, "parameter")
 
 
 def of_points(model: str) -> bool:
@@ -278,13 +275,9 @@ class RuleOutcome:
         """The value as people read it, in the unit of the rule."""
         if self.shown:
             return self.shown
-        return (
-            "nothing"
-            if self.value is None
-            else self.value
-            if isinstance(self.value, str)
-            else number(self.value)
-        )
+        if self.value is None:
+            return "nothing"
+        return self.value if isinstance(self.value, str) else number(self.value)
 
 
 @dataclass(frozen=True)

@@ -104,7 +104,6 @@ class BlockCovariance:
 
     @cached_property
     def _places(self) -> IntArray:
-        """Block and place in the block of every element, (n, 2)."""
         places = np.empty((self.elements.size, 2), np.intp)
         places[self.elements.ravel()] = np.argwhere(self.elements >= 0)
         return places
@@ -260,8 +259,8 @@ class FrequencyResponse:
                         of the members of these
     repeats             (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where
                         each has all of it, or of every hit or sweep, or None; named by repeat_names
-    repeat_levels       (n_repeat,) [unit of the force] r.m.s. force of each recording, peak of each hit, or
-                        None; *repeats_are*: "recordings", "hits" or "sweeps"
+    repeat_levels       (n_repeat,) [unit of the force] r.m.s. of each recording or sweep, peak of each hit,
+                        or None; *repeats_are*: "recordings", "hits" or "sweeps"
     """
 
     frequency: FloatArray
@@ -329,12 +328,15 @@ class FrequencyResponse:
                     f"{error.change.shape}"
                 )
         for attribute, (dtype, shape) in shapes.items():
-            values = self.__dict__[attribute]
-            in_parts = isinstance(values, FactoredCovariance | BlockCovariance)
-            if in_parts and values.shape != shape:
+            self._freeze(attribute, dtype, shape)
+
+    def _freeze(self, attribute: str, dtype: Any, shape: tuple[int, ...]) -> None:
+        values = self.__dict__[attribute]
+        if isinstance(values, FactoredCovariance | BlockCovariance):
+            if values.shape != shape:
                 raise DataError(f"covariance has the shape {values.shape}, {shape} is needed")
-            if values is not None and not in_parts:
-                object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
+        elif values is not None:
+            object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
 
     def __repr__(self) -> str:
         return response_line(self)

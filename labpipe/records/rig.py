@@ -4,18 +4,33 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, DataError
+from labpipe.quantities import UnitError, parse_value
 from labpipe.records.recording import Channel
 from labpipe.records.settings import Settings, setting
 from labpipe.records.uncertain import Uncertain
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
+
+
+def time_scale(column: str | None, units: Mapping[str, str]) -> float:
+    """Seconds per unit of a time column: by the *units* that its file states, else in brackets behind its
+    name; 1 without one.
+    """
+    match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
+    # msec, microseconds
+    behind = re.sub(r"sec(ond)?s?$", "s", match[1]) if match else "s"
+    unit = units.get(column or "") or behind.replace("milli", "m").replace("micro", "u")
+    try:
+        return parse_value(f"1 {unit}", "s")
+    except UnitError:
+        return 1.0
 
 
 @dataclass(frozen=True)
@@ -36,8 +51,8 @@ class RigChannel:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds, or the rate [Hz] to
-    *resample* channels of several rates to; *mass* [kg] or None.
+    """The rig file: *sample_rate* [Hz] or the *time* column, or the rate [Hz] to *resample* channels of
+    several rates to; *mass* [kg] or None.
 
     derived: channels that are sums of recorded ones. mass_uncertainty: the mass with its standard
     uncertainty, if it has one.
@@ -47,12 +62,16 @@ class Rig:
     channels: tuple[RigChannel, ...]
     sample_rate: float | None = None
     time: str | None = None
-    time_scale: float = 1.0
     mass: float | None = None
     description: str = ""
     derived: tuple[Channel, ...] = ()
     mass_uncertainty: Uncertain | None = None
     resample: float | None = None
+
+    @property
+    def time_scale(self) -> float:
+        """Seconds per unit of the time column by its name alone."""
+        return time_scale(self.time, {})
 
     @property
     def all_channels(self) -> tuple[Channel, ...]:

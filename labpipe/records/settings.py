@@ -464,7 +464,6 @@ _DECLARED: dict[Any, tuple[tuple[str, Any, Setting], ...]] = {}
 
 
 def _declarations(owner: type) -> tuple[tuple[str, Any, Setting], ...]:
-    """Name, default and setting of each declared field."""
     if owner not in _DECLARED:
         _DECLARED[owner] = tuple(
             (field.name, field.default, field.metadata["setting"])
@@ -475,7 +474,6 @@ def _declarations(owner: type) -> tuple[tuple[str, Any, Setting], ...]:
 
 
 def _note(settings: Any, name: str, number: Uncertain) -> float:
-    """The value of a number with an uncertainty, which is noted among the settings' uncertainties."""
     others = tuple(pair for pair in settings.uncertainties if pair[0] != name)
     object.__setattr__(settings, "uncertainties", (*others, (name, number)))
     return number.value

@@ -48,16 +48,19 @@ class ChannelSpectra:
     """Spectra of the channels of one test: a vector z of all channels for every line and run, none of them
     taken as free of noise.
 
-    frequency    (n_line,) [Hz], increasing vectors      (n_line, n_run, n_channel) complex amplitudes at
-    e^{+jwt}, 0 to peak [SI units of the channels], corrected for the
-                 channels' delays and frequency responses; a run is one independent excitation: a recording of
-                 periodic data, or the part of random data that is due to one drive
-    covariance   (n_line, n_run, n_channel, n_channel) complex, E[e e^H] of the noise e of a vector; runs do
-    not share noise covariance_dof  complex degrees of freedom behind each covariance (inf: known)
+    frequency         (n_line,) [Hz], increasing
+    vectors           (n_line, n_run, n_channel) complex amplitudes at e^{+jwt}, 0 to peak [SI units of the
+                      channels], corrected for the channels' delays and frequency responses; a run is one
+                      independent excitation: a recording of periodic data, or the part of random data that is
+                      due to one drive
+    covariance        (n_line, n_run, n_channel, n_channel) complex, E[e e^H] of the noise e of a vector; runs
+                      do not share noise
+    covariance_dof    complex degrees of freedom behind each covariance (inf: known)
     line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...;
-    empty where independent factors      numbers with an uncertainty that stand in derived channels, and
-    uncertainties of the channels' calibrations blocks         of random data, whose ends leave leakage in the
-    vectors, or None
+                      empty where independent
+    factors           numbers with an uncertainty that stand in derived channels, and uncertainties of the
+                      channels' calibrations
+    blocks            of random data, whose ends leave leakage in the vectors, or None
 
     The channels are forces (role input) and responses (output), then sums of these and their members; a
     member that is no force or response of its own has the role reference, and the covariance is singular

@@ -69,7 +69,6 @@ def fit_text(fit: Fit) -> str:
 
 
 def _correlation_lines(fit: Fit) -> list[str]:
-    """The correlations beyond a half, the largest first."""
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     n = min(len(names), fit.correlation.shape[0])
     pairs = [(float(fit.correlation[i, j]), names[i], names[j]) for i in range(n) for j in range(i)]

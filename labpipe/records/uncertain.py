@@ -64,6 +64,8 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
         return Uncertain(value)
     size_text, qualities = _qualities(error_text)
     relative = size_text.endswith("%")
+    if relative and not value:
+        raise UnitError(f"'{size_text}' is relative, of zero", "write the uncertainty with its unit")
     size = abs(value) * parse_value(size_text, "1") if relative else _difference(size_text, unit)
     if size < 0:
         raise UnitError(f"'{text}' has a negative uncertainty")
@@ -91,26 +93,26 @@ def _qualities(text: str) -> tuple[str, list[str]]:
 
 
 def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
-    """The uncertainty with its qualities; UnitError for an unknown one."""
+    """The uncertainty with its qualities; UnitError for an unknown one, or two of a kind.
+
+    A factor k is what the size is divided by, whatever the shape.
+    """
     entries: dict[str, Any] = {}
-    factor = 1.0
     for quality in qualities:
         name, _, text = (part.strip() for part in quality.partition("="))
-        if name in SHAPES and not text:
-            entries["shape"], factor = name, factor * SHAPES[name]
-        elif name == "source" and text:
-            entries["source"] = text
-        elif name in ("k", "dof"):
-            number = parse_value(text, "1")
-            if not number > 0:
+        kind = "shape" if name in SHAPES and not text else name
+        value: Any = name if kind == "shape" else text
+        if kind in entries:
+            raise UnitError(f"'{quality}' stands beside another {kind}", "state one of them")
+        if kind in ("k", "dof"):
+            value = parse_value(text, "1")
+            if not value > 0:
                 raise UnitError(f"'{quality}' must be above zero")
-            if name == "k":
-                factor *= number
-            else:
-                entries["dof"] = number
-        else:
+        elif not value or kind not in ("shape", "source"):
             words = (*SHAPES, "k=2", "dof=12", "source=NAME")
             raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, words))
+        entries[kind] = value
+    factor = entries.pop("k", SHAPES[entries.get("shape", "normal")])
     return replace(plain, std_error=plain.std_error / factor, **entries)
 
 
@@ -266,7 +268,7 @@ class Budget:
         column = self.names.index(name)
         parts = {"noise": float(self.random[column] ** 2)}
         for source, change in zip(self.sources, self.changes, strict=True):
-            parts[source.source] = float(change[column] ** 2)
+            parts[source.source] = parts.get(source.source, 0.0) + float(change[column] ** 2)
         whole = sum(parts.values())
         if whole <= 0:
             return parts

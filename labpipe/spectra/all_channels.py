@@ -89,7 +89,6 @@ def periodic_lines(
 def _average(
     source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int
 ) -> tuple[LineSpectrum, tuple[Finding, ...]]:
-    """The lines of the recorded channels of one recording in the band, and findings."""
     spectrum, _, findings = period_average(source, settings)
     mean = layout.picked(number, spectrum.mean, 1)
     noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
@@ -97,7 +96,6 @@ def _average(
 
 
 def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
-    """Corrected for the sensors, with the sums."""
     transform = layout.transform(spectrum.frequency)
     assert spectrum.noise is not None
     noise = transform @ spectrum.noise @ transform.conj().swapaxes(1, 2)

@@ -104,7 +104,6 @@ def sum_errors(
 
 
 def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Iterator[_Effect]:
-    """What the numbers and the members of the sums among the ports do to them."""
     by_name = {channel.name: channel for source in sources for channel in source.channels}
     recorded = [channel for channel in by_name.values() if not channel.terms]
     for port, sensor in enumerate(sensors):
@@ -273,7 +272,6 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
 
 
 def _choose(source: SampleSource) -> list[Channel]:
-    """Forces, responses, and what stands in a sum of these."""
     used = [channel for channel in source.channels if channel.role != "reference"]
     if not any(channel.role == "input" for channel in used):
         raise DataError(

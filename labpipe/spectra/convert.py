@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -69,24 +70,26 @@ def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
             hint="begin the band above 0 Hz",
         )
     factor = ((2j * np.pi * response.frequency) ** order)[:, None, None]
-    covariance = response.covariance
-    if covariance is not None:
-        covariance = covariance * np.abs(factor) ** 2
-    converted = _with_each(response, lambda values: values * factor)
-    return dataclasses.replace(converted, covariance=covariance, form=form)
+    covariance, distortion = response.covariance, response.distortion
+    return dataclasses.replace(
+        _with_each(response, lambda values: values * factor),
+        covariance=None if covariance is None else covariance * np.abs(factor) ** 2,
+        distortion=None if distortion is None else distortion * np.abs(factor),
+        form=form,
+    )
 
 
 def _with_each(
     response: FrequencyResponse, turn: Callable[[ComplexArray], ComplexArray]
 ) -> FrequencyResponse:
     """The response with H and all that is added to it *turned* alike."""
-    change, open_loop = response.change, response.open_loop
+    beside = {name: getattr(response, name) for name in ("change", "open_loop", "repeats")}
+    turned: dict[str, Any] = {name: None if part is None else turn(part) for name, part in beside.items()}
     return dataclasses.replace(
         response,
         matrix=turn(response.matrix),
-        change=None if change is None else turn(change),
-        open_loop=None if open_loop is None else turn(open_loop),
         errors=tuple(dataclasses.replace(error, change=turn(error.change)) for error in response.errors),
+        **turned,
     )
 
 

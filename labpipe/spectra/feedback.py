@@ -138,7 +138,6 @@ def lag_of_reference(references: FloatArray, forces: FloatArray, responses: Floa
 
 
 def _lag_findings(late: dict[str, float]) -> tuple[Finding, ...]:
-    """A warning for references that were recorded late, by name [s]."""
     return tuple(
         Finding(
             "reference-lag",
@@ -170,10 +169,6 @@ def feedback_of_drives(
 def _findings(
     chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED
 ) -> tuple[Finding, ...]:
-    """The warning for the smallest of the chances (p-values by the names of forces or references).
-
-    *what* it does to the FRF.
-    """
     named = min(chances, key=lambda name: chances[name], default="")
     if not chances or chances[named] >= LEVEL:
         return ()
@@ -307,9 +302,6 @@ def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree
 
 
 def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
-    """First line and number of lines up to the last, of the band that the forces excite and of that which
-    they excite most.
-    """
     n = u.shape[0]
     edges = np.unique(np.linspace(0, n, COARSE_BANDS + 1).astype(int))
     coarse = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]

@@ -121,7 +121,6 @@ def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -
 
 
 def _levels(samples: FloatArray, name: str) -> _Levels:
-    """Size, period and noise of the response; DataError where nothing stands out of the noise."""
     centred = samples - np.median(samples, axis=0)
     deviation = np.std(centred, axis=0)
     moving = (deviation > 0) & np.isfinite(deviation)
@@ -182,13 +181,11 @@ def _rest(samples: FloatArray, length: int) -> FloatArray:
 
 
 def _rms(size: FloatArray, stretch: int) -> FloatArray:
-    """rms (n,) of every stretch of so many samples."""
     whole = size[: size.size // stretch * stretch].reshape(-1, stretch)
     return np.sqrt(np.mean(whole**2, axis=1))
 
 
 def _spans_of_decay(levels: _Levels, trigger: float, settle: int) -> list[tuple[int, int]]:
-    """Spans from the settled peak after every hit to the next hit or to the noise."""
     hits = _hits(levels, trigger)
     spans = []
     for hit, following in zip(hits, [*hits[1:], levels.size.size + levels.period], strict=True):
@@ -199,7 +196,6 @@ def _spans_of_decay(levels: _Levels, trigger: float, settle: int) -> list[tuple[
 
 
 def _hits(levels: _Levels, trigger: float) -> list[int]:
-    """First samples of the stretches in which a hit begins; without one the end of the largest stretch."""
     half = max(1, levels.period // 2)
     count = levels.size.size // half
     peaks = np.max(levels.size[: count * half].reshape(count, half), axis=1)
@@ -215,7 +211,6 @@ def _hits(levels: _Levels, trigger: float) -> list[int]:
 
 
 def _end(levels: _Levels, start: int, limit: int) -> int:
-    """Where a decay is lost in the noise, or the limit."""
     rms = _rms(levels.size[start:limit], levels.stretch)
     # Of five neighbouring stretches the median, so that a single loud one does not count.
     smooth = (

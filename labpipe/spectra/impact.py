@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -124,6 +124,34 @@ def find_hits(
         for start, trigger, samples in search.hits(zero_level, lambda: level):
             yield judged_hit(number, start, samples, trigger, force, settings)
             number += 1
+
+
+def hit_counts(sources: Sequence[SampleSource], settings: FrfSettings) -> list[int]:
+    """How many hits each recording holds, where some are left out by their numbers among all; else zeros.
+
+    DataError for a number that no hit has.
+    """
+    counts, reject = [0] * len(sources), settings.impact.reject
+    if reject:
+        assert settings.block is not None
+        for place, source in enumerate(sources):
+            n_sample = round(settings.block * source.sample_rate)
+            hits = find_hits(source, check_single_force(source), n_sample, settings.impact)
+            counts[place] = sum(1 for _ in hits)
+        if max(reject) > sum(counts):
+            what = f"`reject` names hit {max(reject)}, {sum(counts)} are found"
+            raise DataError(what, hint="numbers run through all recordings of a test")
+    return counts
+
+
+def of_recordings(settings: FrfSettings, chosen: Iterable[int], counts: Sequence[int]) -> FrfSettings:
+    """The settings for the *chosen* of several recordings that hold so many hits: their own numbers are left
+    out, counted among their hits alone.
+    """
+    ends = np.cumsum(counts)
+    numbers = [number for n in chosen for number in range(ends[n] - counts[n] + 1, ends[n] + 1)]
+    reject: Any = tuple(str(place) for place, n in enumerate(numbers, 1) if n in settings.impact.reject)
+    return dataclasses.replace(settings, impact=dataclasses.replace(settings.impact, reject=reject))
 
 
 def judged_hit(
@@ -473,9 +501,6 @@ class _HitAverage:
 
 
 def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
-    """The parts without the window's damping, with the noise that this leaves and its correlation between
-    lines.
-    """
     undamped = without_added_damping(parts.frequency, parts.matrix, decay)
     gains = undamped.gains
     covariance = parts.covariance
@@ -501,7 +526,6 @@ def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Pa
 
 
 def _select(parts: Parts, chosen: BoolArray) -> Parts:
-    """The parts on the chosen lines."""
     arrays: dict[str, Any] = {
         name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
     }

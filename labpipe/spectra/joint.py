@@ -225,10 +225,6 @@ def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> 
 
 
 def _with_references(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Layout:
-    """The layout with the references before the forces, -1 where a recording lacks one.
-
-    DataError for too few of them.
-    """
     check_references(sources, settings)
     if len(settings.reference) < len(layout.inputs):
         forces = ", ".join(port.label for port in layout.inputs)
@@ -251,7 +247,6 @@ def _with_references(sources: Sequence[SampleSource], settings: FrfSettings, lay
 def _strength_findings(
     estimate: JointEstimate, frequency: FloatArray, settings: FrfSettings, layout: Layout
 ) -> tuple[Finding, ...]:
-    """A warning where the references hardly move the forces; DataError where they do not."""
     named, weak = ", ".join(settings.reference), estimate.strength < LOW_SNR
     forces = ", ".join(port.label for port in layout.inputs)
     check_moved(estimate.strength, frequency, settings.reference, [port.label for port in layout.inputs])

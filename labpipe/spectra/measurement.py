@@ -17,7 +17,7 @@ from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, columns_of, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
-from labpipe.spectra.impact import impact_parts
+from labpipe.spectra.impact import hit_counts, impact_parts, of_recordings
 from labpipe.spectra.joint import joint_parts
 from labpipe.spectra.periodic import periodic_parts, realisations, robust_mean
 from labpipe.spectra.ports import (
@@ -76,7 +76,9 @@ def measure(
         responses = [_measure(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
     else:
-        response = _with_repeats(_of_sensor_places(sources, settings, name, conditions), sources, settings)
+        counts = hit_counts(sources, settings)
+        whole = _of_sensor_places(sources, settings, counts, name, conditions)
+        response = _with_repeats(whole, sources, settings, counts)
     if response.form != TRANSMISSIBILITY:
         response = response.with_findings(reciprocity_findings(response))
     response = response.with_findings(short)
@@ -84,27 +86,27 @@ def measure(
 
 
 def _with_repeats(
-    response: FrequencyResponse, sources: Sequence[SampleSource], settings: FrfSettings
+    response: FrequencyResponse, sources: Sequence[SampleSource], settings: FrfSettings, counts: Sequence[int]
 ) -> FrequencyResponse:
-    """The response with that of every recording alone, where each has all of it.
+    """The response with that of every recording alone, where each has all of it; *counts*: of their hits.
 
     Recordings that alone give no response, or other lines, are no repeats; of a single recording its hits
     are.
     """
     ports = [port.label for port in (*response.outputs, *response.inputs)]
     alone, names, levels = [], [], []
-    for source in sources if len(sources) > 1 else ():
+    for number, source in enumerate(sources if len(sources) > 1 else ()):
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
             return response
         try:
-            first_response = _measure([source], settings, source.name, None)
+            of_one = _measure([source], of_recordings(settings, [number], counts), source.name, None)
         except (LabpipeError, np.linalg.LinAlgError):
             return response
-        lines = np.isin(first_response.frequency, response.frequency)
-        of_one = [port.label for port in (*first_response.outputs, *first_response.inputs)]
-        if of_one != ports or lines.sum() != response.frequency.size:
+        lines = np.isin(of_one.frequency, response.frequency)
+        labels = [port.label for port in (*of_one.outputs, *of_one.inputs)]
+        if labels != ports or lines.sum() != response.frequency.size:
             return response
-        alone.append(first_response.matrix[lines])
+        alone.append(of_one.matrix[lines])
         names.append(source.name)
         levels.append(_level(source))
     if not alone:
@@ -129,20 +131,32 @@ def _level(source: SampleSource) -> float:
 
 
 def _of_sensor_places(
-    sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
+    sources: Sequence[SampleSource],
+    settings: FrfSettings,
+    counts: Sequence[int],
+    name: str,
+    conditions: dict[str, Any] | None,
 ) -> FrequencyResponse:
     """The response of recordings between which the sensors moved: one for each of their places, joined to one
-    matrix.
+    matrix. *counts*: of their hits.
     """
-    places: dict[tuple[Any, ...], list[SampleSource]] = {}
-    for source in sources:
+    places: dict[tuple[Any, ...], list[int]] = {}
+    for number, source in enumerate(sources):
         place = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "output")
-        places.setdefault(place, []).append(source)
+        places.setdefault(place, []).append(number)
     moved = [sensor for place in places for sensor in place]
     if len(places) == 1 or len(set(moved)) < len(moved):
         # One place, or a recording that lacks a response of the others, which is refused.
         return _measure(sources, settings, name, conditions)
-    responses = [_measure(members, settings, members[0].name, conditions) for members in places.values()]
+    responses = [
+        _measure(
+            [sources[n] for n in members],
+            of_recordings(settings, members, counts),
+            sources[members[0]].name,
+            conditions,
+        )
+        for members in places.values()
+    ]
     names = [port.channel for response in responses for port in response.outputs]
     if len(set(names)) < len(names):
         for number, response in enumerate(responses):
@@ -154,7 +168,6 @@ def _of_sensor_places(
 def _measure(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
-    """The response in the directions of the sensors, averaged over all recordings."""
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))

@@ -199,6 +199,9 @@ def _fit(
     order: float,
 ) -> tuple[float, float, ComplexArray, FloatArray, FloatArray]:
     """Mean time [s], speed [Hz], amplitude, its variance and mean (n_output,) of one segment."""
+    # Beyond half the sampling rate a harmonic is a lower order: both would share its amplitude.
+    step = (angle[-1] - angle[0]) / max(time.size - 1, 1)
+    orders = orders[(orders * step < np.pi) | (orders == order)]
     turns = np.exp(1j * angle[:, None] * orders)
     columns = np.column_stack([np.ones(time.size), turns.real, -turns.imag])
     solution, *_ = np.linalg.lstsq(columns, samples[:, outputs])

@@ -181,7 +181,6 @@ def _change(
 
 
 def _refuse_lines(acting: BoolArray) -> None:
-    """DataError: silent forces, or forces whose lines are interleaved (zipper)."""
     if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
         what = "no line is excited by all forces independently: their lines are interleaved"
         raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
@@ -238,7 +237,6 @@ def _average(
 
 
 def _creep_note(creep: RestMotion, source: SampleSource) -> Finding:
-    """What creeps, by how much from period to period."""
     sizes = np.sqrt(np.mean(creep.slope**2, axis=0))
     moved = "; ".join(
         f"{channel.name} by {size:.3g} {channel.unit} from period to period"
@@ -512,7 +510,6 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
 
 
 def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> Any:
-    """The mean of an array that every response has, or None."""
     parts = [getattr(response, name) for response in responses]
     return None if any(part is None for part in parts) else np.mean(parts, axis=0)
 

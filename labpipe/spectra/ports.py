@@ -128,8 +128,9 @@ def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
     """Sensor frequency response, indicated / true: exp(-j w delay) g(f) exp(j phi(f)), (n_line,) [1] at
     *frequency* (n_line,) [Hz].
 
-    Gain g and phase phi are interpolated linearly in the channel's table. DataError for a line outside the
-    table. Equation (spec-sensor).
+    Gain g and phase phi are interpolated linearly in the channel's table; a phase that stays within -180 to
+    180 deg, or 0 to 360 deg, may jump by a turn. DataError for a line outside the table. Equation
+    (spec-sensor).
     """
     response: ComplexArray = np.exp(-2j * np.pi * frequency * sensor.delay)
     if not sensor.response:
@@ -142,11 +143,10 @@ def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
             f"'{sensor.name}' ({span})"
         )
         raise DataError(what, hint="narrow `band`, or calibrate the sensor further")
-    return (
-        response
-        * np.interp(frequency, nodes, gain)
-        * np.exp(1j * np.interp(frequency, nodes, np.unwrap(phase)))
-    )
+    half_turns = np.array([phase.min(), phase.max()]) / np.pi
+    if np.max(np.abs(half_turns)) <= 1 or (half_turns[0] >= 0 and half_turns[1] <= 2):
+        phase = np.unwrap(phase)
+    return response * np.interp(frequency, nodes, gain) * np.exp(1j * np.interp(frequency, nodes, phase))
 
 
 Key = tuple[str, str, float | None, float, tuple[tuple[float, float, float], ...]]
@@ -159,7 +159,6 @@ def _key(channel: Channel) -> Key:
 def _ports_of(
     sources: Sequence[SampleSource], role: str
 ) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
-    """Ports of the channels of a *role*, their columns in each recording, and the channels."""
     columns = [_columns_of(source, role) for source in sources]
     if role == "output":
         _check_complete(sources, columns)
@@ -171,7 +170,6 @@ def _ports_of(
 
 
 def _columns_of(source: SampleSource, role: str) -> dict[Key, int]:
-    """The columns of a recording's channels of a *role*; DataError without any."""
     numbers = columns_of(source.channels, role)
     if not numbers:
         what = "force (role: input)" if role == "input" else "response (role: output)"
@@ -205,7 +203,6 @@ def _form(forces: Sequence[Channel], responses: Sequence[Channel]) -> str:
 
 
 def _check_complete(sources: Sequence[SampleSource], columns: Sequence[dict[Key, int]]) -> None:
-    """DataError when a recording lacks a response that another has."""
     outputs = dict.fromkeys(key for members in columns for key in members)
     for source, members in zip(sources, columns, strict=True):
         missing = ", ".join(key[0] for key in outputs if key not in members)
@@ -274,7 +271,8 @@ class Parts:
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its parts;
     coherences and snr [1] as in FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour,
     n_output, n_input) likewise, change, open_loop and blocks. hits (n_line, n_hit, n_output, n_input)
-    [output unit / N] of one recording's hits alone, with their numbers and peak forces [N].
+    [output unit / N] of one recording's hits or of all sweeps alone, with their numbers and peak (sweeps:
+    r.m.s.) forces [N].
     """
 
     frequency: FloatArray
@@ -436,7 +434,6 @@ def _errors(
 def _check_all_joined(
     responses: Sequence[FrequencyResponse], rows: Iterable[str], columns: Iterable[str]
 ) -> None:
-    """DataError unless every element lies in one response."""
     holders: dict[tuple[str, str], str] = {}
     for response in responses:
         for output, port in itertools.product(response.outputs, response.inputs):

@@ -341,7 +341,6 @@ def _parts(
     s_yy: ComplexArray,
     layout: Layout,
 ) -> Parts:
-    """What every estimator has of its averages; a warning where these are too few for the noise."""
     averages, n_input = sum(spectrum.averages for spectrum in spectra), response.shape[2]
     message = (
         f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; record "

@@ -225,7 +225,6 @@ def check_recorded(references: Sequence[str], channels: Sequence[str]) -> None:
 def _welch(
     source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int, drives: Sequence[str]
 ) -> CrossSpectra:
-    """Cross-spectra of the recorded channels, then the drives, of one recording."""
     names = [channel.name for channel in source.channels]
     columns = np.array([*layout.columns[number], *(names.index(name) for name in drives)])
     average = block_average(source, settings, columns.size)
@@ -270,7 +269,6 @@ def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "driv
 def _unexplained_findings(
     s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout
 ) -> tuple[Finding, ...]:
-    """Warnings for channels of whose power in the band the drives leave much unexplained."""
     power, rest = (np.sum(np.einsum("lcc->lc", matrix).real, axis=0) for matrix in (s_zz, residual))
     return tuple(
         Finding(

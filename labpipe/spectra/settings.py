@@ -51,6 +51,8 @@ class ShaftLines(Settings):
             raise ConfigError("one of 'speed' and 'tacho' is needed", hint="speed: 50 Hz, or tacho: CHANNEL")
         if self.speed is not None and self.speed <= 0:
             raise ConfigError("'speed' must be positive")
+        if self.speed is not None and self.pulses != 1:
+            raise ConfigError("'pulses' belong to a tacho", hint="leave them out beside 'speed'")
         for count in ("pulses", "harmonics"):
             if getattr(self, count) < 1:
                 raise ConfigError(f"'{count}' must be at least 1")
@@ -132,6 +134,10 @@ class FreeDecaySettings(Settings):
                 raise SettingError(name, f"'{name}' must not be negative")
         if self.end is not None and self.end <= (self.start or 0.0):
             raise SettingError("end", "'end' must come after 'start'")
+        for name in ("settle", "trigger") if self.start is not None else ():
+            if name in self.written:
+                what = f"'{name}' is for decays that are looked for, 'start' says where they begin"
+                raise SettingError(name, what, "leave one of them out")
         if not 0 < self.trigger < 1:
             raise SettingError("trigger", "'trigger' must lie between 0 and 100 %")
 
@@ -237,9 +243,6 @@ class FrfSettings(Settings):
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
 
     def _check_keys(self) -> None:
-        """ConfigError for keys that would change nothing under this excitation, or beside this way of
-        averaging.
-        """
         given = [
             field.name
             for field in fields(self)
@@ -258,7 +261,6 @@ class FrfSettings(Settings):
                 raise SettingError(name, what, "leave it out")
 
     def _check_result(self) -> None:
-        """ConfigError for keys of a response matrix beside spectra, and for drives that nothing uses."""
         if self.result == "response":
             self._check_reference()
             return
@@ -275,7 +277,6 @@ class FrfSettings(Settings):
                 raise SettingError(name, what, "leave it out")
 
     def _check_reference(self) -> None:
-        """ConfigError for a reference where no loop can be opened by it, and beside another estimator."""
         if not self.reference:
             return
         if self.local != "none":
@@ -314,7 +315,6 @@ class FrfSettings(Settings):
         return self.impact.decay if self.windowed is None else self.windowed.exponential
 
     def _check_local(self) -> None:
-        """ConfigError for local polynomials without room, or beside another estimator."""
         if self.local == "none" and self.excitation != "sweep":
             return
         if self.degree < 1:
@@ -327,7 +327,6 @@ class FrfSettings(Settings):
             raise SettingError("estimator", what, "estimator: H1")
 
     def _check_length(self) -> None:
-        """ConfigError where the length of a period or block is missing."""
         needed = NEEDED.get(self.excitation)
         if needed is None:
             return

@@ -308,7 +308,6 @@ def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
 def _lines(
     source: SampleSource, settings: FrfSettings, input_columns: Sequence[int], output_columns: Sequence[int]
 ) -> tuple[list[Line], Finding]:
-    """The evaluated dwells of a recording by rising frequency, and a note on them."""
     samples = np.concatenate(list(checked_blocks(source)))
     rate = source.sample_rate
     force = loudest(samples, np.array([column for column in input_columns if column >= 0]))
@@ -428,7 +427,6 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
 
 
 def _merge(lines: list[Line]) -> list[Line]:
-    """The lines by rising frequency; dwells at one frequency averaged by their duration."""
     groups: list[list[Line]] = []
     for line in sorted(lines, key=lambda line: line.frequency):
         if groups and _same(groups[-1][0], line):
@@ -455,10 +453,6 @@ def _average(group: list[Line]) -> Line:
 
 
 def _common(recordings: Sequence[list[Line]]) -> tuple[list[tuple[Line, ...]], int]:
-    """Rows of the lines of all recordings at one frequency, and how many lines are in no row.
-
-    DataError without any.
-    """
     rows = []
     for line in recordings[0]:
         partners = [next((other for other in lines if _same(line, other)), None) for lines in recordings[1:]]

@@ -127,8 +127,6 @@ def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]
 
 
 class _Line:
-    """A straight line through points that come one by one."""
-
     def __init__(self) -> None:
         self._n, self._x, self._y, self._xx, self._xy = 0, 0.0, 0.0, 0.0, 0.0
         self.slope = 0.0
@@ -296,9 +294,6 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
 
 
 def _runs(times: FloatArray) -> list[tuple[int, int]]:
-    """Ranges (first, end) of crossings *times* (n,) [samples] whose distances change by little from one to
-    the next.
-    """
     if times.size < 3:
         return []
     step = np.abs(np.diff(np.log(np.diff(times))))
@@ -311,9 +306,6 @@ def _runs(times: FloatArray) -> list[tuple[int, int]]:
 
 
 def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
-    """The run of crossings *times* (n,) [samples] cut where its frequency turns, as ranges of the crossings
-    of the whole record.
-    """
     # Running median; the values at the ends are repeated.
     padded = np.pad(-np.log(np.diff(times)), AT_END // 2, mode="edge")
     level = np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1)
@@ -557,7 +549,6 @@ def rate_findings(
 
 
 def _peaks(frequency: FloatArray, matrix: ComplexArray, coherence: FloatArray) -> list[HalfPower]:
-    """The highest peak of every FRF that has one with its half-power points in the band."""
     peaks = []
     band = float(frequency[0]), float(frequency[-1])
     for output, explained in enumerate(coherence.T):

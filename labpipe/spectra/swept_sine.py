@@ -126,7 +126,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     # The noise of one sweep is what the local fit leaves, beside its leakage.
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
         spectra, leakage = _without_leakage(spectra, n_input, _ends(swept, rate))
-    parts = _with_repeats(_parts(spectra, layout), spectra, n_input)
+    parts = _with_repeats(_parts(spectra, layout), spectra, sweeps)
     assert parts.multiple_coherence is not None
     rates = rate_findings(
         spectra.frequency,
@@ -144,7 +144,6 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
 
 
 def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
-    """The sweeps of a recording, of whichever of its forces is the loudest at the time."""
     samples = np.concatenate(list(checked_blocks(source)))
     try:
         sweeps = loudest_sweeps([find_sweeps(samples[:, column]) for column in input_columns if column >= 0])
@@ -158,7 +157,6 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
 
 
 def _common_length(swept: Sequence[_Swept]) -> int:
-    """Samples of a block: as many as every sweep has up to the next one, and the longest sweep at least."""
     between = min(stop - start for run in swept for start, stop in run.cuts)
     longest = max(
         sweep.stop - start for run in swept for sweep, (start, _) in zip(run.sweeps, run.cuts, strict=True)
@@ -198,27 +196,20 @@ def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sampl
     return True
 
 
-def _with_repeats(parts: Parts, spectra: _Spectra, n_input: int) -> Parts:
-    """The parts with the FRFs of every sweep alone, where there are two or more of one force."""
-    n_sweep = spectra.blocks.shape[0]
-    if n_input > 1 or n_sweep < 2:
+def _with_repeats(parts: Parts, spectra: _Spectra, sweeps: Sequence[FoundSweep]) -> Parts:
+    if parts.matrix.shape[2] > 1 or len(sweeps) < 2:
         return parts
-    forces = spectra.blocks[:, :, :1]
     return replace(
         parts,
-        hits=np.swapaxes(spectra.blocks[:, :, 1:] / forces, 0, 1)[..., None],
-        hit_numbers=tuple(range(1, n_sweep + 1)),
-        hit_peaks=tuple(np.sqrt(np.mean(np.abs(forces[:, :, 0]) ** 2, axis=1)).tolist()),
+        hits=np.swapaxes(spectra.blocks[:, :, 1:] / spectra.blocks[:, :, :1], 0, 1)[..., None],
+        hit_numbers=tuple(range(1, len(sweeps) + 1)),
+        hit_peaks=tuple(sweep.level for sweep in sweeps),
     )
 
 
 def _in_band(
     blocks: ComplexArray, spacing: float, band: tuple[float, float], n_input: int, settings: FrfSettings
 ) -> _Spectra:
-    """The lines in the swept band and in the settings' one, with a local fit around each.
-
-    DataError for too few lines.
-    """
     n_block, n_line, _ = blocks.shape
     # One line more than for polynomials alone makes up for the pole.
     # As wide as for one sweep of every force: each has leakage of its own.
@@ -345,7 +336,6 @@ def _of_ends(spectra: _Spectra, n_input: int, ends: Sequence[_End]) -> FloatArra
 
 
 def _leaks(spectra: _Spectra) -> bool:
-    """Whether the leakage of a response is more than the noise in its estimate."""
     local = spectra.local
     n_line, n_block, _ = local.leakage.shape
     if n_line == 0:
@@ -361,9 +351,6 @@ def _leaks(spectra: _Spectra) -> bool:
 
 
 def _parts(spectra: _Spectra, layout: Layout) -> Parts:
-    """The FRF, its covariance from the scatter of repeated sweeps or else from the residual around each line,
-    and coherence.
-    """
     n_input = len(layout.inputs)
     channels = spectra.blocks.transpose(1, 2, 0)
     forces, responses = channels[:, :n_input], channels[:, n_input:]
@@ -466,7 +453,6 @@ def _lines_averaged(width: int, half_width: int) -> float:
 
 
 def _notes(swept: Sequence[_Swept], n_sample: int, rate: float) -> tuple[Finding, ...]:
-    """What sweeps each recording holds: number, band, law and rate."""
     notes = []
     for run in swept:
         bands = ", ".join(f"{sweep.low * rate:.3g}-{sweep.high * rate:.3g} Hz" for sweep in run.left_out)

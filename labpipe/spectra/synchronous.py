@@ -80,7 +80,7 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     the first `harmonics`. A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution
     within 100 s. DataError for fewer than two revolutions. Equation (spec-synchronous).
     """
-    motion = shaft_motion(source, lines)
+    motion = _motion(source, lines)
     duration = source.n_sample / source.sample_rate
     turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
     if turned < 2:
@@ -98,6 +98,16 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     return WithoutSynchronous(source, motion, cleaned)
 
 
+def _motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
+    """The shaft's motion; DataError for harmonics that reach half the sampling rate, and are others there."""
+    motion = shaft_motion(source, lines)
+    top = lines.harmonics * motion.speed_range[1]
+    if top < source.sample_rate / 2:
+        return motion
+    what = f"{lines.harmonics}x of the shaft of '{source.name}' is {top:.4g} Hz"
+    raise DataError(f"{what}, not below half its sampling rate", hint="lower `harmonics`")
+
+
 def is_cleaned(channel: Channel) -> bool:
     """Whether a channel's synchronous part is taken out: not that of the tacho and of other references that
     are no force or motion.
@@ -106,7 +116,6 @@ def is_cleaned(channel: Channel) -> bool:
 
 
 def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
-    """Power of the fitted harmonics of every output over that of the first block."""
     outputs = columns_of(source.channels, "output")
     power = next(iter(source.blocks(READ_SAMPLES)))[:, outputs].var(axis=0)
     return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
@@ -204,7 +213,7 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
             f"recording '{source.name}' has {max(n_period, 0)} period(s), too few to tell the shaft from it",
             hint=hint,
         )
-    given = shaft_motion(source, lines)
+    given = _motion(source, lines)
     motion = (
         _refined_between(source, given, lines, settings, n_sample)
         if lines.tacho is None
@@ -261,7 +270,6 @@ class _Fitted:
 def _fit(
     source: SampleSource, motion: ShaftMotion, n_harmonic: int, n_sample: int, first: int, n_period: int
 ) -> _Fitted:
-    """Least squares over *n_period* periods from the period *first* on."""
     n_column = 2 * n_harmonic
     gram, right = np.zeros((n_column, n_column)), np.zeros((n_column, len(source.channels)))
     sum_turns, sum_samples = np.zeros((n_sample, n_column)), np.zeros((n_sample, len(source.channels)))

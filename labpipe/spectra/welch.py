@@ -142,10 +142,7 @@ class LineProducts(SegmentProducts):
         _add_matrices(kept.swapaxes(0, 1), self._sum)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
-
-        Of all b, or of *columns*.
-        """
+        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
         return _matrix_of(self._sum, columns, scale)
 
 
@@ -206,10 +203,7 @@ class PackedProducts(SegmentProducts):
             self._tapered[:n_segment, -1].imag = 0.0
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
-
-        Of all b, or of *columns*.
-        """
+        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
         n = self._n_channel
         matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
         for k in range(len(self._positive)):
@@ -301,10 +295,7 @@ class RowProducts(SegmentProducts):
         _add_matrices(kept.swapaxes(0, 1), self._sum, self._n_thread)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
-
-        Of all b, or of *columns*.
-        """
+        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
         return _matrix_of(self._sum, columns, 0.5 * scale)
 
 

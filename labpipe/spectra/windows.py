@@ -50,7 +50,10 @@ def window_values(name: str, n_sample: int) -> FloatArray:
     kind, *parameters = name.split()
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
-        values: FloatArray = scipy.signal.get_window(chosen, n_sample, fftbins=True)
+        with np.errstate(all="ignore"):
+            values: FloatArray = scipy.signal.get_window(chosen, n_sample, fftbins=True)
+        if not np.sum(values) > 0:
+            raise ValueError
     except (ValueError, TypeError):
         raise ConfigError(
             f"unknown window '{name}'",

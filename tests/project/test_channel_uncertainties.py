@@ -98,6 +98,11 @@ def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None
     [
         (f"{PROBE} +- 1 kg", "channels.x.sensitivity"),
         (f"{PROBE} +- 1 % (rectanglar)", "did you mean 'rectangular'?"),
+        (f"{PROBE}, dof: 45 deg +- 1 %", "'1 %' is relative, of zero"),
+        (f"{PROBE}, uncertainty: {{phase: 1 %}}", "'1 %' is relative, of zero"),
+        (f'{PROBE}, uncertainty: {{gain: "1 % (k=2, k=2)"}}', "'k=2' stands beside another k"),
+        (f"{PROBE[:-6]}{{value: 8 V/mm, std: 1 %, limits: 2 %}}", "'limits=2 %' says nothing"),
+        (f"{PROBE[:-6]}{{value: 8 V/mm, std: 1 %, k: 2}}", "'k=2' stands beside another k"),
         (f"{PROBE}, dof: 45 deg +- 1 kg", "channels.x.dof"),
         (f"{PROBE}, uncertainty: {{gian: 1 %}}", "did you mean 'gain'?"),
         (
@@ -155,3 +160,28 @@ def test_the_key_of_the_version_before_is_read_with_a_note(tmp_path: Path) -> No
     assert found == ChannelUncertainty("gain", Uncertainty("x.gain", 0.01, "1"))
     with pytest.raises(ConfigErrors, match="doubt: unknown key"):
         uncertainties_of(tmp_path, f"{PROBE}, doubt: {{gain: 1 %}}, uncertainty: {{gain: 2 %}}")
+
+
+@pytest.mark.parametrize(
+    ("size", "divisor"), [("expanded: 1 %, k: 1.65", 1.65), ("std: 1 %", 1.0), ("limits: 1 %", math.sqrt(3))]
+)
+def test_a_shape_divides_limits_alone(tmp_path: Path, size: str, divisor: float) -> None:
+    """GUM 4.3.3: a stated multiple of a standard uncertainty is divided by that multiple, whatever the
+    distribution; 4.3.7: limits of a rectangular one by the root of 3.
+    """
+    (found,) = uncertainties_of(tmp_path, f"{PROBE[:-6]}{{value: 8 V/mm, {size}, shape: rectangular}}")
+    assert found.uncertainty.std_error == pytest.approx(0.01 / divisor)
+    assert found.uncertainty.shape == "rectangular"
+
+
+def test_a_calibration_by_groups_has_no_one_slope(tmp_path: Path) -> None:
+    """Two positions of a magnet, two slopes of one name: neither is that of the sensor."""
+    fits = [
+        {"name": "probe", "dof": 9, "parameters": [{"name": "slope", "value": value, "unit": "V/mm"}]}
+        for value in (8.0, 9.0)
+    ]
+    (tmp_path / "cal.json").write_text(json.dumps({"fits": fits}))
+    with pytest.raises(
+        ConfigErrors, match=r"'cal\.json' holds 2 calibration fits 'probe'; one for each group"
+    ):
+        uncertainties_of(tmp_path, "quantity: displacement, unit: V, sensitivity: cal.json#probe")

@@ -180,6 +180,12 @@ def test_a_ring_of_sums_and_a_constant_without_unit_are_refused(tmp_path: Path) 
         load_rig(tmp_path / "rig.yaml")
 
 
+def test_a_constant_that_no_sum_could_name_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(HEAD.replace("half: 50 %", "f: 2"))
+    with pytest.raises(ConfigErrors, match=r"rig.yaml:2:\d+: constants.f: is a channel already"):
+        load_rig(tmp_path / "rig.yaml")
+
+
 def test_sums_stand_in_the_recording_and_follow_the_rig_file(tmp_path: Path) -> None:
     """Made from the calibrated members, and made again when a constant changes."""
     (tmp_path / "r.csv").write_text("f,a,x1,x2\n1,2,3,4\n5,6,7,9\n2,0,1,1\n")

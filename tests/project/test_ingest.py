@@ -315,3 +315,36 @@ def test_channels_at_two_rates_in_one_recording(tmp_path: Path) -> None:
 def test_a_rig_has_one_rate(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="one of sample_rate and resample is needed, not both"):
         load_rig(rig_file(tmp_path, head="name: R\nsample_rate: 10 Hz\nresample: 10 Hz\nchannels:\n"))
+
+
+@pytest.mark.parametrize(
+    ("head", "titles"),
+    [("time: t", "t,f\nms,N"), ('time: "t [msec]"', "t [msec],f"), ("resample: 1 kHz", "t [ms],f")],
+)
+def test_the_unit_of_the_time_is_that_of_the_file(tmp_path: Path, head: str, titles: str) -> None:
+    """A step of one millisecond is 1000 Hz, wherever the unit stands."""
+    (tmp_path / "run.csv").write_text(f"{titles}\n" + "".join(f"{n},{n % 7}\n" for n in range(40)))
+    rig = rig_file(tmp_path, "  f: {quantity: force}\n", f"{head}\nchannels:\n")
+    recording = ingested(tmp_path, tmp_path / "run.csv", rig)
+    assert (recording.sample_rate, recording.n_sample) == (1000.0, 40)
+
+
+def test_a_time_in_a_unit_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("t,f\nmm,N\n" + "".join(f"{n},{n % 7}\n" for n in range(40)))
+    rig = rig_file(tmp_path, "  f: {quantity: force}\n", "time: t\nchannels:\n")
+    with pytest.raises(DataError, match=r"run\.csv: 't' is in mm by the file's own header, no time"):
+        ingested(tmp_path, tmp_path / "run.csv", rig)
+
+
+def test_times_of_day_are_seconds_whatever_their_column_is_called(tmp_path: Path) -> None:
+    rows = "".join(f"10:00:00.{n:02d},{n % 7}\n" for n in range(40))
+    (tmp_path / "run.csv").write_text("time [h],f\n" + rows)
+    rig = rig_file(tmp_path, "  f: {quantity: force}\n", 'time: "time [h]"\nchannels:\n')
+    assert ingested(tmp_path, tmp_path / "run.csv", rig).sample_rate == 100.0
+
+
+def test_joined_files_are_not_resampled(tmp_path: Path) -> None:
+    raw = csv_file(tmp_path, ["t [s]", "f"], np.column_stack([np.arange(9) / 10, np.arange(9)]))
+    rig = load_rig(rig_file(tmp_path, "  f: {quantity: force}\n", "resample: 10 Hz\nchannels:\n"))
+    with output_folder(tmp_path / "out") as output, pytest.raises(DataError, match="these files are joined"):
+        ingest(raw, rig, output, "run", tmp_path, [raw])

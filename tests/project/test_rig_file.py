@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import ConfigError, ConfigErrors
-from labpipe.project.rig_file import load_rig, time_scale
-from labpipe.records.rig import Rig, RigChannel
+from labpipe.project.rig_file import load_rig, move
+from labpipe.records.rig import Rig, RigChannel, time_scale
 
 CHECKS = [HealthCheck.function_scoped_fixture]
 
@@ -191,12 +191,27 @@ def test_a_sensor_response_is_read_beside_its_rig(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("column", "scale"),
-    [(None, 1.0), ("t", 1.0), ("t [min]", 60.0), ("t(h)", 3600.0), ("t [N]", 1.0), ("[s] t", 1.0)],
+    [
+        (None, 1.0),
+        ("t", 1.0),
+        ("t [min]", 60.0),
+        ("t(h)", 3600.0),
+        ("t [N]", 1.0),
+        ("[s] t", 1.0),
+        ("t [msec]", 1e-3),
+        ("Time (microseconds)", 1e-6),
+        ("t (sec)", 1.0),
+    ],
 )
 def test_seconds_per_unit_of_the_time_column(column: str | None, scale: float) -> None:
-    assert time_scale(column) == scale
+    assert time_scale(column, {}) == scale
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         load_rig(tmp_path / "none.yaml")
+
+
+def test_a_channel_that_moves_keeps_an_angle_as_direction(tmp_path: Path) -> None:
+    found = move(rig(tmp_path, "sample_rate: 1 kHz\nchannels:\n  f: {quantity: force}\n"), {"f": "45 deg"})
+    assert found.channels[0].channel.angle == pytest.approx(math.pi / 4)

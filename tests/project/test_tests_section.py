@@ -93,6 +93,15 @@ def test_a_recording_may_have_a_rig_of_its_own(folder: Path) -> None:
     assert [source.rig.name for source in test.recordings] == ["R", "Moved"]
 
 
+def test_a_recording_counts_once_with_one_rig(folder: Path) -> None:
+    """Twice it would halve the variance of what it says; with other channels it may say something else."""
+    twice = f"rig: rig.yaml\nrecordings: [runs/a.csv, 'runs/?.csv']\n{FRF}"
+    (fault,) = faults(folder, twice)
+    assert fault == "p.yaml:2:26: recordings: 'a.csv' is named twice; a recording counts once"
+    moved = twice.replace("'runs/?.csv'", "{file: runs/a.csv, rig: moved.yaml}")
+    assert files(load(folder, moved)) == [["runs/a.csv", "runs/a.csv"]]
+
+
 def test_one_recording_s_channels_leave_the_others_alone(folder: Path) -> None:
     text = (
         f"rig: rig.yaml\nrecordings: [{{file: runs/a.csv, channels: {{f: {{dof: y}}}}}}, runs/b.csv]\n{FRF}"

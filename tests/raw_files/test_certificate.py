@@ -197,6 +197,7 @@ def test_a_table_with_a_phase_over_frequency(tmp_path: Path) -> None:
         (TABLE.replace("2027-01-31,\n", "31.1.2027,\n"), "D-7", "is no day"),
         (TABLE.replace("V/mm,0.4 %", "V/mm,-0.4 %"), "D-7", "is negative"),
         (TABLE.replace("11,mV/N", "11,V/N"), "D-8", "has several units"),
+        (TABLE.replace(",20\n", ",\n"), "D-8", "'frequency_hz' has '', which is no number"),
         (TABLE + "D-7,SN 1\n", "D-7", "more or fewer cells"),
         ("", "", "has no column 'certificate'"),
     ],
@@ -211,3 +212,12 @@ def test_tables_that_are_refused(tmp_path: Path, content: str, number: str, what
 def test_damaged_certificates_are_refused_or_state_the_same_numbers() -> None:
     refused, same, others = judged(300, seed=41)
     assert others == [] and refused > 50 and same > 50
+
+
+def test_a_phase_that_begins_later_and_one_of_negative_uncertainty_are_refused(tmp_path: Path) -> None:
+    head = TABLE.splitlines()[1] + ",phase_deg,phase_uncertainty_deg"
+    rows = [f"D-9,SN 3,over f,1{n},mV/N,0.2,2,2027-01-31,{20 * n}" for n in (1, 2)]
+    for cells, what in ((",,0.3", "'phase_deg' has ''"), (",-1.5,-0.3", "is negative")):
+        content = "\n".join([head, rows[0] + cells, rows[1] + ",-2.5,0.3"])
+        with pytest.raises(UnitError, match=what):
+            read_certificate(written(tmp_path, content, "p.csv"))

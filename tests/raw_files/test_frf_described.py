@@ -15,6 +15,7 @@ import pytest
 from scipy.io import savemat
 
 from labpipe.errors import ConfigError, DataError
+from labpipe.raw_files.frf_csv import read_frf_csv
 from labpipe.raw_files.frf_described import Dofs, read_described
 from labpipe.records.frf_layout import ElementColumns, FrfColumns, FrfLayout
 
@@ -290,6 +291,24 @@ RE_IM = {"frequency": "1", "re": "2", "im": "3"}
             "in rad by the file's own header; write",
         ),
         (
+            "f,a [m/N],p\n1,2,3\n2,3,4\n",
+            {"frequency": "f", "amplitude_db": "a [m/N]", "phase_deg": "3"},
+            SI,
+            "'a [m/N]' is in m/N by the file's own header, not in decibels; write amplitude",
+        ),
+        (
+            "f,a [dB],p\n1,2,3\n2,3,4\n",
+            {"frequency": "f", "amplitude": "2", "phase_deg": "3"},
+            SI,
+            "'2' is in decibels by the file's own header; write amplitude_db",
+        ),
+        (
+            "f,a,p,c\n1,2,3,95\n2,3,4,97\n",
+            {"frequency": "f", "amplitude": "2", "phase_deg": "3", "coherence": "c"},
+            SI,
+            "holds the coherence 97; they lie between 0 and 1, and are not in per cent",
+        ),
+        (
             "f [N],a,p\n1,2,3\n2,3,4\n",
             {"frequency": "1", "amplitude": "2", "phase_deg": "3"},
             SI,
@@ -343,3 +362,33 @@ def test_faults_have_their_place(
 def test_descriptions_that_cannot_be_meant(entries: dict[str, object], fault: str) -> None:
     with pytest.raises(ConfigError, match=fault):
         FrfLayout(**entries)
+
+
+def test_parts_of_one_number_are_of_one_length(tmp_path: Path) -> None:
+    np.savez(tmp_path / "h.npz", f=FREQUENCY, re=H.real, im=H.imag[:1])
+    columns = FrfColumns(frequency="f", re="re", im="im")
+    with pytest.raises(DataError, match="'re' has 14 values, 'im' 1"):
+        read_described(tmp_path / "h.npz", FrfLayout(file="h.npz", variables=columns, **SI), X_F)
+
+
+@pytest.mark.parametrize(
+    "comment",
+    ["# Form: mobility", "#form = mobility", "# of today\n\n # form : mobility", '"# form: mobility"'],
+)
+def test_the_form_above_a_table_is_read_as_people_write_it(tmp_path: Path, comment: str) -> None:
+    (tmp_path / "h.csv").write_text(f"{comment}\nfrequency_hz,x/f:re,x/f:im\n1,1,2\n2,1,2\n")
+    assert read_frf_csv(tmp_path / "h.csv").form == "mobility"
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("# a\n# form: mobilty\nfrequency_hz,x/f:re,x/f:im\n1,1,2\n", r"h\.csv:2: unknown form 'mobilty'"),
+        ("frequency_hz,x/f:re,x/f:im,x/f:var,x/f:var\n1,1,2,3,4\n", "'x/f:var' appears 2 times"),
+        ("frequency_hz,x/f:re,x/f:im,x/f:var\n1,1,2,-3\n", "holds the negative variance -3"),
+    ],
+)
+def test_faults_of_a_table_of_frfs(tmp_path: Path, text: str, fault: str) -> None:
+    (tmp_path / "h.csv").write_text(text)
+    with pytest.raises(DataError, match=fault):
+        read_frf_csv(tmp_path / "h.csv")

@@ -52,6 +52,7 @@ def test_a_table_of_points(table) -> None:
         ("point,x [mn],y [mm]\n1,0,0\n", r"points.csv:2: unknown unit 'mn'"),
         ("point,x [mm],q [mm]\n1,0,0\n", r"points.csv:1: column 'q \[mm\]' is unknown"),
         ("point,x [mm]\n1,0\n", r"points.csv:1: column 'y' is missing"),
+        ("point,x [mm],y [mm],to\n1,0,0,2,3\n2,0,1\n3,1,0\n", r"points.csv:2: a row has more cells than"),
         ("point,x [mm],y [mm],to\n1,0,0,2\n", r"points.csv:2: there is no point '2' to draw a line to"),
         ("point,x [mm],y [mm]\n1,0,0\n1,1,1\n", r"points.csv: point '1' stands twice"),
         ("point,x [mm],y [mm]\n", r"points.csv: holds no point"),

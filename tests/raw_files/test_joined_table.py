@@ -10,6 +10,7 @@ import pytest
 
 from labpipe.errors import DataError
 from labpipe.raw_files.joined_table import JoinedTable
+from labpipe.raw_files.table import check_columns
 
 
 class Rows:
@@ -105,3 +106,15 @@ def test_times_that_do_not_fit_are_refused(second: Rows, fault: str) -> None:
 def test_files_of_two_rates_are_refused() -> None:
     with pytest.raises(DataError, match=r"b.wav is sampled at 2000 Hz, a.wav at 1000 Hz"):
         JoinedTable([Rows("a.wav", {"f": N}, 9, 1000.0), Rows("b.wav", {"y": N}, 9, 2000.0)], None)
+
+
+def test_a_column_that_two_files_call_alike_is_listed_twice() -> None:
+    """By its name alone it cannot be told from the other, so that who reads it is refused."""
+    parts = [timed(name, 0, 9, 9, f=values) for name, values in (("a/r", N), ("b/r", -N), ("c/r", 2 * N))]
+    assert JoinedTable(parts, "t").columns == ("t", "f", "r/t", "r/f", "r/t", "r/f")
+    twice = timed("a/r", 0, 9, 9, f=N)
+    twice.columns = ("t", "f", "f")
+    table = JoinedTable([twice, timed("b/q", 0, 9, 9, y=N)], "t")
+    assert table.columns == ("t", "f", "f", "q/t", "y")
+    with pytest.raises(DataError, match="the column 'f' appears 2 times"):
+        check_columns(table, ["t", "f"])

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import openpyxl
 import pytest
+from scipy.io import savemat
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import DataError
@@ -84,6 +85,8 @@ def test_lvm_at_two_rates(tmp_path: Path) -> None:
     (slow,) = table.others
     assert (slow.columns, slow.units, slow.sample_rate, slow.start) == (("a",), {"a": "m/s^2"}, 5.0, 0.05)
     np.testing.assert_array_equal(np.concatenate(list(slow.chunks(["a"]))), [[10], [20]])
+    with pytest.raises(DataError, match="a second segment begins, and no X values say when"):
+        whole(lvm(tmp_path / "s.lvm", text + text))
 
 
 @pytest.mark.parametrize(
@@ -120,6 +123,21 @@ def test_numpy_files(tmp_path: Path) -> None:
     )
     np.save(tmp_path / "s.npy", np.array([(1.0, 2), (3.0, 4)], [("t", float), ("x", int)]))
     np.testing.assert_array_equal(whole(tmp_path / "s.npy", "x", "t"), [[2, 1], [4, 3]])
+
+
+def test_two_arrays_of_one_column_and_a_rate_that_is_none_are_refused(tmp_path: Path) -> None:
+    """Column 1 of a matrix x is x_1, as another array is called; a number x_1 is no channel."""
+    both = {"x": np.arange(12.0).reshape(6, 2), "x_1": np.ones(6), "fs": 512.0}
+    np.savez(tmp_path / "r.npz", **both)
+    savemat(tmp_path / "r.mat", both)
+    for name in ("r.npz", "r.mat"):
+        with pytest.raises(DataError, match="two of its arrays make a column 'x_1'"):
+            open_table(tmp_path / name)
+    np.savez(tmp_path / "s.npz", **{**both, "x_1": np.ones(1)})
+    np.testing.assert_array_equal(whole(tmp_path / "s.npz", "x_1", "x_2"), both["x"])
+    np.savez(tmp_path / "n.npz", x=both["x"], fs=np.nan)
+    with pytest.raises(DataError, match="no valid sampling rate"):
+        open_table(tmp_path / "n.npz")
 
 
 def test_pickled_objects_are_never_read(tmp_path: Path) -> None:

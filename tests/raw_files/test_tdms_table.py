@@ -105,3 +105,14 @@ def test_a_file_that_ends_while_it_is_read_is_refused(
     os.truncate(path, 20_000)
     with pytest.raises(DataError, match=r"r\.tdms: is not a readable TDMS file"):
         list(chunks)
+
+
+def test_channels_of_one_name_in_a_file_that_grows(tmp_path: Path) -> None:
+    """Each by its group, as in a file that is whole; the name alone says neither."""
+    with TdmsWriter(str(tmp_path / "r.tdms")) as writer:
+        parts = [ChannelObject(group, "x", np.arange(4.0) + n) for n, group in enumerate("ab")]
+        writer.write_segment([RootObject(), *parts])
+    rows, _ = tdms_table.growing_rows(tmp_path / "r.tdms", ["a/x", "b/x"], 0, 9)
+    np.testing.assert_array_equal(rows, np.column_stack([np.arange(4.0), np.arange(4.0) + 1]))
+    with pytest.raises(DataError, match="no column 'x'"):
+        tdms_table.growing_rows(tmp_path / "r.tdms", ["x"], 0, 9)

@@ -176,6 +176,7 @@ def test_units_of_record_164(tmp_path: Path, rng, sets, factor: float) -> None:
         ("g", "N", 9.80665),
         ("g/N", "N", 9.80665),
         ("m/s^2", "kN", 1e-3),
+        ("NONE", "kN", 1e-3),
         ("(m/s^2)/N", "NONE", 1.0),
     ],
 )
@@ -189,6 +190,11 @@ def test_units_of_labels(tmp_path: Path, rng, label: str, per: str, factor: floa
     ("changes", "fragment"),
     [
         ([{"ordinate_axis_units_lab": "furlong"}], "unknown unit 'furlong'"),
+        (
+            [{"ordinate_axis_units_lab": "m/s^2", "orddenom_axis_units_lab": "stone"}],
+            "unknown unit 'm/s.2 per stone'",
+        ),
+        ([{"abscissa_axis_units_lab": "rad/s"}], "its abscissa is in rad/s; Hz is needed"),
         (
             [{"ordinate_spec_data_type": 0}],
             r"are not displacement \(8\), velocity \(11\) or acceleration \(12\) per force \(13\); state it",
@@ -325,6 +331,8 @@ def test_record_164_scales_time_records(tmp_path: Path) -> None:
     ("others", "fragment"),
     [
         ([sine(40)], "has 40 values"),
+        ([sine(x=1.0 + 0.01 * np.arange(50))], "0.01 s apart from 1 s on; record 1"),
+        ([sine(abscissa_axis_units_lab="ms")], "its abscissa is in ms; s is needed"),
         ([sine(x=0.02 * np.arange(50))], "0.02 s apart"),
         ([sine(abscissa_spacing=0)], "not evenly spaced"),
         ([sine(data=np.ones(50) + 1j)], "complex values"),

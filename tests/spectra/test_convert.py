@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -115,3 +117,15 @@ def test_directional_needs_two_known_directions() -> None:
         directional(FrequencyResponse(np.array([1.0]), np.ones((1, 2, 2)), ports, ports))
     with pytest.raises(DataError, match="stand in one direction"):
         directional(rotor(ANISOTROPIC, (0.5, 0.5)))
+
+
+def test_what_goes_with_the_response_is_converted_with_it() -> None:
+    """H of every recording alone is turned as their mean is, and distortion is in the unit of H."""
+    one = rotor(ANISOTROPIC)
+    size = np.abs(one.matrix)
+    whole = replace(one, repeats=one.matrix[None], repeat_names=("run",), distortion=size)
+    turned, mobility = directional(whole), convert(whole, "mobility")
+    assert turned.repeats is not None and mobility.repeats is not None
+    np.testing.assert_array_equal(turned.repeats[0], turned.matrix)
+    np.testing.assert_array_equal(mobility.repeats[0], mobility.matrix)
+    np.testing.assert_allclose(mobility.distortion, OMEGA[:, None, None] * size, rtol=1e-15)

@@ -73,6 +73,25 @@ def test_without_windows_a_response_that_dies_away_is_exact(rng: np.random.Gener
     assert response.averages == 5 and not response.findings
 
 
+def test_hits_left_out_by_number_are_the_same_ones_in_every_recording_alone() -> None:
+    """The fourth of all hits, the second of the second recording, is of another rig: without it each
+    recording gives the FRF, by closed form.
+    """
+    quick, other = -2 * np.pi * 4.0 + 2j * np.pi * 60.0, -2 * np.pi * 4.0 + 2j * np.pi * 90.0
+    force = half_sine(12 * N, STARTS[:2], [1.0, 0.8])
+    runs = [hammered(np.random.default_rng(1), force, quick) for _ in range(2)]
+    samples = runs[1].samples.copy()
+    samples[6 * N :] = hammered(np.random.default_rng(1), force, other).samples[6 * N :]
+    runs = [replace(runs[0], name="a"), replace(runs[1], name="b", samples=samples)]
+    settings = FrfSettings("impact", block=2.0, band=(10.0, 150.0), impact=ImpactSettings(reject=("4",)))
+    response = measure(runs, settings)
+    assert response.repeats is not None and response.averages == 3
+    for alone in (response.matrix, *response.repeats):
+        np.testing.assert_allclose(alone[:, 0, 0], truth(response.frequency, quick), rtol=1e-9)
+    with pytest.raises(DataError, match="`reject` names hit 5, 4 are found"):
+        measure(runs, replace(settings, impact=ImpactSettings(reject=("5",))))
+
+
 def test_the_damping_of_the_exponential_window_is_taken_out_again(rng: np.random.Generator) -> None:
     # Half width 0.4 Hz; the window falls to 1 % within the 1 s block and adds 1 / (2 pi decay) = 0.73 Hz.
     decay = BLOCK / np.log(100)

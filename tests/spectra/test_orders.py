@@ -125,3 +125,10 @@ def test_what_cannot_be_tracked_is_refused() -> None:
         track_order(recording, ShaftLines(speed=10.0))
     alone = Recording((X, Channel("z", "displacement", "output", "z"), TACHO), recording.samples, RATE, "run")
     assert track_order(alone, ShaftLines(speed=10.0), revolutions=2).planes == ()
+
+
+def test_harmonics_beyond_half_the_rate_take_nothing_from_an_order() -> None:
+    """Ten samples a turn: 8x is 2x there, and the two would share its amplitude of one."""
+    recording = run(0.1 * np.arange(2000), np.cos(0.4 * np.pi * np.arange(2000)), np.zeros(2000))
+    track = track_order(recording, ShaftLines(speed=RATE / 10, harmonics=8), order=2.0)
+    np.testing.assert_allclose(track.amplitude[:, 0], 1.0, rtol=1e-9)

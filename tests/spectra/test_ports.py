@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.errors import DataError
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.ports import find_layout
+from labpipe.spectra.ports import find_layout, sensor_response
 
 X, Y = (
     Channel("x", "displacement", "output", "x", 0.0),
@@ -112,3 +112,18 @@ def test_what_gives_no_matrix_is_refused() -> None:
         find_layout([run("a", shaker("x"))])
     with pytest.raises(DataError, match="of several quantities"):
         find_layout([run("a", shaker("x"), X, Channel("v", "velocity", "output", "y"))])
+
+
+@pytest.mark.parametrize(
+    ("phases", "between"),
+    [((0.0, -200.0, -400.0), (-100.0, -300.0)), ((170.0, -170.0, -150.0), (180.0, -160.0)),
+     ((350.0, 10.0, 30.0), (0.0, 20.0)), ((0.0, 270.0, 540.0), (135.0, 405.0))],
+)  # fmt: skip
+def test_a_phase_runs_straight_between_the_rows_of_a_table(
+    phases: tuple[float, ...], between: tuple[float, ...]
+) -> None:
+    """Half way between two rows the phase is half way between theirs, also beyond half a turn, by hand."""
+    rows = zip((10.0, 20.0, 30.0), (1.0, 1.0, 1.0), np.radians(phases), strict=True)
+    sensor = Channel("x", "displacement", "output", "x", response=tuple(rows))
+    found = sensor_response(sensor, np.array([15.0, 25.0]))
+    np.testing.assert_allclose(found, np.exp(1j * np.radians(between)), atol=1e-12)

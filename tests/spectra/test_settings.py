@@ -12,7 +12,15 @@ from labpipe.project.marked_yaml import load_marked
 from labpipe.project.schema import pipeline_schema
 from labpipe.project.settings_reader import Faults, read_settings
 from labpipe.records.settings import settings_of
-from labpipe.spectra.settings import EXCITATIONS, KEYS, FrfSettings, ImpactSettings, MaskSettings, ShaftLines
+from labpipe.spectra.settings import (
+    EXCITATIONS,
+    KEYS,
+    FreeDecaySettings,
+    FrfSettings,
+    ImpactSettings,
+    MaskSettings,
+    ShaftLines,
+)
 
 
 def read(tmp_path: Path, text: str) -> tuple[FrfSettings | None, Faults]:
@@ -167,3 +175,11 @@ def test_the_schema_knows_the_sections() -> None:
         "sweep",
     }
     assert json.dumps(frf)
+
+
+def test_keys_that_would_change_nothing_are_refused() -> None:
+    with pytest.raises(ConfigError, match="'pulses' belong to a tacho"):
+        ShaftLines(speed=50.0, pulses=2)
+    for name, value in (("settle", 0.1), ("trigger", 0.2)):
+        with pytest.raises(ConfigError, match=f"'{name}' is for decays that are looked for"):
+            FreeDecaySettings(start=1.0, **{name: value})

@@ -120,3 +120,11 @@ def test_what_cannot_be_removed_is_refused(rng: np.random.Generator) -> None:
         without_synchronous(run(rng, even(0.001), ()), ShaftLines(speed=0.001))
     with pytest.raises(ConfigError, match="'remove' is not for impact excitation"):
         FrfSettings(excitation="impact", block=1.0, remove=ShaftLines(speed=50.0))
+
+
+@pytest.mark.parametrize("harmonics", [4, 6])
+def test_harmonics_that_are_others_at_this_rate_are_refused(rng: np.random.Generator, harmonics: int) -> None:
+    """4x of 64 Hz is half of 512 Hz, of whose sine the samples see nothing; 6x is 2x."""
+    top = harmonics * 64
+    with pytest.raises(DataError, match=rf"{harmonics}x of the shaft of 'run' is {top} Hz, not below half"):
+        without_synchronous(run(rng, even(64.0), ()), ShaftLines(speed=64.0, harmonics=harmonics))

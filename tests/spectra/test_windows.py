@@ -43,7 +43,7 @@ def test_a_window_s_parameter_stands_behind_its_name() -> None:
     assert noise_bandwidth(window_values("kaiser 8.6", 4096)) == pytest.approx(
         1.72, abs=0.01
     )  # Kaiser-Bessel, Harris' alpha = 8.6 / pi
-    for wrong in ("hannn", "kaiser", "hann x", "tukey 1 2 3"):
+    for wrong in ("hannn", "kaiser", "hann x", "tukey 1 2 3", "gaussian 0"):
         with pytest.raises(ConfigError, match=f"unknown window '{wrong}'"):
             window_values(wrong, 16)
 

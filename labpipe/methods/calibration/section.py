@@ -16,7 +16,7 @@ from labpipe.errors import ConfigError, DataError, FitError, LabpipeError, Setti
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.statistics import condition_number, correlation, estimated
 from labpipe.project.work import Work
-from labpipe.quantities import Unit, UnitError, parse_unit
+from labpipe.quantities import Unit, UnitError, may_agree, parse_unit
 from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
@@ -263,12 +263,17 @@ def _text(position: float, unit: str) -> str:
 
 
 def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
-    text = stated or table.units.get(name, "1")
+    header = table.units.get(name, "1")
+    text = stated or header
     try:
         unit = parse_unit(text)
     except UnitError as error:
         raise ConfigError(f"unit of column '{name}': {error.what}", hint=error.hint) from None
-    return _Column(values * unit.factor + unit.offset, si_name(unit))
+    column = _Column(values * unit.factor + unit.offset, si_name(unit))
+    if name in table.units and not may_agree(text, header):
+        what = f"column '{name}' is in {header} by the file's own header, in {text} by the entry"
+        raise ConfigError(what, hint="leave the unit out of the entry, or correct it")
+    return column
 
 
 def _units(x: _Column, y: _Column) -> tuple[str, str]:

@@ -82,7 +82,8 @@ def test_through_the_origin_the_slope_is_the_ratio_of_sums(tmp_path: Path) -> No
         ("x,u", {"x": "x", "y": "u", "x_unit": "um", "y_unit": "N"}, ("N/m", "N"), 1e6),
         ("v [m/s],u [V]", {"x": "v [m/s]"}, ("V/(m/s)", "V"), 1.0),
         ("p [%],u [V]", {"x": "p [%]"}, ("V", "V"), 100.0),
-        ("x [um],u [V]", {"x_unit": "mm"}, ("V/m", "V"), 1e3),
+        ("x,u [V]", {"x": "x", "x_unit": "mm"}, ("V/m", "V"), 1e3),
+        ("x [um],u [V]", {"x_unit": "µm"}, ("V/m", "V"), 1e6),
     ],
 )
 def test_units_of_slope_and_intercept(
@@ -134,6 +135,12 @@ def test_the_range_in_which_a_slope_holds(tmp_path: Path) -> None:
     [
         ("x [um],u [V]", {"x": "z [um]"}, DataError, "no column 'z [um]'"),
         ("x [um],u [V]", {"x_unit": "umm"}, ConfigError, "unit of column 'x [um]': unknown unit 'umm'"),
+        (
+            "x [um],u [V]",
+            {"x_unit": "mm"},
+            ConfigError,
+            "is in um by the file's own header, in mm by the entry",
+        ),
         ("x [um],u [V]", {"x_unit": "m^7"}, ConfigError, "a calibration column has an unusual unit"),
     ],
 )
