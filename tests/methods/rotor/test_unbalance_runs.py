@@ -12,7 +12,6 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.kind import Wear
-from labpipe.methods.rotor.response import frequency_response
 from labpipe.methods.rotor.rig import RotorRig, Unbalance
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.section import (
@@ -22,6 +21,7 @@ from labpipe.methods.rotor.section import (
     orbit,
     unbalance_runs,
 )
+from tests.methods.rotor.whole_response import frequency_response
 
 LAVAL = Path(__file__).parents[3] / "configs" / "rotors" / "laval.yaml"
 CASES = (("healthy", Wear()), ("wear 1", Wear(20.52e-6, float(np.deg2rad(21)))))

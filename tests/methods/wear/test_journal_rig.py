@@ -12,10 +12,10 @@ from scipy import fft
 
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.rotor.response import frequency_response
 from labpipe.methods.wear.virtual_rig import JournalNoise, VirtualJournalRig, receptance, true_rig, truth
 from labpipe.project.simulate import load_virtual_rig
 from labpipe.simulate.virtual_rigs import recordings
+from tests.methods.rotor.whole_response import frequency_response
 
 ROOT = Path(__file__).parents[3]
 
