@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -75,19 +76,9 @@ class BearingPlace:
             uncertainties=tuple(entry for entry in uncertainties if entry.above != entry.below),
         )
 
-    def with_error(self, source: str, sign: int) -> BearingPlace:
-        """The place with every number of a *source* a standard uncertainty above (*sign* 1) or below (-1).
-
-        Unchanged without one.
-        """
-        return next(
-            (
-                replace(self, bearing=entry.above if sign > 0 else entry.below, uncertainties=())
-                for entry in self.uncertainties
-                if entry.uncertainty.source == source
-            ),
-            self,
-        )
+    def of_source(self, source: str) -> list[UncertainBearing]:
+        """The numbers whose uncertainty is of a *source*."""
+        return [entry for entry in self.uncertainties if entry.uncertainty.source == source]
 
     def film(self, method: str) -> JournalBearing:
         """The journal bearing.
@@ -219,13 +210,17 @@ class RotorRig:
                 )
         return tuple(uncertainties.values())
 
-    def ends(self, source: str) -> tuple[RotorRig, RotorRig]:
-        """The rig with all numbers of a *source* a standard uncertainty above, and below."""
-        above, below = (
-            replace(self, bearings=tuple(place.with_error(source, sign) for place in self.bearings))
-            for sign in (1, -1)
-        )
-        return above, below
+    def ends(self, source: str) -> list[tuple[RotorRig, RotorRig]]:
+        """The rig with a number of a *source* in every bearing a standard uncertainty above, and below; once
+        for each that a bearing has, whose changes add up.
+        """
+        rigs = []
+        for entries in zip_longest(*(place.of_source(source) for place in self.bearings)):
+            pairs = list(zip(self.bearings, entries, strict=True))
+            above = [replace(place, bearing=entry.above) if entry else place for place, entry in pairs]
+            below = [replace(place, bearing=entry.below) if entry else place for place, entry in pairs]
+            rigs.append((replace(self, bearings=tuple(above)), replace(self, bearings=tuple(below))))
+        return rigs
 
     def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
         """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all,
