@@ -444,7 +444,8 @@ def _match(campaign: Campaign, evidence: Evidence) -> Solved:
     named = campaign.settings.theory
     assert named is not None
     theory = evidence.theory or theory_of(evidence.folder, named)
-    key = (campaign.settings.fit, campaign.settings.term, named)
+    of = campaign.settings
+    key = (of.fit, of.term, of.over, of.group, named)
     if key not in evidence.solved:
         evidence.solved[key] = _newly_matched(campaign, evidence, theory, named)
     return evidence.solved[key]

@@ -110,6 +110,8 @@ def test_runs_do_not_depend_on_which_others_are_made(virtual: VirtualJournalRig)
         ("rotor=none.yaml", "no such file 'none.yaml'"),
         ("bearing=bearing 3", "no bearing 'bearing 3'"),
         ("cells_around=47", "47 x 60 cells"),
+        ("bandwidth=1 mHz", "no line of a run lies between"),
+        ("duration=1 ms", "no line of a run lies between"),
     ],
 )
 def test_impossible_rigs_are_refused(entry: str, message: str, labpipe, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
