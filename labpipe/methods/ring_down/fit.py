@@ -306,7 +306,8 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     notes = _notes(decays, columns, pieces, fitted, tested)
     if repeated is not None:
         findings = (*findings, *repeated.failed, *drift_findings(repeated))
-        notes = (*repeat_notes(repeated, units), *notes)
+        read = [decays.units[columns[output]] for output in repeated.outputs]
+        notes = (*repeat_notes(repeated, read), *notes)
     details = (_ring_down(decays, columns, pieces, fitted, strongest, curves),)
     return replace(fit, findings=(*findings, *decays.findings), notes=notes, details=details)
 

@@ -155,6 +155,12 @@ def test_a_band_is_fitted_alone() -> None:
     )
 
 
+def test_a_band_beyond_half_the_sample_rate_ends_there() -> None:
+    """Up to 10 kHz of 1024 samples a second is as up to 512 Hz."""
+    wide, whole = (fitted(linear(), band=(1.0, end)) for end in (1e4, 512.0))
+    assert wide.parameter("f_n_1").value == pytest.approx(whole.parameter("f_n_1").value, rel=1e-9)
+
+
 def test_a_decay_too_short_for_the_band_is_left_out() -> None:
     """One of 0.1 s has 2 of 12 lines: the numbers are those of the other alone, and a note says so."""
     (long,) = noisy([motion(ONE, times())], 1)
@@ -225,6 +231,23 @@ def test_outputs_of_one_hit_share_their_poles() -> None:
     together, alone = fitted(both), fitted(both, output="a")
     assert together.parameter("f_n_1").std_error <= alone.parameter("f_n_1").std_error
     assert together.detail(RingDown).output == "a" and together.equations == 2 * alone.equations
+
+
+def test_decays_that_follow_the_amplitude_are_stated_in_the_unit_it_is_read_in() -> None:
+    """Of a displacement and a noisy acceleration, whose numbers are larger: the middle one of 1 ... .6 um is
+    .8 um, and no m/s^2.
+    """
+    time, rng, decays = times(0.5), np.random.default_rng(3), []
+    for size in (1.0, 0.9, 0.8, 0.7, 0.6):
+        course = motion(((40.0 * (1 - 0.01 * size), 0.01, 1.0, 0.3),), time)
+        noise = rng.standard_normal((time.size, 2)) * [1e-10, 1e-2]
+        columns = np.column_stack([1e-6 * size * course, -(251.3**2) * 1e-6 * size * course])
+        decays.append(FreeDecay(f"hit {size}", 0.0, columns + noise))
+    ports = (Port("y", "y", "y"), Port("a", "a", "a"))
+    fit = fitted(FreeDecays(1024.0, ports, ("m", "m/s^2"), tuple(decays)))
+    repeats = fit.parameter("f_n_1").repeats
+    assert repeats is not None and repeats.at == pytest.approx(8e-7, rel=1e-3)
+    assert "are stated at 8e-07 m," in fit.notes[0]
 
 
 def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
