@@ -7,6 +7,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.ring_down.fit import DecaySettings
+from labpipe.methods.ring_down.report import over_amplitude_figure
 from labpipe.records.fit_details import RingDown
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse, Port
@@ -185,6 +187,7 @@ def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
         ({"input": "f"}, ConfigError, "'input' is not for model decay"),
         ({"bands": [(30.0, 50.0)]}, ConfigError, "'bands' is not for model decay"),
         ({"mass": [1.0, 2.0]}, ConfigError, "takes one mass"),
+        ({"mass": 0.0}, ConfigError, "takes one mass, above zero"),
         ({"output": "q"}, ConfigError, "no response 'q'"),
         ({"band": (600.0, 700.0)}, FitError, "0 lines of a decay"),
         ({"band": (200.0, 300.0)}, FitError, "is noise"),
@@ -230,6 +233,7 @@ def test_outputs_of_one_hit_share_their_poles() -> None:
     )
     together, alone = fitted(both), fitted(both, output="a")
     assert together.parameter("f_n_1").std_error <= alone.parameter("f_n_1").std_error
+    assert [mode.unit for mode in together.detail(RingDown).modes] == ["m"]
     assert together.detail(RingDown).output == "a" and together.equations == 2 * alone.equations
 
 
@@ -295,6 +299,9 @@ def test_the_report_shows_decay_residual_and_course_over_amplitude() -> None:
         there = np.interp(stretches.x, law.x, law.y)
         # The law goes through the bars, which are two standard errors to either side.
         assert np.all(np.abs(there - stretches.y) < 2 * (stretches.high - stretches.low))
+    shown = fit.detail(RingDown)
+    other = over_amplitude_figure(fit, shown, 1, replace(shown.modes[0], unit="m/s^2"))
+    assert (shown.unit, other.graphic.panels[0].x.unit) == ("m", "m/s^2")
 
 
 def test_no_decay_is_no_record() -> None:
