@@ -24,13 +24,14 @@ from labpipe.registry import nearest
 class UncertainBearing:
     """A bearing with one number a standard uncertainty *above* its *value* [its unit], and *below* it.
 
-    *uncertainty* of the number.
+    *uncertainty* of the number, *key*: its entry.
     """
 
     uncertainty: Uncertainty
     above: Bearing
     below: Bearing
     value: float = 0.0
+    key: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class BearingPlace:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
         uncertainties = [
-            UncertainBearing(entry.uncertainty, changed(entry.above), changed(entry.below), entry.value)
+            replace(entry, above=changed(entry.above), below=changed(entry.below))
             for entry in self.uncertainties
         ]
         return replace(

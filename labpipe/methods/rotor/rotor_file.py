@@ -370,7 +370,7 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
         if above is None or below is None:
             return None
         source = uncertainty_of(uncertain, f"{name}: {entry_name}", unit)
-        places.append(UncertainBearing(source, above, below, uncertain.value))
+        places.append(UncertainBearing(source, above, below, uncertain.value, entry_name))
     return BearingPlace(name, node, bearing, entries["kind"].text, tuple(places))
 
 
