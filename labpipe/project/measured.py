@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -31,7 +31,7 @@ from labpipe.artefacts.measured_files import (
 from labpipe.artefacts.parquet import fresh_path
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import DataError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.project.ingest import RawRecording
 from labpipe.project.tests import ReadyFrf
 from labpipe.records.finding import Finding
@@ -52,6 +52,18 @@ RIGS = "rigs"
 def file_stem(test: str) -> str:
     """What the names of a test's files begin with."""
     return re.sub(r"[^\w.+-]+", "-", test).strip("-") or "frf"
+
+
+def file_stems(names: Iterable[str], what: str, where: Path | str = "") -> dict[str, str]:
+    """The file stem of every name; ConfigError where two would write the same file."""
+    stems: dict[str, str] = {}
+    for name in names:
+        stem = file_stem(name)
+        if stem in stems:
+            both = f"{what} '{stems[stem]}' and '{name}'"
+            raise ConfigError(f"{both} would write the same file", where, "rename one")
+        stems[stem] = name
+    return {name: stem for stem, name in stems.items()}
 
 
 class MeasuredSource(SampleSource, Protocol):

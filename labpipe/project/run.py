@@ -18,7 +18,7 @@ from labpipe.project.executors import Execute, serially
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import unique_names
 from labpipe.project.many_tests import Gathered, advice, identify, keeps_dataset
-from labpipe.project.measured import MeasuredTest, file_stem
+from labpipe.project.measured import MeasuredTest, file_stems
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.rules import Rule
 from labpipe.project.work import check_tested
@@ -168,12 +168,7 @@ def _jobs(
 
     ConfigError when two would write the same file, or a fit names a test that there is not.
     """
-    files: dict[str, str] = {}
-    for test in pipeline.tests:
-        other = files.setdefault(file_stem(test.name), test.name)
-        if other != test.name:
-            what = f"tests '{other}' and '{test.name}' would write the same file"
-            raise ConfigError(what, pipeline.path, "rename one")
+    file_stems([test.name for test in pipeline.tests], "tests", pipeline.path)
     test_names = [
         name
         for test in pipeline.tests

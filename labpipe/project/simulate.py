@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from labpipe.artefacts.parquet import arrow_array
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.project.marked_yaml import load_marked
+from labpipe.project.measured import file_stems
 from labpipe.project.settings_reader import Faults, read_settings
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.response import FrequencyResponse
@@ -56,9 +57,9 @@ def simulate_files(
 ) -> list[str]:
     """Write the files of a virtual rig and truth.json; their names."""
     simulation = virtual_rigs.simulate(rig, seed, runs)
-    names = []
+    names, stems = [], file_stems(simulation.files, "runs")
     for run, content in simulation.files.items():
-        name = f"{run}{_suffix(content)}"
+        name = f"{stems[run]}{_suffix(content)}"
         WRITERS[type(content)](output.write_path(name), content)
         names.append(name)
     entries = {"seed": seed, "rig": rig.name, **simulation.truth}

@@ -134,8 +134,7 @@ class AmplitudeLaw:
 
 @dataclass(frozen=True)
 class OverAmplitude:
-    """One mode piece by piece: damping ratio (n,) [1] and frequency (n,) [Hz] over amplitude (n,) [SI unit of
-    the output].
+    """One mode piece by piece: damping ratio (n,) [1] and frequency (n,) [Hz] over amplitude (n,) [*unit*].
 
     Each with its standard error of the same shape and unit. law: where damping or frequency depend on the
     amplitude, else None.
@@ -148,6 +147,7 @@ class OverAmplitude:
     frequency_std_error: FloatArray
     _: KW_ONLY
     law: AmplitudeLaw | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)

@@ -279,7 +279,7 @@ def test_the_same_input_gives_the_same_bytes(ball: Path, labpipe, tmp_path: Path
             "geometry: {ball_diameter: 9 mm, pitch_diameter: 9 mm}\nloads:",
             ["ball.yaml:8:1: geometry: the ball diameter must"],
         ),
-        ("loads:", "damping_factor: -1 s\nloads:", ["damping_factor is negative"]),
+        ("loads:", "damping_factor: -1 s\nloads:", ["damping_factor must not be negative"]),
         (
             "loads:",
             "shaft: {mass: 2 kg}\nloads:",

@@ -155,7 +155,8 @@ def judge(
     diagram = campbell(found, np.array([OPERATING]))
     f, u = diagram.frequency[0], diagram.frequency_error[0]
     delta, v = diagram.log_decrement[0], diagram.log_decrement_error[0]
-    true_f, true_delta = true.damped_frequency, -2 * np.pi * true.eigenvalues.real / true.eigenvalues.imag
+    roots = true.eigenvalues
+    true_f, true_delta = roots.imag / (2 * np.pi), -2 * np.pi * roots.real / roots.imag
     # By their shapes: the second pair is so close that frequencies alone mistake one for the other.
     pairs = follow([turning_modes(this, found.values), true])
     oscillating = np.flatnonzero(delta < DAMPED)

@@ -26,6 +26,19 @@ def kind_of(path: Path) -> str:
 SHIPPED = sorted(path for path in CONFIGS.glob("*.yaml") if kind_of(path) in VIRTUAL_RIGS.names())
 
 
+def test_the_name_of_a_run_is_no_path_and_has_a_file_of_its_own(labpipe, tmp_path: Path) -> None:
+    """A state of a rig named as a folder was written outside of the output, two alike in one file."""
+    states = "states: {../../x: {}, a/b: {}, a b: {}}, cells_around: 24, cells_across: 4, duration: 2 s"
+    rig = f"{{kind: virtual-journal-rig, rotor: {CONFIGS / 'rotors/mendes.yaml'}, {states}}}"
+    (tmp_path / "rig.yaml").write_text(rig, encoding="utf-8")
+    command = ("simulate", tmp_path / "rig.yaml", "-o", tmp_path / "a/b/out", "--run")
+    assert labpipe(*command, "../../x-y").code == 0
+    files = {path.name for path in (tmp_path / "a").rglob("*") if path.is_file()}
+    assert files == {"..-..-x-y.parquet", "truth.json"}
+    ended = labpipe(*command, "a/b-y", "--run", "a b-y")
+    assert ended.code == 2 and "runs 'a/b-y' and 'a b-y' would write the same file" in ended.err
+
+
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_a_shipped_rig_is_read_into_the_class_of_its_kind(path: Path) -> None:
     rig = load_virtual_rig(path)

@@ -190,9 +190,14 @@ def test_errors_name_the_test_and_what_is_missing(evidence) -> None:
 
 
 def test_fits_that_were_corrected_are_not_compared_with_a_theory(evidence) -> None:
-    shared = dataclasses.replace(evidence, fit_settings=(dataclasses.replace(PEAKS, share=2),), solved={})
-    with pytest.raises(ConfigError, match="corrected for support or share"):
-        compare(CompareSettings(kind="ratio", theory=THEORY, **SERIES), shared, theory([]))
+    for change, said in (
+        ({"share": 2}, "corrected for support or share"),
+        ({"damping": "hysteretic"}, "has hysteretic damping; the theory's is viscous"),
+    ):
+        fit_settings = (dataclasses.replace(PEAKS, **change),)
+        other = dataclasses.replace(evidence, fit_settings=fit_settings, solved={})
+        with pytest.raises(ConfigError, match=said):
+            compare(CompareSettings(kind="ratio", theory=THEORY, **SERIES), other, theory([]))
 
 
 def test_a_fit_without_noise_gives_the_ratio_itself() -> None:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.methods.rolling_bearing.ratio import Matched, rayleigh, stiffness_ratio
+from labpipe.methods.rolling_bearing.ratio import (
+    Matched,
+    ratio_of_tests,
+    rayleigh,
+    rayleigh_of_tests,
+    stiffness_ratio,
+)
+from labpipe.uncertainty.compare import Evidence
 from labpipe.uncertainty.observations import campaign_of
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.uncertainty.conftest import a_fit
@@ -103,6 +112,22 @@ def test_with_a_theory_its_beta_counts() -> None:
     )
     assert found.verdict == "proportional"
     assert found.amount("beta").value == pytest.approx(3e-5, rel=1e-9)
+
+
+def test_a_theory_is_matched_anew_where_the_tests_stand_in_another_order(monkeypatch) -> None:
+    """Of tests at one preload `group` makes the order: by it up stands behind down."""
+    fits = tuple(a_fit(way, {"k": (k, 1e3), "c": (100.0, 0.1)}) for way, k in (("up", 1e7), ("down", 2e7)))
+    conditions = {way: {"preload": "100 N", "way": way} for way in ("up", "down")}
+    beta = {"up": 1e-5, "down": 5e-6}
+    monkeypatch.setattr(
+        "labpipe.methods.rolling_bearing.ratio._newly_matched",
+        lambda campaign, *_: ([a_match(1.0, beta=beta[o.fit.test]) for o in campaign.observations], ()),
+    )
+    evidence = Evidence(fits, (), (), conditions=conditions, theory=object())
+    ratio_of_tests(replace(RATIO, group="way"), evidence)
+    found = rayleigh_of_tests(replace(RAYLEIGH, theory=TheorySettings("b.yaml")), evidence)
+    by_test = {point.test: point.ratio for point in found.points}
+    assert by_test == pytest.approx({"up": 2**0.5, "down": 2**-0.5}, rel=1e-6)
 
 
 @pytest.mark.long

@@ -8,20 +8,12 @@ from functools import cache, partial
 
 import numpy as np
 
-from labpipe.methods.journal_bearing.bearing import (
-    JournalBearing,
-    JournalEquilibrium,
-    journal_equilibrium,
-    short_bearing_coefficients,
-    short_bearing_equilibrium,
-    short_bearing_load,
-)
+from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.methods.journal_bearing.curve import JournalCurve, journal_curve
 from labpipe.methods.journal_bearing.film import FilmMesh
-from tests.validation import peer_inputs as given
+from tests.methods.journal_bearing.short_bearing import short_bearing_coefficients, short_bearing_load
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
-from tests.validation.peers import recorded, words
 
 LUND = "Lund, Thomsen 1978"
 # S, eccentricity, attitude [deg], Kxx Kxy Kyx Kyy, Cxx Cxy Cyx Cyy; L / D = 0.5, two grooves of 20 deg.
@@ -218,45 +210,6 @@ def short_film() -> list[Claim]:
     return found
 
 
-def of_ross() -> list[Claim]:
-    """Friswell's example 5.5.1, by ROSS's closed forms; x is horizontal there as y is here."""
-    theirs, inputs = recorded("ross")["short bearing"], given.SHORT
-    bearing = JournalBearing(
-        diameter=inputs["diameter"],
-        length=inputs["length"],
-        clearance=inputs["clearance"],
-        viscosity=inputs["viscosity"],
-    )
-    speed = inputs["rpm"] * np.pi / 30
-    k, c = short_bearing_coefficients(bearing, inputs["load"], speed)
-    e, _ = short_bearing_equilibrium(bearing, inputs["load"], speed)
-    kind, source, note = "peer program", recorded("ross")["program"], words("ross")
-    found = [
-        within(
-            "eccentricity, short bearing", e, theirs["eccentricity"], 1e-6, "1", kind, source, recorded=note
-        )
-    ]
-    for name, ours, unit in (("k", k, "MN/m"), ("c", c, "MN.s/m")):
-        each = [
-            within(
-                f"{name}_{axes}",
-                value / 1e6,
-                theirs[f"{name}{peer}"] / 1e6,
-                1e-6,
-                unit,
-                kind,
-                source,
-                relative=True,
-                recorded=note,
-            )
-            for axes, peer, value in zip(
-                ("yy", "yz", "zy", "zz"), ("xx", "xy", "yx", "yy"), ours.ravel(), strict=True
-            )
-        ]
-        found.append(worst(each, f"{name} of the short bearing"))
-    return found
-
-
 WEAR_SPEED = 2 * np.pi * 50
 # load N, depth um, angle deg, eccentricity ratio, attitude deg, K c / W, C c Omega / W in the order yy yz zy
 # zz
@@ -355,7 +308,6 @@ METHOD = Method(
         "coefficients": coefficients,
         "full film": full_film,
         "short": short_film,
-        "ross": of_ross,
         "worn": worn_film,
         "not tested": partial(gaps, "journal"),
     },

@@ -1,5 +1,5 @@
-"""Rolling bearings: printed stiffness matrices, load distribution, Hertzian contacts, the rigid shaft and the
-bending shaft.
+"""Rolling bearings: printed stiffness matrices, load distribution, Hertzian contacts and the rigid
+shaft.
 """
 
 from __future__ import annotations
@@ -11,13 +11,7 @@ import numpy as np
 from scipy import integrate
 
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium, load_vector
-from labpipe.methods.rolling_bearing.loads import (
-    BendingShaft,
-    RigidShaft,
-    RollingBearing,
-    modes,
-    sdof_stiffness,
-)
+from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing, modes, sdof_stiffness
 from labpipe.methods.rolling_bearing.settings import BallGeometry, Material, point_contact
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
@@ -400,37 +394,6 @@ def hertz_ellipse(k: float) -> Claim:
     )
 
 
-def bending() -> list[Claim]:
-    """Chapter 3.
-
-    The diameter of 37 mm is not printed and follows from the static stiffness, which is therefore no row.
-    """
-    beam = BendingShaft(2.1e11, 37e-3, 0.20)
-    kind = "printed calculation"
-    return [
-        within(
-            "by energy, over the static one",
-            beam.energy_stiffness() / beam.static_stiffness(),
-            1.176 / 1.159,
-            9e-4,
-            "1",
-            kind,
-            KNAAPEN,
-        ),
-        within(
-            "equivalent mass of the first mode",
-            beam.equivalent_mass(),
-            1.013,
-            5e-4,
-            "kg",
-            kind,
-            KNAAPEN,
-            "the printed mass does not follow from the printed formula and any diameter that the printed "
-            "stiffness allows",
-        ),
-    ]
-
-
 METHOD = Method(
     "rolling",
     "Rolling bearings",
@@ -441,7 +404,6 @@ METHOD = Method(
         "load distribution": load_distribution,
         "printed integrals": printed_integrals,
         "contacts": hertz,
-        "bending shaft": bending,
         "not tested": partial(gaps, "rolling"),
     },
 )

@@ -13,11 +13,7 @@ from scipy.optimize import brentq
 
 from labpipe.methods.balancing.balance_file import permissible_unbalance
 from labpipe.methods.balancing.influence import Influence, Noise, Run, best_weights, influence
-from labpipe.methods.journal_bearing.bearing import (
-    JournalBearing,
-    journal_equilibrium,
-    short_bearing_coefficients,
-)
+from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import Modes, modes, onset_speed, unbalance_response
 from labpipe.methods.rotor.rotor_file import load_rotor
@@ -33,6 +29,7 @@ from labpipe.methods.rotor.shaft import (
     supported_rotor,
 )
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
+from tests.methods.journal_bearing.short_bearing import short_bearing_coefficients
 from tests.validation import peer_inputs as given
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
@@ -72,7 +69,7 @@ def beams() -> list[Claim]:
     """48 elements: shear and rotary inertia lower mode 3 by 9 %, an error of the mesh of 3e-4 is accepted."""
     found, supports = [], [Support(node, RIGID, NO_DAMPING) for node in (1, 49)]
     for spin in (0.0, 3000.0):
-        ours = modes(beam(1.0, 0.1, 48), supports, spin).damped_frequency
+        ours = modes(beam(1.0, 0.1, 48), supports, spin).eigenvalues.imag / (2 * np.pi)
         for mode in (1, 2, 3):
             each = [
                 within(whirl, value, exact, 3e-4, "Hz", "closed form", "Timoshenko", relative=True)
@@ -91,7 +88,7 @@ def free_beam() -> list[Claim]:
     """f = x^2 / (2 pi l^2) sqrt(E I / rho A) with cos x cosh x = 1 (Blevins); d / l = 1/200."""
     e = ShaftElement(2.0, 0.01)
     weak = [Support(node, 1e-3 * np.eye(2), NO_DAMPING) for node in (1, 13)]
-    ours = modes(beam(2.0, 0.01, 12), weak, 0.0).damped_frequency
+    ours = modes(beam(2.0, 0.01, 12), weak, 0.0).eigenvalues.imag / (2 * np.pi)
     elastic = ours[ours > 0.3]
     found = []
     for mode, root in ((1, 4.730041), (2, 7.853205)):
@@ -163,7 +160,7 @@ def overhung_disc() -> list[Claim]:
     rotor = Rotor(
         (ShaftElement(0.02, 0.5, material=light.material), light), (Disc(3, mass, transverse, polar),)
     )
-    ours = modes(rotor, clamped, spin).damped_frequency
+    ours = modes(rotor, clamped, spin).eigenvalues.imag / (2 * np.pi)
     return [
         within(
             f"overhung disc at {spin:.0f} rad/s, {name}",
@@ -212,7 +209,7 @@ def of_ross() -> list[Claim]:
             each = [
                 within(f"mode {number}", value, peer, 1e-6, "Hz", kind, source, relative=True, recorded=note)
                 for number, (value, peer) in enumerate(
-                    zip(ours.damped_frequency, theirs["frequency"], strict=False), start=1
+                    zip(ours.eigenvalues.imag / (2 * np.pi), theirs["frequency"], strict=False), start=1
                 )
             ]
             found.append(worst(each, f"frequency, {name} bearings, {rpm:.0f} rpm"))
@@ -329,7 +326,7 @@ def mendes() -> list[Claim]:
     """The healthy rig at 50 Hz: printed loads, modes of a separate calculation, and what was measured."""
     rig = load_rotor(CONFIGS / "mendes.yaml")
     loads, found = rig.static_loads(), modes(rig.rotor, rig.supports(), rig.omega)
-    frequency, ratio = found.damped_frequency, found.damping_ratio
+    frequency, ratio = found.eigenvalues.imag / (2 * np.pi), found.damping_ratio
     swinging = (frequency > 10) & (frequency < 100) & (ratio < 0.5)
     source, separate = "Mendes 2017", "separate calculation"
     why = (

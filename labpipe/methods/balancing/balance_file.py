@@ -164,7 +164,9 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     entries = faults.mapping(tree, "")
     plain = {name: entry for name, entry in entries.items() if name not in LISTS}
     settings = read_settings(BalanceSettings, Marked(plain, tree.where, tree.key_where), "", faults)
-    planes = _planes(entries.get("planes", tree), faults)
+    planes, read = _planes(entries["planes"], faults) if "planes" in entries else {}, len(faults)
+    if not (planes or read):
+        faults.add(entries.get("planes", tree), "planes", "a plane is needed", "planes: [left, right]")
     named: dict[str, tuple[dict[str, complex], dict[str, complex]]] = {}
     units: dict[str, str] = {}
     nodes = entries["runs"].content if "runs" in entries else []

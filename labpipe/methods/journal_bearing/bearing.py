@@ -1,5 +1,5 @@
-"""Journal bearings with a finite-length oil film: static equilibrium and the eight linear coefficients;
-Ocvirk's closed forms.
+"""Journal bearings with a finite-length oil film: static equilibrium and the eight linear
+coefficients.
 
 Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per
 displacement in z: K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
@@ -169,31 +168,6 @@ def _balance(
                 displacement, pressure, force, stiffness, film.force_weights @ squeezed.sum(axis=2).T, step
             )
     raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
-
-
-def film_at(
-    film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None
-) -> FilmState:
-    """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega. FitError when
-    Newton's method does not converge.
-    """
-    room, pressure = band_room(film.mesh), _ambient(film) if near is None else near.pressure
-    for step in range(1, MOST_STEPS + 1):
-        equations = film_equations(film, displacement, velocity, pressure)
-        factors = factorise(equations, film.grid.curvature, room)
-        changes = -factors.solve(np.concatenate([equations.residual[None], equations.by_displacement]))
-        pressure = pressure + changes[0]
-        if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):
-            force, slopes = (film.force_weights @ field.sum(axis=-1).T for field in (pressure, changes[1:]))
-            return FilmState(
-                displacement,
-                pressure,
-                force,
-                -slopes,
-                film.force_weights @ factors.solve(_squeeze(film)).sum(axis=2).T,
-                step,
-            )
-    raise FitError("the pressure in the oil film did not converge", hint="check displacement and wear")
 
 
 def _squeeze(film: Film) -> FloatArray:
@@ -396,23 +370,6 @@ def journal_equilibrium(
     return JournalEquilibrium(bearing, speed, (float(load[0]), float(load[1])), mesh, state)
 
 
-def film_force(
-    bearing: JournalBearing,
-    position: FloatArray,
-    velocity: FloatArray,
-    speed: float,
-    mesh: FilmMesh = DEFAULT_MESH,
-) -> FloatArray:
-    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without
-    linearisation.
-    """
-    displacement = np.asarray(position) / bearing.clearance
-    state = film_at(
-        bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed)
-    )
-    return state.force * bearing.force_scale(speed)
-
-
 def converged_equilibrium(
     bearing: JournalBearing,
     load: tuple[float, float],
@@ -442,59 +399,4 @@ def converged_equilibrium(
     raise FitError(
         f"the oil film needs more than {MOST_CELLS_AROUND} cells around",
         hint=f"allow a larger error than {tolerance:g}",
-    )
-
-
-def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:
-    """Load [N] carried at an eccentricity ratio; f = pi D Omega mu L^3 e / (8 c^2 (1 - e^2)^2) sqrt((16/pi^2
-    - 1) e^2 + 1).
-
-    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-load).
-    """
-    e = eccentricity_ratio
-    scale = (
-        np.pi * bearing.diameter * speed * bearing.viscosity * bearing.length**3 / (8 * bearing.clearance**2)
-    )
-    return float(scale * e / (1 - e**2) ** 2 * np.sqrt((16 / np.pi**2 - 1) * e**2 + 1))
-
-
-def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float) -> tuple[float, float]:
-    """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1
-    - e^2) / (4 e).
-
-    Equation (jour-short-attitude).
-    """
-    if not load > 0:
-        raise ConfigError(
-            "a journal bearing needs a load for its equilibrium", hint="give the static load in newtons"
-        )
-    e = float(
-        scipy.optimize.brentq(
-            lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14
-        )
-    )
-    return e, float(np.arctan2(np.pi * np.sqrt(1 - e**2), 4 * e))
-
-
-def short_bearing_coefficients(
-    bearing: JournalBearing, load: float, speed: float
-) -> tuple[FloatArray, FloatArray]:
-    """Stiffness [N/m] and damping [N s/m], (2, 2) in the order yy yz; zy zz, under a *load* [N] along -z.
-
-    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-coefficients).
-    """
-    e, _ = short_bearing_equilibrium(bearing, load, speed)
-    p, rest = np.pi, 1 - e**2
-    root = e * np.sqrt(rest)
-    h = 1 / (p**2 * rest + 16 * e**2) ** 1.5
-    k_yy = 4 * (p**2 * (2 - e**2) + 16 * e**2)
-    k_yz = p * (p**2 * rest**2 - 16 * e**4) / root
-    k_zy = -p * (p**2 * rest * (1 + 2 * e**2) + 32 * e**2 * (1 + e**2)) / root
-    k_zz = 4 * (p**2 * (1 + 2 * e**2) + 32 * e**2 * (1 + e**2) / rest)
-    c_yy = 2 * p * np.sqrt(rest) * (p**2 * (1 + 2 * e**2) - 16 * e**2) / e
-    c_yz = -8 * (p**2 * (1 + 2 * e**2) - 16 * e**2)
-    c_zz = 2 * p * (p**2 * rest**2 + 48 * e**2) / root
-    per_length = load / bearing.clearance * h
-    return np.array([[k_yy, k_yz], [k_zy, k_zz]]) * per_length, np.array([[c_yy, c_yz], [c_yz, c_zz]]) * (
-        per_length / speed
     )

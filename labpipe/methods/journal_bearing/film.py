@@ -32,30 +32,11 @@ from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 
 
-def wear_edges(depth: float, angle: float) -> tuple[float, float]:
-    """First and last angle of the wear, theta_s, theta_f = 3 pi/2 + angle -+ arccos(1 - depth) [rad], theta_s
-    in [0, 2 pi).
-
-    *depth*: largest wear over radial clearance [-]; *angle* of the deepest point from the bottom, positive
-    with the spin [rad]. Mendes et al. (2017) eq. 9, there modulo 2 pi. Equation (jour-wear-edges).
-    """
-    half = float(np.arccos(1 - depth))
-    start = float(np.mod(1.5 * np.pi + angle - half, 2 * np.pi))
-    return start, start + 2 * half
-
-
-def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
-    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], same
-    shape as *theta* [rad].
-
-    Equation (jour-wear).
-    """
-    return np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
-
-
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
-    """`worn_depth` averaged over an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact.
-    Equation (jour-wear-mean).
+    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance, averaged over
+    an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact. *depth*: largest wear over
+    radial clearance [-]; *angle* of the deepest point from the bottom, positive with the spin [rad]. Equation
+    (jour-wear-mean).
     """
     if depth <= 0:
         return np.zeros_like(theta)

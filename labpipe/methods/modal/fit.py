@@ -245,8 +245,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     ConfigError where settings and response do not fit together, FitError where no mode is found or the lines
     are too few.
     """
-    if not isinstance(settings.mass, float | str):
-        raise SettingError("mass", "a modal fit takes one mass", "for example mass: 0.92 kg")
+    if not settings.mass or not isinstance(settings.mass, float | str):
+        raise SettingError("mass", "a modal fit takes one mass, above zero", "for example mass: 0.92 kg")
     modal: ModalSettings = settings.model_settings
     form = response.form
     if form not in DERIVATIVES:

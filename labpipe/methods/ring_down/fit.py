@@ -287,14 +287,15 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         mode: float(abs(fitted.pieces[piece].amplitudes[mode, output]))
         for mode, (piece, output) in strongest.items()
     }
+    units = [decays.units[columns[o]] for _, o in strongest.values()]
     curves = tuple(
         replace(
             amplitude_law.over_amplitude(pieces, fitted, mode, output),
             law=laws[mode].law if mode in laws else None,
+            unit=units[mode],
         )
         for mode, (_, output) in strongest.items()
     )
-    units = [decays.units[columns[o]] for _, o in strongest.values()]
     parameters = _parameters(fitted, settings, laws, units, repeated)
     findings = amplitude_law.decay_findings(fitted, tested, laws, amplitudes, missing)
     if fitted.converged and (laws or any(finding.code == "model-mismatch" for finding in findings)):
@@ -306,14 +307,15 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     notes = _notes(decays, columns, pieces, fitted, tested)
     if repeated is not None:
         findings = (*findings, *repeated.failed, *drift_findings(repeated))
-        notes = (*repeat_notes(repeated, units), *notes)
+        read = [decays.units[columns[output]] for output in repeated.outputs]
+        notes = (*repeat_notes(repeated, read), *notes)
     details = (_ring_down(decays, columns, pieces, fitted, strongest, curves),)
     return replace(fit, findings=(*findings, *decays.findings), notes=notes, details=details)
 
 
 def _check(settings: FitSettings, each: bool) -> None:
-    if not isinstance(settings.mass, (float, str)):
-        raise SettingError("mass", "a decay takes one mass", "for example mass: 0.92 kg")
+    if not settings.mass or not isinstance(settings.mass, (float, str)):
+        raise SettingError("mass", "a decay takes one mass, above zero", "for example mass: 0.92 kg")
     if settings.repeat_groups and not each:
         what = "'repeat_groups' needs several decays, of which each is fitted alone"
         raise SettingError("repeat_groups", what, "leave it out")

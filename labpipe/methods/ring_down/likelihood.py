@@ -322,7 +322,7 @@ def most_likely(
     n_mode: int,
 ) -> Decayed:
     """The most likely fit from all starts; FitError where none leads to *n_mode* modes."""
-    columns = list(columns)
+    columns, band = list(columns), band and (band[0], min(band[1], rate / 2))
     strongest = sorted(decays, key=lambda decay: -float(np.max(np.var(decay.samples[:, columns], axis=0))))
     series = [decay.samples[:, column] for decay in strongest for column in columns][:MOST_SERIES]
     thinned, slower = _decimate(series, rate, band, n_mode)

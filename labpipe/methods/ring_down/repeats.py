@@ -36,8 +36,8 @@ class RepeatedDecays:
     in words.
 
     *kept*: which of the fits are used; *means*: of ln f and ln zeta of every mode; *at*: the amplitude
-    (n_mode,) [unit] at which the values hold where they follow it, nan elsewhere; the *groups*, if any, that
-    are the repeats.
+    (n_mode,) [unit] at which the values hold where they follow it, nan elsewhere, in the *outputs* (n_mode,)
+    that stand out of their noise most; the *groups*, if any, that are the repeats.
     """
 
     total: int
@@ -47,6 +47,7 @@ class RepeatedDecays:
     kept: Kept
     means: tuple[tuple[RepeatMean, RepeatMean], ...]
     at: FloatArray
+    outputs: IntArray
     groups: tuple[str, ...] = ()
 
     @property
@@ -106,15 +107,18 @@ def repeated_decays(
     kept = kept_repeats(logs, variances, groups=groups)
     used = kept.used
     groups = tuple(group for group, is_used in zip(groups, used, strict=False) if is_used)
-    sizes = np.array([np.max(np.abs(fit.pieces[0].amplitudes), axis=1) for fit in of_decays])[used]
+    sizes = np.array([np.abs(fit.pieces[0].amplitudes) for fit in of_decays])[used]
+    noise = np.array([fit.variance for fit in of_decays])[used]
+    outputs = np.argmax(np.mean(sizes**2 / noise, axis=0), axis=1)
     means, at = [], np.full(n_mode, np.nan)
     for mode in range(n_mode):
         of_mode = [mode, n_mode + mode]
-        pair, at[mode] = _means(logs[used][:, of_mode], variances[used][:, of_mode], sizes[:, mode], groups)
+        size = sizes[:, mode, outputs[mode]]
+        pair, at[mode] = _means(logs[used][:, of_mode], variances[used][:, of_mode], size, groups)
         means.append(pair)
     left_out = (*failed, *_outliers(decays, numbers, kept, logs, n_mode))
     total, named = len(pieces), settings.repeat_groups
-    return RepeatedDecays(total, numbers, of_decays, left_out, kept, tuple(means), at, named)
+    return RepeatedDecays(total, numbers, of_decays, left_out, kept, tuple(means), at, outputs, named)
 
 
 def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:

@@ -46,20 +46,21 @@ def decay_figure(fit: Fit, shown: RingDown) -> Figure:
 
 
 def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmplitude) -> Figure:
-    across = Axis("amplitude", unit_text(shown.unit), logarithmic=True)
-    factor, law = scale_of(shown.unit), mode.law
+    unit = mode.unit or shown.unit
+    across = Axis("amplitude", unit_text(unit), logarithmic=True)
+    factor, law = scale_of(unit), mode.law
     amplitudes = np.geomspace(mode.amplitude[0], mode.amplitude[-1], LAW_POINTS)
     rows = (
         (f"damping ratio {number}", "%", 100 * mode.damping, 100 * mode.damping_std_error, _damping),
         (f"frequency {number}", "Hz", mode.frequency, mode.frequency_std_error, _frequency),
     )
     panels = []
-    for title, unit, values, std_errors, course in rows:
+    for title, of_row, values, std_errors, course in rows:
         ends = values - TWO_SIGMA * std_errors, values + TWO_SIGMA * std_errors
         series = [curve("stretches", factor * mode.amplitude, values, 0, "", marker="o", bars=ends)]
         if law is not None:
             series.append(curve("law", factor * amplitudes, course(law, amplitudes), 1))
-        panels.append(Panel(across, Axis(title, unit), tuple(series)))
+        panels.append(Panel(across, Axis(title, of_row), tuple(series)))
     line = " The line is the fitted law of both." if law is not None else ""
     caption = (
         f"{fit_title(fit)}: mode {number} stretch by stretch, with 95 % intervals. Level: the mode is linear "

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import SettingError
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-decay-rig"
@@ -54,6 +54,9 @@ class DecayRig(Settings):
         if not all(0 <= ratio < 1 for ratio in self.damping_ratios):
             raise SettingError("damping_ratios", "damping ratios must lie between 0 and 100 %")
         require_positive(self, "mass", "amplitude", "hits", "interval", "weaker", "sample_rate")
+        require_not_negative(self, "joint", "noise")
+        if self.interval * self.sample_rate < 2:
+            raise SettingError("interval", "'interval' is shorter than two samples", "interval: 4 s")
 
 
 def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:

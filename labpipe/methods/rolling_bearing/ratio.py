@@ -18,7 +18,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.fitting import identify
-from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, bent_transfer_matrix
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
@@ -215,6 +215,8 @@ def _curve(
             f"fit '{fit.name}' is not of the model sdof",
             hint="only one-dof fits are compared with those of the theory",
         )
+    if settings.damping != VISCOUS:
+        raise ConfigError(f"fit '{fit.name}' has {settings.damping} damping", hint="the theory's is viscous")
     if settings.subtract is not None or settings.share != 1:
         raise ConfigError(
             f"fit '{fit.name}' is corrected for support or share",
@@ -444,7 +446,8 @@ def _match(campaign: Campaign, evidence: Evidence) -> Solved:
     named = campaign.settings.theory
     assert named is not None
     theory = evidence.theory or theory_of(evidence.folder, named)
-    key = (campaign.settings.fit, campaign.settings.term, named)
+    of = campaign.settings
+    key = (of.fit, of.term, of.over, of.group, named)
     if key not in evidence.solved:
         evidence.solved[key] = _newly_matched(campaign, evidence, theory, named)
     return evidence.solved[key]

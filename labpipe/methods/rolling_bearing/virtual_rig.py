@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rolling_bearing.bearing import rolling_coefficients
 from labpipe.methods.rolling_bearing.loads import DOFS, bent_transfer_matrix
 from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -49,8 +49,9 @@ class TestedBearing(Settings):
     def __post_init__(self) -> None:
         if self.bearing.shaft is None:
             raise ConfigError("bearing.shaft: is missing", hint="the rig needs the shaft's mass and inertia")
-        if not self.bending_stiffness > 0:
-            raise ConfigError("bending_stiffness must be above zero")
+        require_positive(self, "bending_stiffness")
+        if len({f"{preload:g}" for preload in self.preloads}) < max(len(self.preloads), 1):
+            raise SettingError("preloads", "'preloads' names none, or one twice", "[427 N, 701 N]")
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,9 @@ class Sampling(Settings):
     periods: int = setting("integer", "periods recorded", default=3)
     force: float = quantity("rms force of a shaker", "N", 10.0)
 
+    def __post_init__(self) -> None:
+        require_positive(self, "rate", "spacing", "periods", "force")
+
 
 @dataclass(frozen=True)
 class RigNoise(Settings):
@@ -73,6 +77,9 @@ class RigNoise(Settings):
     preload: float = quantity("setting of a preload, relative", "1", 0.005)
     string: float = quantity("force read while the string is calibrated", "N", 20.0)
     strip: float = quantity("force read while the strip is calibrated", "N", 20.0)
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, "acceleration", "force", "preload", "string", "strip")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +108,8 @@ class VirtualBallBearingRig(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "stiffness_ratio", "arm", "string_factor", "strip_factor")
+        if self.angular is not None and self.angular.name == self.deep_groove.name:
+            raise SettingError("angular", f"both bearings are named '{self.angular.name}'", "rename one")
 
 
 @dataclass(frozen=True)

@@ -40,11 +40,6 @@ class Modes:
     shapes: ComplexArray
 
     @property
-    def damped_frequency(self) -> FloatArray:
-        """Damped natural frequency Im(lambda) / 2 pi [Hz], (n_mode,)."""
-        return self.eigenvalues.imag / (2 * np.pi)
-
-    @property
     def damping_ratio(self) -> FloatArray:
         """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode.
 
@@ -152,25 +147,6 @@ def solve(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> Complex
             "the rotor has a resonance without damping on a line", hint="move the line or add damping"
         ) from None
     return displacements
-
-
-def frequency_response(
-    rotor: Rotor,
-    supports: Iterable[Support],
-    frequency: FloatArray,
-    speed: float,
-    outputs: list[int],
-    inputs: list[int],
-) -> ComplexArray:
-    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz].
-
-    Dof indices from `Rotor.dofs`.
-    """
-    matrices = supported_rotor(rotor, supports)
-    forces = np.zeros((matrices.mass.shape[0], len(inputs)))
-    forces[inputs, np.arange(len(inputs))] = 1
-    z = dynamic_stiffness(matrices, 2 * np.pi * np.asarray(frequency), speed)
-    return solve(z, np.broadcast_to(forces, (z.shape[0], *forces.shape)))[:, outputs]
 
 
 def unbalance_response(

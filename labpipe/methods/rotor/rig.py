@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -23,13 +24,14 @@ from labpipe.registry import nearest
 class UncertainBearing:
     """A bearing with one number a standard uncertainty *above* its *value* [its unit], and *below* it.
 
-    *uncertainty* of the number.
+    *uncertainty* of the number, *key*: its entry.
     """
 
     uncertainty: Uncertainty
     above: Bearing
     below: Bearing
     value: float = 0.0
+    key: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class BearingPlace:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
         uncertainties = [
-            UncertainBearing(entry.uncertainty, changed(entry.above), changed(entry.below), entry.value)
+            replace(entry, above=changed(entry.above), below=changed(entry.below))
             for entry in self.uncertainties
         ]
         return replace(
@@ -75,19 +77,9 @@ class BearingPlace:
             uncertainties=tuple(entry for entry in uncertainties if entry.above != entry.below),
         )
 
-    def with_error(self, source: str, sign: int) -> BearingPlace:
-        """The place with every number of a *source* a standard uncertainty above (*sign* 1) or below (-1).
-
-        Unchanged without one.
-        """
-        return next(
-            (
-                replace(self, bearing=entry.above if sign > 0 else entry.below, uncertainties=())
-                for entry in self.uncertainties
-                if entry.uncertainty.source == source
-            ),
-            self,
-        )
+    def of_source(self, source: str) -> list[UncertainBearing]:
+        """The numbers whose uncertainty is of a *source*."""
+        return [entry for entry in self.uncertainties if entry.uncertainty.source == source]
 
     def film(self, method: str) -> JournalBearing:
         """The journal bearing.
@@ -219,13 +211,17 @@ class RotorRig:
                 )
         return tuple(uncertainties.values())
 
-    def ends(self, source: str) -> tuple[RotorRig, RotorRig]:
-        """The rig with all numbers of a *source* a standard uncertainty above, and below."""
-        above, below = (
-            replace(self, bearings=tuple(place.with_error(source, sign) for place in self.bearings))
-            for sign in (1, -1)
-        )
-        return above, below
+    def ends(self, source: str) -> list[tuple[RotorRig, RotorRig]]:
+        """The rig with a number of a *source* in every bearing a standard uncertainty above, and below; once
+        for each that a bearing has, whose changes add up.
+        """
+        rigs = []
+        for entries in zip_longest(*(place.of_source(source) for place in self.bearings)):
+            pairs = list(zip(self.bearings, entries, strict=True))
+            above = [replace(place, bearing=entry.above) if entry else place for place, entry in pairs]
+            below = [replace(place, bearing=entry.below) if entry else place for place, entry in pairs]
+            rigs.append((replace(self, bearings=tuple(above)), replace(self, bearings=tuple(below))))
+        return rigs
 
     def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
         """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from labpipe.bearings.kinds import Bearing
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, Unbalance, UncertainBearing
 from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve
 from labpipe.project.bearing_file import kind_of, setting_at, taken_uncertainties
@@ -85,8 +85,15 @@ class DiscSettings(Settings):
             raise ConfigError(
                 "length: is missing", hint="a disc of dimensions needs its length along the shaft"
             )
-        if self.mass is not None and None in (self.polar_inertia, self.transverse_inertia):
-            raise ConfigError("polar_inertia and transverse_inertia are needed with mass")
+        by, idle = "dimensions", ["polar_inertia", "transverse_inertia"]
+        if self.mass is not None:
+            if None in (self.polar_inertia, self.transverse_inertia):
+                raise ConfigError("polar_inertia and transverse_inertia are needed with mass")
+            by, idle = "mass", ["inner_diameter", "length", "material"]
+        for key in self.written:
+            if key in idle:
+                what = f"'{key}' changes nothing of a disc given by its {by}"
+                raise SettingError(key, what, "leave it out")
 
     def disc(self, material: Material) -> Disc:
         if self.mass is not None:
@@ -363,7 +370,7 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
         if above is None or below is None:
             return None
         source = uncertainty_of(uncertain, f"{name}: {entry_name}", unit)
-        places.append(UncertainBearing(source, above, below, uncertain.value))
+        places.append(UncertainBearing(source, above, below, uncertain.value, entry_name))
     return BearingPlace(name, node, bearing, entries["kind"].text, tuple(places))
 
 

@@ -119,8 +119,8 @@ class UnbalanceSettings(Settings):
             raise ConfigError(f"more than {MOST_SPEEDS} speeds", hint="take a longer step")
         if self.rig is None:
             return
-        if not self.rig.unbalances:
-            raise SettingError("rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
+        if not any(self.rig.amounts.values()):
+            raise SettingError("rotor", "the rotor has no unbalance", "add unbalances: to the rotor file")
         for _, case in self.cases:
             self.rig.with_bearings(
                 (self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle
@@ -159,14 +159,14 @@ def _radii(rig: RotorRig, speeds: FloatArray) -> FloatArray:
 
 
 def _changes(rig: RotorRig, speeds: FloatArray, source: str) -> PeakChange:
-    """Half the difference of the peaks with the numbers of a *source* a standard uncertainty above and below
+    """Half the differences of the peaks with the numbers of a *source* a standard uncertainty above and below
     (GUM 5.1.3, note 2).
     """
-    above, below = (
-        np.concatenate([_peak(speeds, radius) for radius in _radii(end, speeds)]) for end in rig.ends(source)
-    )
-    forward_peak, forward_speed, backward_peak, backward_speed = ((above - below) / 2).tolist()
-    return PeakChange(source, forward_peak, forward_speed, backward_peak, backward_speed)
+    changes = np.zeros(4)
+    for pair in rig.ends(source):
+        above, below = (np.ravel([_peak(speeds, radius) for radius in _radii(end, speeds)]) for end in pair)
+        changes += (above - below) / 2
+    return PeakChange(source, *changes.tolist())
 
 
 def _peak(speeds: FloatArray, radius: FloatArray) -> FloatArray:

@@ -50,6 +50,8 @@ class Material:
 
     def __post_init__(self) -> None:
         _refuse_unless_positive("material", self, ("density", "elastic_modulus", "shear_modulus"))
+        if not -1 < self.poisson <= 0.5:
+            raise ConfigError(f"Poisson's ratio lies between -1 and 0.5, not at {self.poisson:g}")
 
 
 STEEL = Material(7800.0, 2.1e11, 0.796e11, name="steel")

@@ -78,8 +78,10 @@ class Critical:
         return None if self.low is None or self.high is None else self.speed / (self.high - self.low)
 
     def margin(self, operating: float) -> tuple[float, float] | None:
-        """The separation from an *operating* speed [Hz] there is, and the one that is asked for, [%]."""
-        there, asked = self.margin_of((operating, operating))
+        """The separation from an *operating* speed [Hz] there is, and the one that is asked for, [%]; None
+        where that is not known, and of a rotor at rest.
+        """
+        there, asked = self.margin_of((operating, operating)) if operating else (0.0, None)
         return None if asked is None else (there, asked)
 
     def margin_of(self, speeds: tuple[float, float]) -> tuple[float, float | None]:
@@ -97,8 +99,8 @@ class RotorTheory:
     """A rotor over *speed* (n_speed,) [Hz]: frequency (n_speed, n_mode) [Hz], log_decrement and whirl
     (n_speed, n_mode) [1] of the modes, followed; NaN where a mode does not oscillate.
 
-    onset: [Hz], None within the speeds; criticals of the unbalance response, whose *amplitude*
-    (n_fine, n_node) [m] over *fine* (n_fine,) [Hz] is at *nodes*.
+    onset: [Hz], None within the speeds; least_decrement: at the file's speed [1]; criticals of the unbalance
+    response, whose *amplitude* (n_fine, n_node) [m] over *fine* (n_fine,) [Hz] is at *nodes*.
     """
 
     rig: RotorRig
@@ -107,16 +109,12 @@ class RotorTheory:
     log_decrement: FloatArray
     whirl: FloatArray
     onset: float | None
+    least_decrement: float
     crossings: tuple[tuple[float, float, float], ...]
     criticals: tuple[Critical, ...] = ()
     fine: FloatArray | None = None
     amplitude: FloatArray | None = None
     nodes: tuple[int, ...] = ()
-
-    def least_decrement(self) -> float:
-        """The least logarithmic decrement at the file's speed [1]."""
-        at = int(np.argmin(np.abs(self.speed - self.rig.speed)))
-        return float(np.nanmin(self.log_decrement[at]))
 
 
 def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
@@ -132,7 +130,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         there = order[number] >= 0
         roots = solution.eigenvalues[order[number, there]]
         frequency[number, there] = roots.imag / (2 * np.pi)
-        decrement[number, there] = -2 * np.pi * roots.real / roots.imag
+        decrement[number, there] = _decrements(roots)
         whirl[number, there] = solution.whirl[order[number, there]]
     at = _supports_between(speeds, supports)
     try:
@@ -149,6 +147,9 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
                 for row in (speeds, decrement[:, mode], whirl[:, mode])
             ]
             crossings.append((float(mixed[0]), float(mixed[1]), float(mixed[2])))
+    # An integrating bearing has no coefficients at rest.
+    own = rig.supports() if rig.speed else supports[0]
+    lowest = response.modes(rig.rotor, own, rig.omega).eigenvalues[:MOST_MODES]
     theory = RotorTheory(
         rig,
         speeds,
@@ -156,9 +157,14 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         decrement,
         whirl,
         None if onset is None else onset / (2 * np.pi),
+        float(np.min(_decrements(lowest), initial=np.inf)),
         tuple(sorted(crossings)),
     )
     return _with_response(theory, at) if any(rig.amounts.values()) else theory
+
+
+def _decrements(roots: ComplexArray) -> FloatArray:
+    return np.asarray(-2 * np.pi * roots.real / roots.imag)
 
 
 def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> response.SupportsAtSpeed:
@@ -170,7 +176,8 @@ def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]])
 
 
 def follow(each: Sequence[response.Modes]) -> FloatArray:
-    """Numbers (n_speed, n_mode) [-] of the modes at every speed so that a column is one mode; -1: it is gone.
+    """Numbers (n_speed, n_mode) [-] of the modes at every speed so that a column is one mode; -1: it is not
+    there. A mode that begins to oscillate within the speeds, as oil whirl may, has a column as well.
 
     Neighbouring speeds are paired by the assurance criterion of their shapes times
     exp(-(d ln |lambda| / .15)^2 / 2), all pairs together (linear assignment).
@@ -187,6 +194,10 @@ def follow(each: Sequence[response.Modes]) -> FloatArray:
             if likeness[row, column] > 1e-3:
                 order[number, row] = column
                 last[row] = (flat[column], now.eigenvalues[column])
+        for column in sorted(set(range(min(MOST_MODES, len(flat)))) - set(order[number].tolist())):
+            order = np.column_stack([order, np.full(len(each), -1)])
+            order[number, -1] = column
+            last.append((flat[column], now.eigenvalues[column]))
     return order
 
 
@@ -275,20 +286,19 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
             f"unbalance response: peak at {60 * critical.speed:.0f} rpm, {1e6 * critical.amplitude:.3g} um "
             f"at node {critical.node}"
         )
-        margin = critical.margin(operating)
-        if margin is None:
+        if critical.amplification is None:
             yield f"{text}; no amplification factor within the speeds"
             continue
-        there, asked = margin
-        if not asked:
-            yield f"{text}, amplification {critical.amplification:.3g}: below 2.5, no critical speed"
-            continue
-        word = "kept" if there >= asked else "NOT kept"
-        yield (
-            f"{text}, amplification {critical.amplification:.3g}; margin to {60 * operating:g} rpm "
-            f"{there:.1f} %, {asked:.1f} % asked for: {word}"
-        )
-    least = theory.least_decrement()
+        text += f", amplification {critical.amplification:.3g}"
+        margin = critical.margin(operating)
+        if critical.amplification < LEAST_AMPLIFICATION:
+            text += ": below 2.5, no critical speed"
+        elif margin is not None:
+            there, asked = margin
+            word = "kept" if there >= asked else "NOT kept"
+            text += f"; margin to {60 * operating:g} rpm {there:.1f} %, {asked:.1f} % asked for: {word}"
+        yield text
+    least = theory.least_decrement
     word = "above" if least > LEAST_DECREMENT else "NOT above"
     yield f"least log decrement at {60 * operating:g} rpm: {least:.3g}, {word} {LEAST_DECREMENT:g}"
     top = 60 * theory.speed[-1]
@@ -328,7 +338,7 @@ def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
             }
             for critical in theory.criticals
         ],
-        "least_log_decrement": theory.least_decrement(),
+        "least_log_decrement": without_nan(theory.least_decrement),
         "onset_speed_hz": theory.onset,
     }
 

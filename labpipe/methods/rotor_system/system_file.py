@@ -245,11 +245,7 @@ def _linear(
     cross_error: float,
 ) -> LinearBearing:
     """The bearing with the uncertainties of its coefficients, those of `estimate` where it has none."""
-    stated = {
-        entry.uncertainty.source.rpartition(": ")[2]: entry.uncertainty.std_error
-        for entry in place.uncertainties
-    }
-
+    stated = {entry.key: entry.uncertainty.std_error for entry in place.uncertainties}
     k, c = settings.stiffness, settings.damping
     bare = not (k[0, 1] or k[1, 0] or {"k_yz", "k_zy"} & stated.keys())
     skew = settings.k_cross is not None or (cross_error > 0 and bare)

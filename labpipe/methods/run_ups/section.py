@@ -23,7 +23,7 @@ from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, Ru
 from labpipe.project.deciding import Compared
 from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.judging import CompareNumber, compare_covers, compare_warnings
-from labpipe.project.measured import file_stem
+from labpipe.project.measured import file_stem, file_stems
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.records.identification import RuleOutcome
@@ -93,8 +93,7 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
     if settings.subtracted is not None:
         residual = _open(settings.subtracted, f"{settings.name}-residual", settings, output, folder)
         # Nothing was added before the residual run, where the run has its weights.
-        still = dict.fromkeys(dict(settings.unbalance), 0j)
-        subtracted = _track(residual, lines, settings, still)
+        subtracted = _track(residual, lines, settings, dict.fromkeys(dict(settings.unbalance), 0j))
         ends = subtracted.speed[[0, -1]]
         inside = run.speed[(run.speed >= ends[0]) & (run.speed <= ends[1])]
         run = difference(run, at_speeds(subtracted, inside))
@@ -146,13 +145,13 @@ def run_run_ups(settings: RunUpSettings, work: Work) -> records.RunUpResult:
 def identify_run_ups(
     settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None
 ) -> records.RunUpResult:
-    """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the
-    pipeline file.
-    """
+    """All methods of the section, compared on every run. *folder*: of the pipeline file."""
     rig = settings.rig
     assert rig is not None
-    probes = settings.probes.uncertainties
-    runs = [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs]
+    recorded = [run for run in settings.runs if run.recording]
+    residuals = [f"{run.name}-residual" for run in recorded if run.subtracted]
+    file_stems([*(run.name for run in recorded), *residuals], "recordings of runs")
+    runs = [read_run(run, rig, output, folder, settings.probes.uncertainties) for run in settings.runs]
     return run_up_result(settings, rig, runs, tell)
 
 

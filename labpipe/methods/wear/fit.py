@@ -212,14 +212,14 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
         return np.concatenate([-misfit.model.scale * (step @ residual), beside])
 
     def by_bearings(source: str) -> FloatArray:
-        ends = []
-        for rig in misfit.model.rig.ends(source):
-            model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, with_slopes=False)
-            moved = measured.terms(model.response(best)[0])
-            ends.append(
-                MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0] / misfit.size
-            )
-        return np.concatenate([-misfit.model.scale * (step @ (ends[0] - ends[1])) / 2, beside])
+        change = np.zeros(step.shape[1])
+        for pair in misfit.model.rig.ends(source):
+            for rig, half in zip(pair, (0.5, -0.5), strict=True):
+                model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, False)
+                moved = measured.terms(model.response(best)[0])
+                compared = MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0]
+                change += half * compared / misfit.size
+        return np.concatenate([-misfit.model.scale * (step @ change), beside])
 
     return [
         *changes_by(measured.errors, values),

@@ -185,7 +185,7 @@ def _reach(
     # A pressure that is given, not estimated, needs its axis in the table as well.
     films = [place.film("wear") for place in rig.bearings if place.is_film]
     lowest = min(
-        box.get("cavitation_pressure", (0.0,))[0], *(1.25 * film.cavitation_pressure for film in films)
+        [box.get("cavitation_pressure", (0.0,))[0], *(1.25 * film.cavitation_pressure for film in films)]
     )
     return tables.Ranges(settings.depth_limit, settings.angle_limit, viscosity, clearance, lowest), box
 
@@ -321,16 +321,15 @@ def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
     inside = lines_in(response.frequency, band)
     if wear.lines:
-        nearest = np.array([int(np.argmin(np.abs(response.frequency - line))) for line in wear.lines])
+        away = np.where(inside, np.abs(response.frequency - np.array(wear.lines)[:, None]), np.inf)
         spacing = float(np.median(np.diff(response.frequency))) if response.frequency.size > 1 else 0.0
-        for line, line_hz in zip(wear.lines, response.frequency[nearest], strict=True):
-            if abs(line - line_hz) > 0.51 * spacing:
-                raise ConfigError(
-                    f"there is no line near {line:g} Hz; the nearest is {line_hz:g} Hz",
-                    hint="is it masked or out of the band?",
-                )
         chosen = np.zeros(response.frequency.shape, bool)
-        chosen[nearest] = True
+        for line, distances in zip(wear.lines, away, strict=True):
+            place = int(np.argmin(distances))
+            if distances[place] > 0.51 * spacing:
+                what = f"there is no line near {line:g} Hz; the nearest is {response.frequency[place]:g} Hz"
+                raise ConfigError(what, hint="is it masked or out of the band?")
+            chosen[place] = True
         return chosen
     if wear.half_power:
         size = np.sqrt(np.sum(np.abs(response.matrix) ** 2, axis=(1, 2)))

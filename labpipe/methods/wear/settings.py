@@ -177,14 +177,17 @@ LEAST_SHARE = 1e-3
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`.
-    ConfigError if there is no such fit.
+    ConfigError if there is no such fit, or several.
     """
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings
-    for fit in fits:
-        if fit.name == wear.prior:
-            return replace(settings, model_settings=replace(wear, posterior=posterior(fit, wear.same_wear)))
+    named = [fit for fit in fits if fit.name == wear.prior]
+    if len(named) > 1:
+        what = f"wear.prior: '{wear.prior}' has {len(named)} results"
+        raise ConfigError(what, hint="give that fit one `test` and one `band`")
+    for fit in named:
+        return replace(settings, model_settings=replace(wear, posterior=posterior(fit, wear.same_wear)))
     hint = nearest(wear.prior, [fit.name for fit in fits])
     raise ConfigError(
         f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}"

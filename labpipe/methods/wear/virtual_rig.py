@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
@@ -75,6 +75,9 @@ class VirtualJournalRig(Settings):
             raise ConfigError(f"bandwidth must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
         if not 0 <= self.lowest < self.bandwidth:
             raise ConfigError("lowest must lie between 0 Hz and the bandwidth")
+        if not self.excited.size:
+            what = "no line of a run lies between 'lowest' and 'bandwidth'"
+            raise SettingError("duration", what, "a longer one, or a wider band")
         for name in ("viscosity_error", "clearance_error"):
             if not abs(getattr(self, name)) < 0.5:
                 raise ConfigError(f"{name} must lie between -50 % and 50 %")
@@ -90,7 +93,13 @@ class VirtualJournalRig(Settings):
 
     @property
     def n_sample(self) -> int:
-        return round(self.duration * self.sample_rate)
+        return max(round(self.duration * self.sample_rate), 1)
+
+    @property
+    def excited(self) -> FloatArray:
+        """Lines (n_line,) [Hz] at which the shaker acts."""
+        lines = fft.rfftfreq(self.n_sample, 1 / self.sample_rate)[1:]
+        return np.asarray(lines[(lines <= self.bandwidth) & (lines >= self.lowest)])
 
     @property
     def mesh(self) -> FilmMesh:
@@ -126,19 +135,14 @@ def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexA
 def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
     """H on every excited line, at the shaft speed last, (n_line + 1, 2, 2) [m/N]."""
     rig = true_rig(virtual, wear.depth, wear.angle)
-    lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
-    return receptance(
-        rig,
-        np.append(np.asarray(lines[(lines <= virtual.bandwidth) & (lines >= virtual.lowest)]), rig.speed),
-        virtual.mesh,
-    )
+    return receptance(rig, np.append(virtual.excited, rig.speed), virtual.mesh)
 
 
 def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Recording:
     assert virtual.rig is not None
     n, axis, h = virtual.n_sample, name[-1], _response(virtual, virtual.wear(name))
     spectrum, at_lines = np.zeros(n // 2 + 1, np.complex128), np.zeros((n // 2 + 1, 2), np.complex128)
-    first = int(np.argmax(fft.rfftfreq(n, 1 / virtual.sample_rate)[1:] >= virtual.lowest)) + 1
+    first = round(virtual.excited[0] * n / virtual.sample_rate)
     excited = slice(first, first + h.shape[0] - 1)
     spectrum[excited] = rng.standard_normal(h.shape[0] - 1) + 1j * rng.standard_normal(h.shape[0] - 1)
     spectrum *= virtual.force * n / np.sqrt(2 * np.sum(np.abs(spectrum) ** 2))

@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.journal_bearing.bearing import (
-    JournalBearing,
-    converged_equilibrium,
-    film_force,
-    journal_equilibrium,
-)
+from labpipe.methods.journal_bearing.bearing import JournalBearing, converged_equilibrium, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
+from tests.methods.journal_bearing.film_force import film_force
 
 SPEED = 2 * np.pi * 50
 MESH = FilmMesh(60, 12)

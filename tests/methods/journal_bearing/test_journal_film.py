@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.journal_bearing.bearing import film_at, film_equilibrium
+from labpipe.methods.journal_bearing.bearing import film_equilibrium
 from labpipe.methods.journal_bearing.film import (
     LEAST_SLOPE,
     Film,
@@ -22,9 +22,8 @@ from labpipe.methods.journal_bearing.film import (
     interpolation,
     mean_worn_depth,
     rounded_maximum,
-    wear_edges,
-    worn_depth,
 )
+from tests.methods.journal_bearing.film_force import held_force, held_pressure
 
 MESH = FilmMesh(48, 8)
 
@@ -158,10 +157,16 @@ def test_a_neighbour_that_is_none_does_no_harm() -> None:
 def test_the_film_around_a_held_journal_is_that_of_the_equilibrium() -> None:
     film = Film(MESH, 1.7, 0.3, 0.1)
     state = film_equilibrium(film, np.array([0.0, -0.03]))
-    held = film_at(film, state.displacement, np.zeros(2))
-    np.testing.assert_allclose(held.force, [0, 0.03], atol=1e-8)
-    np.testing.assert_allclose(held.stiffness, state.stiffness, rtol=1e-4)
-    np.testing.assert_allclose(held.damping, state.damping, rtol=1e-4)
+    still, moves = np.zeros(2), 1e-4 * np.eye(2)
+
+    def force(change: np.ndarray, motion: np.ndarray) -> np.ndarray:
+        return held_force(film, state.displacement + change, motion)
+
+    np.testing.assert_allclose(force(still, still), [0, 0.03], atol=1e-8)
+    stiffness = np.transpose([(force(-move, still) - force(move, still)) / 2e-4 for move in moves])
+    damping = np.transpose([(force(still, -move) - force(still, move)) / 2e-4 for move in moves])
+    np.testing.assert_allclose(state.stiffness, stiffness, atol=1e-4 * np.abs(stiffness).max())
+    np.testing.assert_allclose(state.damping, damping, atol=1e-4 * np.abs(damping).max())
 
 
 def test_too_heavy_a_load_is_said() -> None:
@@ -170,33 +175,26 @@ def test_too_heavy_a_load_is_said() -> None:
 
 
 def test_worn_depth_by_hand() -> None:
-    """At the bottom the wear is its depth; half way up the bore there is none.
-
-    The mean over an arc keeps the volume.
+    """At the bottom the wear is its depth; half way up the bore there is none, nor beyond the edges at
+    arccos(1 - depth) from the deepest point. The mean over an arc keeps the volume.
     """
     theta = np.deg2rad([270.0, 280.0, 90.0])
     np.testing.assert_allclose(
-        worn_depth(theta, 0.4, 0.0), [0.4, 0.4 - 1 + np.cos(np.deg2rad(10)), 0], atol=1e-15
+        mean_worn_depth(theta, 0.4, 0.0, 1e-4), [0.4, 0.4 - 1 + np.cos(np.deg2rad(10)), 0], atol=1e-9
     )
+    edges = np.deg2rad(290) + np.arccos(0.6) * np.array([-1, 1])
+    inside, outside = (edges + step * np.array([1, -1]) for step in (1e-3, -1e-3))
+    assert mean_worn_depth(inside, 0.4, np.deg2rad(20), 1e-4).min() > 0
+    assert np.all(mean_worn_depth(outside, 0.4, np.deg2rad(20), 1e-4) == 0)
     centre = film_grid(FilmMesh(720, 4)).centre
     arc = 2 * np.pi / 720
     mean = mean_worn_depth(centre, 0.4, 0.3, arc)
     half = np.arccos(0.6)
     np.testing.assert_allclose(mean.sum() * arc, 2 * (np.sin(half) - 0.6 * half), rtol=1e-12)
-    np.testing.assert_allclose(mean, worn_depth(centre, 0.4, 0.3), atol=3e-3)
+    deep = np.maximum(0.0, 0.4 - 1 - np.cos(centre - np.pi / 2 - 0.3))
+    np.testing.assert_allclose(mean, deep, atol=3e-3)
     assert np.all(mean_worn_depth(centre, 0.0, 0.3, arc) == 0)
     assert mean.min() >= 0
-
-
-def test_wear_edges_are_where_the_depth_vanishes() -> None:
-    start, end = wear_edges(0.4, np.deg2rad(20))
-    np.testing.assert_allclose((start + end) / 2, np.deg2rad(290))
-    inside, outside = (
-        worn_depth(np.array([start + 1e-3, end - 1e-3]), 0.4, np.deg2rad(20)),
-        np.array([start - 1e-3, end + 1e-3]),
-    )
-    assert inside.min() > 0
-    assert np.all(worn_depth(outside, 0.4, np.deg2rad(20)) == 0)
 
 
 @pytest.mark.parametrize(("around", "across"), [(23, 8), (48, 7), (20, 8), (48, 2)])
@@ -251,11 +249,11 @@ def test_rounding_the_front_changes_little(depth: float, cavitation: float) -> N
     """Force and highest pressure within 1 % of exact complementarity on the same mesh of 72 x 8 cells."""
     film, displacement = Film(FilmMesh(72, 8), 1.7, depth, 0.2, cavitation), np.array([0.2, -0.25])
     exact = exact_complementarity(film, displacement)
-    rounded = film_at(film, displacement, np.zeros(2))
-    force = film.force_weights @ exact.sum(axis=1)
-    np.testing.assert_allclose(rounded.force, force, atol=0.01 * np.hypot(*force))
-    np.testing.assert_allclose(rounded.pressure.max(), exact.max(), rtol=0.01)
-    np.testing.assert_allclose(rounded.pressure, exact, atol=0.02 * exact.max())
+    rounded = held_pressure(film, displacement, np.zeros(2))
+    force, ours = (film.force_weights @ pressure.sum(axis=1) for pressure in (exact, rounded))
+    np.testing.assert_allclose(ours, force, atol=0.01 * np.hypot(*force))
+    np.testing.assert_allclose(rounded.max(), exact.max(), rtol=0.01)
+    np.testing.assert_allclose(rounded, exact, atol=0.02 * exact.max())
 
 
 @pytest.mark.parametrize("slenderness", [0.5, 1.7, 40.0])

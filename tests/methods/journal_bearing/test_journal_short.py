@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 
-from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import (
-    JournalBearing,
+from labpipe.methods.journal_bearing.bearing import JournalBearing
+from tests.methods.journal_bearing.short_bearing import (
     short_bearing_coefficients,
     short_bearing_equilibrium,
     short_bearing_load,
 )
+from tests.validation.peer_inputs import SHORT as SHORT_EXAMPLE
+from tests.validation.peers import recorded
 
 SPEED = 300.0
 # L / D = .025
@@ -62,6 +63,13 @@ def test_closed_form_is_the_integral_of_the_parabolic_pressure(eccentricity: flo
         np.testing.assert_allclose(damping[:, axis], column, atol=1e-5 * np.abs(damping).max())
 
 
-def test_no_load_is_refused() -> None:
-    with pytest.raises(ConfigError, match="needs a load"):
-        short_bearing_equilibrium(SHORT, 0.0, SPEED)
+def test_closed_forms_are_those_of_another_program() -> None:
+    """ROSS's of Friswell's example 5.5.1, as recorded; x is horizontal there as y is here."""
+    theirs, given = recorded("ross")["short bearing"], dict(SHORT_EXAMPLE)
+    load, speed = given.pop("load"), given.pop("rpm") * np.pi / 30
+    stiffness, damping = short_bearing_coefficients(JournalBearing(**given), load, speed)
+    for letter, ours in (("k", stiffness), ("c", damping)):
+        expected = [theirs[f"{letter}{axes}"] for axes in ("xx", "xy", "yx", "yy")]
+        np.testing.assert_allclose(ours.ravel(), expected, rtol=1e-6)
+    eccentricity, _ = short_bearing_equilibrium(JournalBearing(**given), load, speed)
+    np.testing.assert_allclose(eccentricity, theirs["eccentricity"], rtol=1e-6)

@@ -8,13 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.journal_bearing.bearing import (
-    JournalBearing,
-    JournalEquilibrium,
-    film_force,
-    journal_equilibrium,
-)
+from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
+from tests.methods.journal_bearing.film_force import film_force
 from tests.validation.journal import WEAR_SPEED as SPEED
 from tests.validation.journal import WORN
 

@@ -223,6 +223,10 @@ def test_refusals_say_what_to_do() -> None:
         ModalSettings(order=2)
     with pytest.raises(ConfigError, match="positive"):
         ModalSettings(poles=(0.0,))
+    with pytest.raises(ConfigError, match="takes one mass, above zero"):
+        modal(clean, mass=0.0)
+    with pytest.raises(ConfigError, match="moving_mass must be positive"):
+        ModalSettings(moving_mass=0.0)
 
 
 def test_collinearity_of_phases() -> None:

@@ -54,6 +54,8 @@ def test_hits_come_at_their_times_with_their_strength() -> None:
         ({"frequencies": (40.0, 600.0)}, "between 0 and 512 Hz"),
         ({"damping_ratios": (0.01, 1.0)}, "between 0 and 100 %"),
         ({"hits": 0}, "hits must be positive"),
+        ({"noise": -1e-6}, "noise must not be negative"),
+        ({"interval": 1e-4}, "'interval' is shorter than two samples"),
     ],
 )
 def test_impossible_rigs_are_refused(change: dict[str, object], message: str) -> None:

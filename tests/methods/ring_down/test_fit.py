@@ -7,6 +7,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.ring_down.fit import DecaySettings
+from labpipe.methods.ring_down.report import over_amplitude_figure
 from labpipe.records.fit_details import RingDown
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse, Port
@@ -155,6 +157,12 @@ def test_a_band_is_fitted_alone() -> None:
     )
 
 
+def test_a_band_beyond_half_the_sample_rate_ends_there() -> None:
+    """Up to 10 kHz of 1024 samples a second is as up to 512 Hz."""
+    wide, whole = (fitted(linear(), band=(1.0, end)) for end in (1e4, 512.0))
+    assert wide.parameter("f_n_1").value == pytest.approx(whole.parameter("f_n_1").value, rel=1e-9)
+
+
 def test_a_decay_too_short_for_the_band_is_left_out() -> None:
     """One of 0.1 s has 2 of 12 lines: the numbers are those of the other alone, and a note says so."""
     (long,) = noisy([motion(ONE, times())], 1)
@@ -179,6 +187,7 @@ def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
         ({"input": "f"}, ConfigError, "'input' is not for model decay"),
         ({"bands": [(30.0, 50.0)]}, ConfigError, "'bands' is not for model decay"),
         ({"mass": [1.0, 2.0]}, ConfigError, "takes one mass"),
+        ({"mass": 0.0}, ConfigError, "takes one mass, above zero"),
         ({"output": "q"}, ConfigError, "no response 'q'"),
         ({"band": (600.0, 700.0)}, FitError, "0 lines of a decay"),
         ({"band": (200.0, 300.0)}, FitError, "is noise"),
@@ -224,7 +233,25 @@ def test_outputs_of_one_hit_share_their_poles() -> None:
     )
     together, alone = fitted(both), fitted(both, output="a")
     assert together.parameter("f_n_1").std_error <= alone.parameter("f_n_1").std_error
+    assert [mode.unit for mode in together.detail(RingDown).modes] == ["m"]
     assert together.detail(RingDown).output == "a" and together.equations == 2 * alone.equations
+
+
+def test_decays_that_follow_the_amplitude_are_stated_in_the_unit_it_is_read_in() -> None:
+    """Of a displacement and a noisy acceleration, whose numbers are larger: the middle one of 1 ... .6 um is
+    .8 um, and no m/s^2.
+    """
+    time, rng, decays = times(0.5), np.random.default_rng(3), []
+    for size in (1.0, 0.9, 0.8, 0.7, 0.6):
+        course = motion(((40.0 * (1 - 0.01 * size), 0.01, 1.0, 0.3),), time)
+        noise = rng.standard_normal((time.size, 2)) * [1e-10, 1e-2]
+        columns = np.column_stack([1e-6 * size * course, -(251.3**2) * 1e-6 * size * course])
+        decays.append(FreeDecay(f"hit {size}", 0.0, columns + noise))
+    ports = (Port("y", "y", "y"), Port("a", "a", "a"))
+    fit = fitted(FreeDecays(1024.0, ports, ("m", "m/s^2"), tuple(decays)))
+    repeats = fit.parameter("f_n_1").repeats
+    assert repeats is not None and repeats.at == pytest.approx(8e-7, rel=1e-3)
+    assert "are stated at 8e-07 m," in fit.notes[0]
 
 
 def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
@@ -272,6 +299,9 @@ def test_the_report_shows_decay_residual_and_course_over_amplitude() -> None:
         there = np.interp(stretches.x, law.x, law.y)
         # The law goes through the bars, which are two standard errors to either side.
         assert np.all(np.abs(there - stretches.y) < 2 * (stretches.high - stretches.low))
+    shown = fit.detail(RingDown)
+    other = over_amplitude_figure(fit, shown, 1, replace(shown.modes[0], unit="m/s^2"))
+    assert (shown.unit, other.graphic.panels[0].x.unit) == ("m", "m/s^2")
 
 
 def test_no_decay_is_no_record() -> None:

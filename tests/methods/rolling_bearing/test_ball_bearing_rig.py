@@ -123,6 +123,15 @@ def test_faults_are_named(rig) -> None:
         replace(rig.deep_groove, bearing=replace(rig.deep_groove.bearing, shaft=None))
     with pytest.raises(ConfigError, match="bending_stiffness"):
         replace(rig.deep_groove, bending_stiffness=0.0)
+    for preloads in ((), (427.0, 427.0001)):
+        with pytest.raises(ConfigError, match="names none, or one twice"):
+            replace(rig.deep_groove, preloads=preloads)
+    with pytest.raises(ConfigError, match="string must not be negative"):
+        replace(rig.noise, string=-20.0)
+    with pytest.raises(ConfigError, match="periods must be positive"):
+        Sampling(periods=0)
+    with pytest.raises(ConfigError, match="both bearings are named '6208'"):
+        replace(rig, angular=replace(rig.angular, name="6208"))
     with pytest.raises(ConfigError, match="stiffness_ratio must be positive"):
         replace(rig, stiffness_ratio=0.0)
     with pytest.raises(ConfigError, match="not a whole number"):

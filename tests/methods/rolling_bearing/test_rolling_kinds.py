@@ -137,7 +137,7 @@ def test_cylindrical_rollers_in_closed_form() -> None:
             lambda: replace(GIVEN, displacements=Displacements(y=0.0)),
             "displacements.y and loads.y are both given",
         ),
-        (lambda: replace(GIVEN, damping_factor=-1e-5), "damping_factor is negative"),
+        (lambda: replace(GIVEN, damping_factor=-1e-5), "damping_factor must not be negative"),
         (
             lambda: replace(GIVEN, geometry=BallGeometrySettings(ball_diameter=21e-3, pitch_diameter=60e-3)),
             "9 balls of 21 mm do not fit on the pitch circle",

@@ -9,11 +9,11 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rotor.response import (
     eigenvalues,
     forward_backward_motion,
-    frequency_response,
     reduced_rotor,
     unbalance_response,
 )
 from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Support, supported_rotor
+from tests.methods.rotor.whole_response import frequency_response
 
 LINES = np.linspace(3.0, 300.0, 40)
 SPEED = 400.0

@@ -71,7 +71,7 @@ def test_laval_rig_is_stable_with_its_critical_speed_in_the_published_range(root
         turning = laval.at_speed(speed)
         assert growth_rate(turning.rotor, turning.supports(), turning.omega) < 0
     found = modes(laval.rotor, laval.supports(), laval.omega)
-    bending = found.damped_frequency[found.damping_ratio < 0.03][0]
+    bending = (found.eigenvalues.imag / (2 * np.pi))[found.damping_ratio < 0.03][0]
     assert 40 < bending < 65
 
 
@@ -121,6 +121,9 @@ def test_overrides_and_the_rig_with_other_bearings(small: Path) -> None:
         ("- {node: 3, mass: 2 kg", "- {node: 9, mass: 2 kg", 1, "nodes 1 to 5"),
         ("mass: 2 kg, polar", "polar", 9, "one of mass and outer_diameter"),
         ("length: 10 mm, material: aluminium", "material: aluminium", 10, "needs its length"),
+        ("mass: 2 kg", "mass: 2 kg, length: 9 mm", 9, "'length' changes nothing of a disc given by its mass"),
+        ("outer_diameter: 60", "polar_inertia: 1 kg.m^2, outer_diameter: 60", 10, "'polar_inertia' changes"),
+        ("shear_modulus: 37 GPa", "shear_modulus: 37 GPa, poisson: 34", 4, "Poisson's ratio lies between"),
         ("node: 1, kind", "node: 7, kind", 12, "nodes 1 to 5"),
         (
             "kind: journal-bearing, diameter: 20",
@@ -195,7 +198,7 @@ def test_numbers_of_bearings_may_carry_their_uncertainty(small: Path) -> None:
         ("oil", "viscosity", (0, 1), 1.5e-3),
         ("1: clearance", "clearance", (0,), 2e-6),
     ):
-        above, below = rig.ends(source)
+        ((above, below),) = rig.ends(source)
         for number, (place, up, down) in enumerate(
             zip(rig.bearings, above.bearings, below.bearings, strict=True)
         ):
@@ -204,6 +207,15 @@ def test_numbers_of_bearings_may_carry_their_uncertainty(small: Path) -> None:
             assert getattr(up.bearing, name) == pytest.approx(value + by)
             assert getattr(down.bearing, name) == pytest.approx(value - by)
             assert replace(up.bearing, **{name: value}) == place.bearing
+    # Two numbers of one bearing by one source: one pair of rigs each, whose changes add up.
+    both = "clearance: 50 um +- 2 um (source=oil), viscosity"
+    small.write_text(text.replace("clearance: 50 um, viscosity", both, 1), encoding="utf-8")
+    ends = load_rotor(small).ends("oil")
+    moved = [(above.bearings[0].bearing, below.bearings[0].bearing) for above, below in ends]
+    assert [(up.clearance - down.clearance, up.viscosity - down.viscosity) for up, down in moved] == [
+        (pytest.approx(4e-6), 0.0),
+        (0.0, pytest.approx(3e-3)),
+    ]
     # What is changed by hand has no uncertainty any more.
     assert [source.source for source in rig.with_bearings(viscosity=0.04).sources] == ["1: clearance"]
 

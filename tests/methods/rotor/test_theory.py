@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.methods.rotor.response import Modes
+from labpipe.methods.rotor.response import Modes, eigenvalues
 from labpipe.methods.rotor.rotor_file import load_rotor
+from labpipe.methods.rotor.shaft import supported_rotor
 from labpipe.methods.rotor.theory import follow, margin_above, margin_below, peaks, rotor_theory
 
 LAVAL = Path(__file__).parents[3] / "configs/rotors/laval.yaml"
@@ -56,6 +57,35 @@ def test_modes_are_followed_through_a_crossing():
     order = follow(each)
     first = [modes.eigenvalues[n].imag for modes, n in zip(each, order[:, 0], strict=True)]
     np.testing.assert_allclose(first, 100 + np.linspace(0, 10, 11))
+
+
+def test_a_mode_that_begins_within_the_speeds_is_followed():
+    """The second mode oscillates from the fourth speed on only."""
+    shapes = np.array([[[1, 0], [0.5, 0]], [[0, 1], [0, -0.5]]], complex)
+    roots = np.array([-1 + 100j, 1 + 150j])
+    each = [Modes(n, roots[: 1 + (n > 2)], shapes[: 1 + (n > 2)]) for n in range(6)]
+    assert follow(each).T.tolist() == [[0] * 6, [-1] * 3 + [1] * 3]
+
+
+def test_the_least_decrement_is_that_of_the_files_speed_and_of_oil_whirl():
+    """Above its onset a rotor has a negative one, at 6000 rpm by the eigenvalues of the rotor on its films;
+    oil whirl does not oscillate at the first speeds, and the last is far below 6000 rpm.
+    """
+    rig = load_rotor(LAVAL, ["speed=100 Hz"])
+    roots = eigenvalues(supported_rotor(rig.rotor, rig.supports()), rig.omega)[0]
+    worst = roots[np.argmax(roots.real)]
+    theory = rotor_theory(replace(rig, unbalances=()), np.linspace(5.0, 60.0, 5))
+    assert theory.least_decrement == pytest.approx(-2 * np.pi * worst.real / worst.imag) and worst.real > 0
+
+
+def test_a_rotor_at_rest_has_peaks_and_no_margin(labpipe, tmp_path, monkeypatch):
+    monkeypatch.setattr("labpipe.methods.rotor.theory.FINE", 150)
+    (tmp_path / "rotor.yaml").write_text(STIFF.replace("3000 rpm", "0 rpm"))
+    command = ("rotor", tmp_path / "rotor.yaml", "--speeds", "5-50 Hz", "--json", tmp_path / "r.json")
+    ended = labpipe(*command)
+    assert ended.code == 0 and "margin" not in ended.out and ", amplification " in ended.out
+    (critical,) = json.loads((tmp_path / "r.json").read_text())["critical_speeds"]
+    assert critical["margin_percent"] is None and critical["amplification"] > 2.5
 
 
 def test_what_is_at_rest_has_no_peak():

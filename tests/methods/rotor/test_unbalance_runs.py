@@ -12,7 +12,6 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.kind import Wear
-from labpipe.methods.rotor.response import frequency_response
 from labpipe.methods.rotor.rig import RotorRig, Unbalance
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.section import (
@@ -22,6 +21,7 @@ from labpipe.methods.rotor.section import (
     orbit,
     unbalance_runs,
 )
+from tests.methods.rotor.whole_response import frequency_response
 
 LAVAL = Path(__file__).parents[3] / "configs" / "rotors" / "laval.yaml"
 CASES = (("healthy", Wear()), ("wear 1", Wear(20.52e-6, float(np.deg2rad(21)))))
@@ -110,8 +110,9 @@ def test_speeds_that_make_no_sense_are_refused(speeds: tuple[float, float], step
 
 
 def test_rotor_without_unbalance_unknown_bearing_or_impossible_wear_is_refused(rig: RotorRig) -> None:
-    with pytest.raises(ConfigError, match="no unbalances"):
-        UnbalanceSettings("r", (40.0, 50.0), CASES, rig=replace(rig, unbalances=()))
+    for none in ((), (Unbalance(2, 0.0),)):
+        with pytest.raises(ConfigError, match="the rotor has no unbalance"):
+            UnbalanceSettings("r", (40.0, 50.0), CASES, rig=replace(rig, unbalances=none))
     with pytest.raises(ConfigError, match="no bearing 'left'"):
         UnbalanceSettings("r", (40.0, 50.0), bearing="left", cases=CASES, rig=rig)
     with pytest.raises(ConfigError, match="does not fit a clearance"):

@@ -326,3 +326,15 @@ def test_two_materials_of_one_modulus_keep_their_own_uncertainties(tmp_path: Pat
     assert {material.name: error for material, error in young.items()} == pytest.approx(
         {"shaft steel": 0.02, "cast": 0.2}
     )
+
+
+def test_a_bearing_s_stated_uncertainty_counts_whatever_its_source(tmp_path: Path) -> None:
+    """2 % of a stiffness, by its supplier, and 30 % of a damping."""
+    left = "{kind: linear-bearing, node: 1, k_yy: 8 MN/m +- 2 % (source=supplier), c: 5 kN.s/m +- 30 %}"
+    (tmp_path / "rotor.yaml").write_text(
+        f"speed: 50 Hz\nelements: [{{length: 200 mm, diameter: 25 mm, count: 2}}]\nbearings:\n  - {left}\n"
+        "  - {kind: linear-bearing, node: 3, k_yy: 8 MN/m, c: 5 kN.s/m}\n"
+    )
+    bearing = load_system(tmp_path / "rotor.yaml").linear["1"]
+    assert np.diag(bearing.stiffness_error) == pytest.approx([0.02, 0.02])
+    assert np.diag(bearing.damping_error) == pytest.approx([0.3, 0.3])

@@ -87,7 +87,7 @@ def test_the_change_by_a_bearing_s_number_is_that_of_refits() -> None:
     (fit,) = identify(response, fit_settings(rig=uncertain))
     budget = fit.budget
     assert budget is not None and [source.source for source in budget.sources] == ["bearing 1: clearance"]
-    ends = [identify(response, fit_settings(rig=rig))[0] for rig in uncertain.ends("bearing 1: clearance")]
+    ends = [identify(response, fit_settings(rig=rig))[0] for rig in uncertain.ends("bearing 1: clearance")[0]]
     for name in ("wear_depth", "wear_angle"):
         expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
         assert budget.change_by("bearing 1: clearance", name) == pytest.approx(expected, rel=0.15)

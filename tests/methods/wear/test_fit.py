@@ -228,6 +228,8 @@ def test_priors_that_are_not_there(joint: Fit) -> None:
     settings = fit_settings(prior="tunning")
     with pytest.raises(ConfigError, match="no earlier fit 'tunning'"):
         with_prior(settings, [replace(joint, name="tuning")])
+    with pytest.raises(ConfigError, match="'tuning' has 2 results"):
+        with_prior(fit_settings(prior="tuning"), [replace(joint, name="tuning", test=test) for test in "ab"])
     other = replace(joint, name="tunning", parameters=joint.parameters[:2])
     with pytest.raises(ConfigError, match="tuned none of viscosity"):
         with_prior(settings, [other])

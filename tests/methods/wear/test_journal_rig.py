@@ -12,10 +12,10 @@ from scipy import fft
 
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.rotor.response import frequency_response
 from labpipe.methods.wear.virtual_rig import JournalNoise, VirtualJournalRig, receptance, true_rig, truth
 from labpipe.project.simulate import load_virtual_rig
 from labpipe.simulate.virtual_rigs import recordings
+from tests.methods.rotor.whole_response import frequency_response
 
 ROOT = Path(__file__).parents[3]
 
@@ -110,6 +110,8 @@ def test_runs_do_not_depend_on_which_others_are_made(virtual: VirtualJournalRig)
         ("rotor=none.yaml", "no such file 'none.yaml'"),
         ("bearing=bearing 3", "no bearing 'bearing 3'"),
         ("cells_around=47", "47 x 60 cells"),
+        ("bandwidth=1 mHz", "no line of a run lies between"),
+        ("duration=1 ms", "no line of a run lies between"),
     ],
 )
 def test_impossible_rigs_are_refused(entry: str, message: str, labpipe, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -105,6 +105,7 @@ def test_lines_by_band_list_and_half_power(response: FrequencyResponse) -> None:
     ("changes", "band", "message"),
     [
         ({"lines": (9.0,)}, None, "no line near 9 Hz; the nearest is 10 Hz"),
+        ({"lines": (30.0, 50.0)}, (40.0, 80.0), "no line near 30 Hz; the nearest is 40 Hz"),
         ({}, (200.0, 300.0), "no frequency line is left"),
         ({"half_power": ((200.0, 300.0),)}, None, "no resonance within 200-300 Hz"),
     ],

@@ -13,6 +13,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.curve import PARAMETERS
 from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.rotor.linear_bearing import LINEAR, LinearBearingSettings
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.wear.model import WornModel, worn_model
 from labpipe.methods.wear.settings import ANGLE, DEPTH
@@ -173,3 +174,11 @@ def test_slopes_stand_under_their_names() -> None:
     values = {"wear_depth": 2e-5, "wear_angle": 0.1, "viscosity": 0.1, "clearance": 9e-5}
     found = bearing.support(values, (*PARAMETERS[:4], "beta"))
     assert [bool(np.any(found.stiffness_slopes[n])) for n in range(5)] == [False, False, True, True, False]
+
+
+def test_a_healthy_rotor_without_a_film_has_its_shaft_s_damping_alone() -> None:
+    linear = LINEAR.mounted(LinearBearingSettings(kind="linear-bearing", k_yy=1e6, c=100.0))
+    places = tuple(replace(place, bearing=linear, kind="linear-bearing") for place in RIG.bearings)
+    rig = replace(RIG, bearings=places)
+    model = worn_model(wear_settings(healthy=True, beta=Uncertain(1.6e-4, 1e-5), rig=rig), LINES)
+    assert model.names == ("beta",)

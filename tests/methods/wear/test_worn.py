@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.rotor.response import dynamic_stiffness, frequency_response, reduced_rotor
+from labpipe.methods.rotor.response import dynamic_stiffness, reduced_rotor
 from labpipe.methods.rotor.shaft import Rotor, Support, free_rotor
 from labpipe.methods.wear.tables import VaryingSupport, forward_backward, response_with_slopes
+from tests.methods.rotor.whole_response import frequency_response
 from tests.methods.wear.worn_cases import WornRig, worn_response
 
 LINES = np.linspace(5.0, 120.0, 24)
