@@ -269,9 +269,7 @@ class Budget:
         parts = {"noise": float(self.random[column] ** 2)}
         for source, change in zip(self.sources, self.changes, strict=True):
             parts[source.source] = parts.get(source.source, 0.0) + float(change[column] ** 2)
-        whole = sum(parts.values())
-        if whole <= 0:
-            return parts
+        whole = sum(parts.values()) or 1.0
         return {part: value / whole for part, value in sorted(parts.items(), key=lambda pair: -pair[1])}
 
     def change_by(self, source: str, name: str) -> float:

@@ -247,30 +247,25 @@ def _group(settings: CalibrationSettings, x: _Column, y: _Column, group: _Column
     for position in positions:
         in_group = group.values == position
         line = fit_line(x.values[in_group], y.values[in_group], through_origin=settings.through_origin)
-        test = f"{settings.group.split(' [')[0]} {_text(position, group.unit)}"
+        at = f"{100 * position:g} %" if group.unit == "1" else f"{position:g} {group.unit}"
+        test = f"{settings.group.split(' [')[0]} {at}"
         fits.append(line_fit(settings.name, test, line, _units(x, y), x.values[in_group], y.values[in_group]))
     if settings.tolerance is not None:
         slopes = np.array([fit.parameter("slope").value for fit in fits])
-        reach = Parameter(
-            "linear_range", linear_range(positions, slopes, settings.tolerance), group.unit, derived=True
-        )
-        fits = [replace(fit, parameters=(*fit.parameters, reach)) for fit in fits]
+        reach = linear_range(positions, slopes, settings.tolerance)
+        stated = Parameter("linear_range", reach, group.unit, derived=True)
+        fits = [replace(fit, parameters=(*fit.parameters, stated)) for fit in fits]
     return fits
 
 
-def _text(position: float, unit: str) -> str:
-    return f"{100 * position:g} %" if unit == "1" else f"{position:g} {unit}"
-
-
 def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
-    header = table.units.get(name, "1")
-    text = stated or header
+    text = stated or table.units.get(name, "1")
     try:
         unit = parse_unit(text)
     except UnitError as error:
         raise ConfigError(f"unit of column '{name}': {error.what}", hint=error.hint) from None
     column = _Column(values * unit.factor + unit.offset, si_name(unit))
-    if name in table.units and not may_agree(text, header):
+    if not may_agree(text, header := table.units.get(name, text)):
         what = f"column '{name}' is in {header} by the file's own header, in {text} by the entry"
         raise ConfigError(what, hint="leave the unit out of the entry, or correct it")
     return column
