@@ -138,10 +138,7 @@ class Uncertainty:
 
 
 def uncertainty_of(number: Uncertain, source: str, unit: str, scale: float = 1.0) -> Uncertainty:
-    """The uncertainty of a number times *scale* [-].
-
-    Its own source, if it names one, takes the place of *source*.
-    """
+    """The uncertainty of a number times *scale* [-], by its own source where it names one, else *source*."""
     return Uncertainty(number.source or source, scale * number.std_error, unit, number.dof, number.shape)
 
 
