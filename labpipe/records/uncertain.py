@@ -93,10 +93,7 @@ def _qualities(text: str) -> tuple[str, list[str]]:
 
 
 def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
-    """The uncertainty with its qualities; UnitError for an unknown one, or two of a kind.
-
-    A factor k is what the size is divided by, whatever the shape.
-    """
+    """The uncertainty with its qualities; a factor k divides it alone. UnitError for two of a kind."""
     entries: dict[str, Any] = {}
     for quality in qualities:
         name, _, text = (part.strip() for part in quality.partition("="))

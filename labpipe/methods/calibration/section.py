@@ -130,9 +130,7 @@ def line_fit(
     y: FloatArray,
     extra: tuple[Parameter, ...] = (),
 ) -> Fit:
-    """A line through x, y (n_point,) as a Fit: parameters slope and intercept [*units*], a warning for curved
-    points.
-    """
+    """A line through x, y (n_point,) as a Fit: slope and intercept [*units*], a warning for curved points."""
     names = ("slope", "intercept")[: line.values.size]
     std_errors = np.sqrt(np.diag(line.covariance))
     parameters = tuple(
@@ -161,11 +159,9 @@ def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tup
     if p_value is None or p_value >= CURVATURE_P:
         return ()
     share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
-    message = (
-        f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is {share:.2g} % of "
-        "the range"
-    )
-    return (Finding("model-mismatch", message),)
+    bent = f"the points bend (p = {p_value:.2g} for a straight line)"
+    what = f"{bent}; the largest deviation is {share:.2g} % of the range"
+    return (Finding("model-mismatch", what),)
 
 
 @dataclass(frozen=True)
@@ -259,16 +255,15 @@ def _group(settings: CalibrationSettings, x: _Column, y: _Column, group: _Column
 
 
 def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
-    text = stated or table.units.get(name, "1")
+    header = table.units.get(name, "")
     try:
-        unit = parse_unit(text)
+        unit = parse_unit(stated or header or "1")
     except UnitError as error:
         raise ConfigError(f"unit of column '{name}': {error.what}", hint=error.hint) from None
-    column = _Column(values * unit.factor + unit.offset, si_name(unit))
-    if not may_agree(text, header := table.units.get(name, text)):
-        what = f"column '{name}' is in {header} by the file's own header, in {text} by the entry"
+    if header and stated and not may_agree(stated, header):
+        what = f"column '{name}' is in {header} by the file's own header, in {stated} by the entry"
         raise ConfigError(what, hint="leave the unit out of the entry, or correct it")
-    return column
+    return _Column(values * unit.factor + unit.offset, si_name(unit))
 
 
 def _units(x: _Column, y: _Column) -> tuple[str, str]:

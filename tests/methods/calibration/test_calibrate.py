@@ -141,7 +141,7 @@ def test_the_range_in_which_a_slope_holds(tmp_path: Path) -> None:
             ConfigError,
             "is in um by the file's own header, in mm by the entry",
         ),
-        ("x [um],u [V]", {"x_unit": "m^7"}, ConfigError, "a calibration column has an unusual unit"),
+        ("x,u [V]", {"x": "x", "x_unit": "m^7"}, ConfigError, "a calibration column has an unusual unit"),
     ],
 )
 def test_what_cannot_be_fitted_is_said_with_the_table(
