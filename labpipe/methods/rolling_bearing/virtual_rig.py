@@ -21,7 +21,14 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -47,10 +54,10 @@ class TestedBearing(Settings):
     )
 
     def __post_init__(self) -> None:
+        require_not_negative(self, "preloads")
         if self.bearing.shaft is None:
             raise ConfigError("bearing.shaft: is missing", hint="the rig needs the shaft's mass and inertia")
-        if not self.bending_stiffness > 0:
-            raise ConfigError("bending_stiffness must be above zero")
+        require_positive(self, "bending_stiffness")
 
 
 @dataclass(frozen=True)
@@ -63,9 +70,12 @@ class Sampling(Settings):
     periods: int = setting("integer", "periods recorded", default=3)
     force: float = quantity("rms force of a shaker", "N", 10.0)
 
+    def __post_init__(self) -> None:
+        require_positive(self, "rate", "spacing", "periods", "force")
+
 
 @dataclass(frozen=True)
-class RigNoise(Settings):
+class RigNoise(StandardDeviations):
     """Standard deviations of measuring noise and of settings."""
 
     acceleration: float = quantity("accelerometers", "m/s^2", 0.3)
@@ -101,6 +111,8 @@ class VirtualBallBearingRig(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "stiffness_ratio", "arm", "string_factor", "strip_factor")
+        require_positive(self, "mountings", "repeats")
+        require_not_negative(self, "damping_factor")
 
 
 @dataclass(frozen=True)
