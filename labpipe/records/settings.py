@@ -1,8 +1,6 @@
 """Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help and
 the docs.
 
-Values of settings: from text of a file ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared type.
-
 One converter for each kind of setting; texts carry their unit, bare numbers are SI. UnitError says what is
 wrong. Files and Python scripts go through the same converters.
 """

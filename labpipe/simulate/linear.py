@@ -2,8 +2,7 @@
 and their noise.
 
 Motions are exact: H times the spectrum of the force line by line, of a force that is periodic in the run, or
-of one from rest that is followed until what comes round has died out. The excitation is any force that is
-sampled: a multisine, swept sines, white noise.
+of one from rest that is followed until what comes round has died out.
 """
 
 from __future__ import annotations

@@ -91,6 +91,13 @@ class EquilibriumSettings(Settings):
         require_positive(self, "clearance")
 
 
+def _check_shares(settings: Any) -> None:
+    if not 0 <= settings.tolerance < 1:
+        raise ConfigError("'tolerance' must be at least 0 and below 100 %")
+    if not 0 < settings.level < 1:
+        raise ConfigError("'level' must lie between 0 and 100 %")
+
+
 @dataclass(frozen=True, kw_only=True)
 class MatrixSettings(Settings):
     """One entry under ``matrix:``."""
@@ -128,10 +135,7 @@ class MatrixSettings(Settings):
         if self.path is not None and self.path.load not in self.over:
             what = f"the load '{self.path.load}' of the path is none of 'over'"
             raise ConfigError(what, hint=f"over: {', '.join(self.over)}")
-        if not 0 <= self.tolerance < 1:
-            raise ConfigError("'tolerance' must be at least 0 and below 100 %")
-        if not 0 < self.level < 1:
-            raise ConfigError("'level' must lie between 0 and 100 %")
+        _check_shares(self)
         if self.theory is not None and self.theory.bearing and len(self.theory.entries) != len(self.over):
             what = f"'theory.entries' names one entry for each of {len(self.over)} conditions"
             raise ConfigError(what, hint="for example over: [speed, load] with entries: [speed, load]")
@@ -184,10 +188,7 @@ class TheorySettings(Settings):
     arm: float | None = quantity("tilts are measured as displacements at this distance", "m", None)
 
     def __post_init__(self) -> None:
-        if self.shaft is not None and not self.shaft.value > 0:
-            raise ConfigError("'shaft' must be above zero")
-        if self.arm is not None and not self.arm > 0:
-            raise ConfigError("'arm' must be above zero")
+        require_positive(self, "shaft", "arm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,8 +224,7 @@ class CompareSettings(Settings):
     def __post_init__(self) -> None:
         self._check_keys()
         self._check_over()
-        if not 0 < self.level < 1:
-            raise ConfigError("'level' must lie between 0 and 100 %")
+        _check_shares(self)
         require_not_negative(self, "setting_error")
         if self.estimate and self.theory is None:
             what = "'estimate' has no loop whose unknowns can be fitted"
@@ -273,8 +273,6 @@ class CompareSettings(Settings):
             raise SettingError("over", what, f"two: {', '.join(several)}; more: matrix")
         if len(set(self.over)) < len(self.over):
             raise SettingError("over", f"'over' names '{self.condition}' twice")
-        if not 0 <= self.tolerance < 1:
-            raise ConfigError("'tolerance' must be at least 0 and below 100 %")
 
     def _check_theory(self) -> None:
         """ConfigError for a theory without the entries that the conditions set, or with an estimate of one of

@@ -100,7 +100,7 @@ class Condition(Settings):
 
 @dataclass(frozen=True)
 class FloatingNoise(StandardDeviations):
-    """Standard deviations of the measuring noise of a sample, white up to half the sampling rate."""
+    """Measuring noise of a sample, white up to half the sampling rate."""
 
     force: float = quantity("load cells", "N", 2.0)
     displacement: float = quantity("relative probes", "m", 2e-7)

@@ -114,9 +114,7 @@ class Injection(Settings):
 
 @dataclass(frozen=True)
 class LevitatedNoise(StandardDeviations):
-    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of
-    the recording.
-    """
+    """What the rig adds to the recordings, of the part up to half their sampling rate."""
 
     displacement: float = quantity("position sensors; it is in the loop", "m", 1e-7)
     current: float = quantity("measured currents", "A", 1e-4)

@@ -39,7 +39,7 @@ LINES_AT_ONCE = 512
 
 @dataclass(frozen=True)
 class JournalNoise(StandardDeviations):
-    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+    """Measuring noise, white up to half the sampling rate."""
 
     displacement: float = quantity("displacement sensors", "m", 1e-6)
     force: float = quantity("force transducer", "N", 0.05)
